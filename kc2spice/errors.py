@@ -1,0 +1,68 @@
+"""Exceptions that tell a user where, what was found, what was expected and what to do next."""
+
+from __future__ import annotations
+
+
+class Kc2spiceError(Exception):
+    """Base of every error that the command line reports without a traceback.
+
+    Parameters
+    ----------
+    message : what went wrong, one sentence.
+    where : file, key, line or part that the message is about.
+    got, expected : the offending value and what would have been right.
+    hint : what to do next.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        where: str | None = None,
+        got: object = None,
+        expected: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.where = where
+        self.got = got
+        self.expected = expected
+        self.hint = hint
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.message}" if self.where else self.message
+        lines = [head]
+        if self.got is not None:
+            lines.append(f"  got:      {self.got}")
+        if self.expected is not None:
+            lines.append(f"  expected: {self.expected}")
+        if self.hint is not None:
+            lines.append(f"  next:     {self.hint}")
+        return "\n".join(lines)
+
+
+class UsageError(Kc2spiceError):
+    """Bad command line, scene, model or included file: exit code 2."""
+
+    exit_code = 2
+
+
+class MissingToolError(Kc2spiceError):
+    """A simulator or library is not on this machine: exit code 3."""
+
+    exit_code = 3
+
+
+class GateMissedError(Kc2spiceError):
+    """A result is less accurate than its stated gate: exit code 4."""
+
+    exit_code = 4
+
+
+class SimulationError(Kc2spiceError):
+    """A solver or simulator failed, or a truth check after it did: exit code 5."""
+
+    exit_code = 5

@@ -1,0 +1,80 @@
+"""The linear models that the FE modules hand to reduction: ports and second-order systems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+
+PortKind = Literal["electrical", "mechanical", "signal"]
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place where a model meets its surroundings.
+
+    ``kind`` fixes the SI pair: *electrical* is voltage [V] in, charge [C] out; *mechanical* is
+    force [N] in, displacement [m] out; *signal* has units of its own.
+    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean.
+    """
+
+    name: str
+    kind: PortKind
+    across: str
+    flow: str
+
+
+@dataclass(frozen=True)
+class PiezoSystem:
+    """Voltage-driven piezoelectric FE model before the potentials are eliminated.
+
+    With displacements ``u`` (n), free internal potentials ``p`` (m, may be 0) and the prescribed
+    anode voltage ``V``::
+
+        M u'' + E u' + K_uu u + K_up p + k_uV V = B f
+                        K_up' u - K_pp p - k_pV V = 0
+                    Q = c_VV V + k_pV' p - k_uV' u
+
+    ``M``, ``K_uu`` and ``K_pp`` are symmetric positive (semi-)definite, ``E = alpha M + beta K``
+    where ``K`` is the stiffness with the potentials eliminated (paper eq. 1 and 2).
+    All values are those of the modelled symmetry sector in SI; ``sectors`` of them make the device.
+    Row ``i`` of ``B'`` averages the displacement of ring ``i`` with the weights of its force shape.
+    """
+
+    M: sparse.csc_array
+    K_uu: sparse.csc_array
+    K_up: sparse.csc_array
+    K_pp: sparse.csc_array
+    k_uV: np.ndarray
+    k_pV: np.ndarray
+    c_VV: float
+    B: np.ndarray
+    ports: tuple[Port, ...]
+    alpha: float
+    beta: float
+    sectors: int
+    ring_radii: np.ndarray
+
+    @property
+    def unknowns(self) -> int:
+        """Equations of the paper's form (1): displacements, internal potentials, one anode."""
+        return self.M.shape[0] + self.K_pp.shape[0] + 1
+
+
+@dataclass(frozen=True)
+class SecondOrderSystem:
+    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` with p inputs and outputs.
+
+    ``D`` is the static feed-through (p, p): the clamped capacitance of an electrical port.
+    Symmetric models with collocated ports have ``C = B'``.
+    """
+
+    M: sparse.csc_array | np.ndarray
+    E: sparse.csc_array | np.ndarray
+    K: sparse.csc_array | np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]

@@ -1,0 +1,54 @@
+"""Netlists as data: pins, parameters, subcircuits and decks. Text is made once, from these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Pin:
+    """One pin of a subcircuit: what 1 V and 1 A on it mean (``flow="-"`` for a signal pin)."""
+
+    name: str
+    unit: str
+    flow: str
+
+
+@dataclass(frozen=True)
+class Param:
+    """A subcircuit parameter with its default in ``unit`` and a word of explanation."""
+
+    name: str
+    default: float
+    unit: str
+    doc: str
+
+
+@dataclass(frozen=True)
+class Subcircuit:
+    """One part: exactly one ``.subckt``, its pin table and the text of its library file."""
+
+    name: str
+    pins: tuple[Pin, ...]
+    params: tuple[Param, ...]
+    text: str
+
+    @property
+    def filename(self) -> str:
+        """Name of the library file that holds this part."""
+        return f"{self.name}.lib"
+
+
+@dataclass(frozen=True)
+class Deck:
+    """A testbench with its libraries: ``{file name: text}``; ``main`` is the file ngspice reads.
+
+    ``vectors`` maps result names of ``waveforms.npz`` to ngspice vectors and the factor to SI.
+    ``stop`` is the last time point [s] of a transient, None otherwise.
+    """
+
+    name: str
+    main: str
+    files: dict[str, str]
+    vectors: dict[str, tuple[str, float]]
+    stop: float | None

@@ -1,0 +1,209 @@
+"""The scene: every number of a study in SI, checked, frozen (paper sections 2.1, 2.2, 2.4, A)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from kc2spice.units import quantity
+
+
+def _si(unit: str) -> BeforeValidator:
+    return BeforeValidator(lambda value: quantity(value, unit))
+
+
+Length = Annotated[float, _si("m")]
+Time = Annotated[float, _si("s")]
+Frequency = Annotated[float, _si("Hz")]
+Voltage = Annotated[float, _si("V")]
+Current = Annotated[float, _si("A")]
+Velocity = Annotated[float, _si("m/s")]
+Stiffness = Annotated[float, _si("N/m")]
+Density = Annotated[float, _si("kg/m3")]
+FluxDensity = Annotated[float, _si("T")]
+Ratio = Annotated[float, _si("")]
+
+Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
+
+
+class Section(BaseModel):
+    """A table of the scene file: no unknown keys, no later change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class Material(Section):
+    """Piezoelectric ceramic in Voigt order xx yy zz yz xz xy, poled along +z (paper A.2)."""
+
+    density: Density = Field(7700.0, gt=0)
+    stiffness: tuple[float, float, float, float, float, float] = (
+        158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9,
+    )  # C11 C12 C13 C33 C44 C66 [Pa]  # fmt: skip
+    coupling: tuple[float, float, float] = (-3.914, 27.50, 13.38)  # e31 e33 e15 [C/m^2]
+    permittivity: tuple[float, float] = (3370.0, 3300.0)  # relative, 11 and 33
+    permittivity_at: Literal["stress", "strain"] = "stress"
+
+
+class KickMesh(Section):
+    """In-plane polar mesh; ``refine`` splits every cell edge, layers included, into that many."""
+
+    refine: int = Field(1, ge=1, le=6)
+    order: Literal[1, 2] = 1
+    sectors: int = Field(10, ge=2)
+    rings: int = Field(5, ge=1)
+    ring_spacing: Length = Field(50e-6, gt=0)
+    outer_rings: int = Field(11, ge=1)
+
+
+class Damping(Section):
+    """Rayleigh damping: ``alpha`` on the mass, and a ratio met at one frequency by the stiffness."""
+
+    ratio: Ratio = Field(0.01, ge=0)
+    at: Frequency = Field(250e3, gt=0)
+    alpha: float = Field(0.0, ge=0)
+
+    @property
+    def beta(self) -> float:
+        """Stiffness coefficient [s]: ratio = beta omega / 2 (+ alpha / (2 omega))."""
+        omega = 2 * 3.141592653589793 * self.at
+        return 2 * self.ratio / omega
+
+
+class Drive(Section):
+    """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
+
+    voltage: Voltage = 100.0
+    width: Time = Field(25e-6, gt=0)
+    edge: Time = Field(0.1e-6, gt=0)
+    start: Time = Field(0.5e-3, ge=0)
+
+
+class Kick(Section):
+    """Piezoelectric chip actuator (paper 2.1, 2.2.2)."""
+
+    side: Length = Field(3e-3, gt=0)
+    height: Length = Field(2e-3, gt=0)
+    layers: int = Field(33, ge=1)
+    electrical: Literal["open", "short", "driven"] = "driven"
+    material: Material = Material()
+    mesh: KickMesh = KickMesh()
+    damping: Damping = Damping()
+    drive: Drive = Drive()
+
+
+class Contact(Section):
+    """Penalty contact, one spring per ring (paper eq. 10); ``penalty`` is of the quarter model."""
+
+    penalty: Stiffness = Field(1e8, gt=0)
+
+
+class Sphere(Section):
+    """Rigid sphere, vertical motion only."""
+
+    radius: Length = Field(1e-3, gt=0)
+    density: Density = Field(7850.0, gt=0)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole sphere [kg]."""
+        return 4 / 3 * 3.141592653589793 * self.radius**3 * self.density
+
+
+class Part(Section):
+    """A body of revolution with rectangular section; ``y`` is its centre (paper table 1)."""
+
+    height: Length = Field(gt=0)
+    outer: Length = Field(gt=0)
+    inner: Length = Field(ge=0)
+    y: Length
+
+
+class Catch(Section):
+    """Electromagnetic catch actuator (paper tables 1 and A1)."""
+
+    polarity: Literal["parallel", "antiparallel"] = "parallel"
+    remanence: FluxDensity = Field(0.2, ge=0)
+    mu_r: float = Field(1.0611, ge=1)
+    ring: Part = Part(height=1e-3, outer=5e-3, inner=4e-3, y=2.5e-3)
+    lower: Part = Part(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=1e-3)
+    upper: Part = Part(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=4e-3)
+    turns: int = Field(4074, ge=1)
+    wire_diameter: Length = Field(25e-6, gt=0)
+    resistivity: float = Field(1.7e-8, gt=0)
+    air_radius: Length = Field(10e-3, gt=0)
+    air_height: Length = Field(30e-3, gt=0)
+    y_min: Length = -2.5e-3
+    y_max: Length = 7.5e-3
+    positions: int = Field(41, ge=4)
+    refine: int = Field(1, ge=1, le=8)
+
+
+class Control(Section):
+    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+
+    setpoint: Length = 2.5e-3
+    kp: Annotated[float, _si("A/m")] = 5e4
+    ki: Annotated[float, _si("A/(m s)")] = 10.0
+    kd: Annotated[float, _si("A s/m")] = 20.0
+    current_limit: Current = Field(0.1, gt=0)
+    enable_at: Time = Field(0.5e-3, ge=0)
+
+
+class Rom(Section):
+    """Reduction: a fixed order, or a tolerance over a band."""
+
+    order: int | None = Field(30, ge=1)
+    tolerance: float | None = Field(None, gt=0, lt=1)
+    band: tuple[Frequency, Frequency] = (0.0, 500e3)
+
+
+class Solver(Section):
+    """ngspice settings that are written into the deck."""
+
+    reltol: float = Field(1e-4, gt=0, lt=1)
+    method: Literal["trap", "gear"] = "trap"
+    max_step: Time = Field(10e-6, gt=0)
+    stop: Time = Field(5e-3, gt=0)
+
+
+class Impact(Section):
+    """Free sphere onto the chip (paper 2.2.2, Fig. 9)."""
+
+    velocity: Velocity = -1.0
+    gap: Length = Field(1e-6, ge=0)
+
+
+class Imprint(Section):
+    """Quasi-static push of the sphere into the chip (Fig. 8)."""
+
+    depth: Length = Field(50e-6, gt=0)
+    steps: int = Field(250, ge=1)
+
+
+class Harmonic(Section):
+    """Frequency sweep of all ports (Figs 7 and A1)."""
+
+    start: Frequency = Field(0.0, ge=0)
+    stop: Frequency = Field(500e3, gt=0)
+    steps: int = Field(200, ge=2)
+
+
+class Scene(Section):
+    """One study. A part that a scene does not name is not modelled."""
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
+    title: str = ""
+    experiment: Experiment = "loop"
+    gravity: Annotated[float, _si("m/s2")] = 9.81
+    kick: Kick | None = None
+    contact: Contact | None = None
+    sphere: Sphere | None = None
+    catch: Catch | None = None
+    control: Control | None = None
+    impact: Impact | None = None
+    imprint: Imprint | None = None
+    harmonic: Harmonic | None = None
+    rom: Rom = Rom()
+    solver: Solver = Solver()
+    include: tuple[str, ...] = ()

@@ -1,0 +1,25 @@
+"""What a simulation gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Waveforms:
+    """SI arrays over one scale (``time`` or ``frequency``), named as in ``waveforms.npz``.
+
+    ``stats`` holds what the simulator said of itself: ``accepted`` and ``rejected`` time points,
+    ``iterations``, ``cpu_s``.
+    """
+
+    data: dict[str, np.ndarray]
+    stats: dict[str, float]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.data[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.data
