@@ -1,0 +1,24 @@
+# The two commands of the README. Both install what the machine lacks first.
+KC2SPICE = .venv/bin/kc2spice
+PYTEST = .venv/bin/python -m pytest
+# One numerical thread for each worker: more of them only wait for each other.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test setup lint clean
+
+demo: setup  ## run the main job: kick, flight and catch in ngspice
+	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
+
+test: setup  ## run the test suite
+	$(PYTEST) -n auto -m "not slow"
+
+setup:  ## ngspice, system libraries and the virtual environment
+	@./tools/bootstrap.sh
+
+lint: setup  ## what a change must pass besides the tests
+	.venv/bin/python -m pip install --quiet --editable '.[dev]'
+	.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy
+
+clean:
+	rm -rf .venv build dist out
