@@ -1,0 +1,40 @@
+"""The only import of gmsh: a quiet, single-threaded session that always ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
+
+from kc2spice.errors import MissingToolError
+
+
+@contextmanager
+def gmsh_session(name: str) -> Iterator[ModuleType]:
+    """Initialise gmsh with one empty model and yield the module; finalise on every way out.
+
+    gmsh keeps global state, so sessions do not nest. It neither reads the user's option files nor
+    takes over the signal handlers, hence the same input always gives the same mesh.
+
+    Raises
+    ------
+    MissingToolError : the wheel or a system library that it loads is not installed.
+    """
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        raise MissingToolError(
+            "gmsh cannot be loaded",
+            where="mesh generation",
+            got=str(error),
+            expected="the gmsh wheel and the libraries it links to",
+            hint="run `kc2spice doctor` for the packages that are missing",
+        ) from error
+    gmsh.initialize([], readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        gmsh.model.add(name)
+        yield gmsh
+    finally:
+        gmsh.finalize()
