@@ -1,16 +1,41 @@
-"""The scene: every number of a study in SI, checked, frozen (paper sections 2.1, 2.2, 2.4, A)."""
+"""The scene: every number of a study in SI, checked, frozen (paper sections 2.1, 2.2, 2.4, A).
+
+Keys, units, defaults and the bounds of single keys are here; conditions that tie several keys
+together are in :mod:`kc2spice.scene.checks`. The comment or ``description`` of a key is what
+``kc2spice scenes --keys`` prints.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from functools import partial
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
+from pydantic_core import PydanticCustomError
 
+from kc2spice.errors import UsageError
 from kc2spice.units import quantity
 
 
+def _number(si: str, value: object) -> float:
+    try:
+        return quantity(value, si)
+    except UsageError as error:
+        context = {"reason": error.message, "expected": error.expected}
+        raise PydanticCustomError("quantity", "{reason}", context) from None
+
+
+def _number_with_unit(si: str, value: object) -> float:
+    if not isinstance(value, str):
+        context = {"reason": "needs its unit", "expected": f'a string such as "1 {si}"'}
+        raise PydanticCustomError("quantity", "{reason}", context)
+    return _number(si, value)
+
+
 def _si(unit: str) -> BeforeValidator:
-    return BeforeValidator(lambda value: quantity(value, unit))
+    """Marks a number that is kept in ``unit`` and may be written as a string with any other."""
+    return BeforeValidator(partial(_number, unit))
 
 
 Length = Annotated[float, _si("m")]
@@ -19,10 +44,17 @@ Frequency = Annotated[float, _si("Hz")]
 Voltage = Annotated[float, _si("V")]
 Current = Annotated[float, _si("A")]
 Velocity = Annotated[float, _si("m/s")]
+Acceleration = Annotated[float, _si("m/s2")]
 Stiffness = Annotated[float, _si("N/m")]
 Density = Annotated[float, _si("kg/m3")]
+Pressure = Annotated[float, _si("Pa")]
+Polarisation = Annotated[float, _si("C/m2")]
 FluxDensity = Annotated[float, _si("T")]
+Resistivity = Annotated[float, _si("Ohm m")]
+Rate = Annotated[float, _si("1/s")]
 Ratio = Annotated[float, _si("")]
+Count = Annotated[int, Strict()]
+GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
 
 Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
 
@@ -37,37 +69,41 @@ class Material(Section):
     """Piezoelectric ceramic in Voigt order xx yy zz yz xz xy, poled along +z (paper A.2)."""
 
     density: Density = Field(7700.0, gt=0)
-    stiffness: tuple[float, float, float, float, float, float] = (
-        158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9,
-    )  # C11 C12 C13 C33 C44 C66 [Pa]  # fmt: skip
-    coupling: tuple[float, float, float] = (-3.914, 27.50, 13.38)  # e31 e33 e15 [C/m^2]
-    permittivity: tuple[float, float] = (3370.0, 3300.0)  # relative, 11 and 33
+    stiffness: tuple[Pressure, Pressure, Pressure, Pressure, Pressure, Pressure] = Field(
+        (158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9),
+        description="C11 C12 C13 C33 C44 C66",
+    )
+    coupling: tuple[Polarisation, Polarisation, Polarisation] = Field(
+        (-3.914, 27.50, 13.38), description="e31 e33 e15"
+    )
+    permittivity: tuple[Ratio, Ratio] = Field(
+        (3370.0, 3300.0), description="relative, 11 and 33, at constant permittivity_at"
+    )
     permittivity_at: Literal["stress", "strain"] = "stress"
 
 
 class KickMesh(Section):
     """In-plane polar mesh; ``refine`` splits every cell edge, layers included, into that many."""
 
-    refine: int = Field(1, ge=1, le=6)
+    refine: Count = Field(1, ge=1, le=6)
     order: Literal[1, 2] = 1
-    sectors: int = Field(10, ge=2)
-    rings: int = Field(5, ge=1)
+    sectors: Count = Field(10, ge=2, le=180, description="of the quarter circle")
+    rings: Count = Field(5, ge=1, le=100, description="contact rings around the centre node")
     ring_spacing: Length = Field(50e-6, gt=0)
-    outer_rings: int = Field(11, ge=1)
+    outer_rings: Count = Field(11, ge=1, le=200, description="graded, out to the edge")
 
 
 class Damping(Section):
-    """Rayleigh damping: ``alpha`` on the mass, and a ratio met at one frequency by the stiffness."""
+    """Rayleigh damping: ``alpha`` on the mass, and a ratio met at one frequency by stiffness."""
 
     ratio: Ratio = Field(0.01, ge=0)
     at: Frequency = Field(250e3, gt=0)
-    alpha: float = Field(0.0, ge=0)
+    alpha: Rate = Field(0.0, ge=0)
 
     @property
     def beta(self) -> float:
-        """Stiffness coefficient [s]: ratio = beta omega / 2 (+ alpha / (2 omega))."""
-        omega = 2 * 3.141592653589793 * self.at
-        return 2 * self.ratio / omega
+        """Stiffness coefficient [s]: ``ratio = beta omega / 2`` at ``omega = 2 pi at``."""
+        return self.ratio / (math.pi * self.at)
 
 
 class Drive(Section):
@@ -84,7 +120,7 @@ class Kick(Section):
 
     side: Length = Field(3e-3, gt=0)
     height: Length = Field(2e-3, gt=0)
-    layers: int = Field(33, ge=1)
+    layers: Count = Field(33, ge=1, le=400)
     electrical: Literal["open", "short", "driven"] = "driven"
     material: Material = Material()
     mesh: KickMesh = KickMesh()
@@ -107,7 +143,7 @@ class Sphere(Section):
     @property
     def mass(self) -> float:
         """Mass of the whole sphere [kg]."""
-        return 4 / 3 * 3.141592653589793 * self.radius**3 * self.density
+        return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
 class Part(Section):
@@ -124,19 +160,19 @@ class Catch(Section):
 
     polarity: Literal["parallel", "antiparallel"] = "parallel"
     remanence: FluxDensity = Field(0.2, ge=0)
-    mu_r: float = Field(1.0611, ge=1)
+    mu_r: Ratio = Field(1.0611, ge=1)
     ring: Part = Part(height=1e-3, outer=5e-3, inner=4e-3, y=2.5e-3)
     lower: Part = Part(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=1e-3)
     upper: Part = Part(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=4e-3)
-    turns: int = Field(4074, ge=1)
+    turns: Count = Field(4074, ge=1)
     wire_diameter: Length = Field(25e-6, gt=0)
-    resistivity: float = Field(1.7e-8, gt=0)
+    resistivity: Resistivity = Field(1.7e-8, gt=0)
     air_radius: Length = Field(10e-3, gt=0)
     air_height: Length = Field(30e-3, gt=0)
     y_min: Length = -2.5e-3
     y_max: Length = 7.5e-3
-    positions: int = Field(41, ge=4)
-    refine: int = Field(1, ge=1, le=8)
+    positions: Count = Field(41, ge=4, le=2001)
+    refine: Count = Field(1, ge=1, le=8)
 
 
 class Control(Section):
@@ -146,22 +182,33 @@ class Control(Section):
     kp: Annotated[float, _si("A/m")] = 5e4
     ki: Annotated[float, _si("A/(m s)")] = 10.0
     kd: Annotated[float, _si("A s/m")] = 20.0
+    rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0)
     enable_at: Time = Field(0.5e-3, ge=0)
 
 
 class Rom(Section):
-    """Reduction: a fixed order, or a tolerance over a band."""
+    """Reduction: a fixed order (30 unless told), or a tolerance over a band."""
 
-    order: int | None = Field(30, ge=1)
-    tolerance: float | None = Field(None, gt=0, lt=1)
+    order: Count | None = Field(None, ge=1, le=2000)
+    tolerance: Ratio | None = Field(None, gt=0, lt=1)
     band: tuple[Frequency, Frequency] = (0.0, 500e3)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        if "order" in data and "tolerance" in data:
+            context = {"reason": "order and tolerance are both set", "expected": "one of the two"}
+            raise PydanticCustomError("quantity", "{reason}", context)
+        return data if "tolerance" in data else {"order": 30, **data}
 
 
 class Solver(Section):
     """ngspice settings that are written into the deck."""
 
-    reltol: float = Field(1e-4, gt=0, lt=1)
+    reltol: Ratio = Field(1e-4, gt=0, lt=1)
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)
@@ -178,7 +225,7 @@ class Imprint(Section):
     """Quasi-static push of the sphere into the chip (Fig. 8)."""
 
     depth: Length = Field(50e-6, gt=0)
-    steps: int = Field(250, ge=1)
+    steps: Count = Field(250, ge=1, le=100_000)
 
 
 class Harmonic(Section):
@@ -186,16 +233,31 @@ class Harmonic(Section):
 
     start: Frequency = Field(0.0, ge=0)
     stop: Frequency = Field(500e3, gt=0)
-    steps: int = Field(200, ge=2)
+    steps: Count = Field(200, ge=2, le=100_000)
+
+
+class EmForce(Section):
+    """Force on the sphere over its travel for every pair of coil currents (Fig. 6)."""
+
+    currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
+
+
+class Gates(Section):
+    """Largest errors that a result may have; those with a dimension must be given with a unit."""
+
+    launch_velocity: Ratio = Field(1e-4, gt=0, description="relative, ngspice against scipy")
+    trajectory: GateLength = Field(  # type: ignore[assignment]  # validated like a file's value
+        default="1 um", gt=0, description="largest, ngspice against scipy"
+    )
 
 
 class Scene(Section):
     """One study. A part that a scene does not name is not modelled."""
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
-    title: str = ""
+    title: str = Field("", max_length=200)
     experiment: Experiment = "loop"
-    gravity: Annotated[float, _si("m/s2")] = 9.81
+    gravity: Acceleration = 9.81
     kick: Kick | None = None
     contact: Contact | None = None
     sphere: Sphere | None = None
@@ -204,6 +266,8 @@ class Scene(Section):
     impact: Impact | None = None
     imprint: Imprint | None = None
     harmonic: Harmonic | None = None
+    em_force: EmForce | None = None
     rom: Rom = Rom()
     solver: Solver = Solver()
+    gates: Gates = Gates()
     include: tuple[str, ...] = ()
