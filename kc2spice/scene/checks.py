@@ -1,0 +1,188 @@
+"""Conditions that tie several keys of a scene together; each names the key to change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+from kc2spice.errors import UsageError
+from kc2spice.scene.schema import Catch, Control, Kick, Part, Scene, Sphere
+
+# What each experiment is made of. Anything else in the file would be ignored, so it is refused.
+PARTS = {
+    "loop": ("kick", "contact", "sphere", "catch", "control"),
+    "impact": ("kick", "contact", "sphere", "impact"),
+    "imprint": ("kick", "contact", "sphere", "imprint"),
+    "harmonic": ("kick", "harmonic"),
+    "em_force": ("sphere", "catch", "em_force"),
+}
+SECTIONS = tuple(dict.fromkeys(part for parts in PARTS.values() for part in parts))
+
+
+def check(scene: Scene) -> None:
+    """Raise UsageError for the first condition that ``scene`` does not meet."""
+    for problem in problems(scene):
+        raise problem
+
+
+def problems(scene: Scene) -> Iterator[UsageError]:
+    """Every violated condition, with the dotted key in ``where``."""
+    missing = list(_parts(scene))
+    yield from missing
+    if missing:
+        return
+    yield from _reduction(scene)
+    if scene.kick is not None:
+        yield from _kick(scene.kick)
+    if scene.kick is not None and scene.sphere is not None:
+        yield from _rings_under_sphere(scene.kick, scene.sphere)
+    if scene.catch is not None and scene.sphere is not None:
+        yield from _catch(scene.catch, scene.sphere)
+    if scene.experiment == "loop" and scene.kick and scene.catch and scene.control:
+        yield from _loop(scene, scene.kick, scene.catch, scene.control)
+    yield from _experiments(scene)
+    if scene.include:
+        yield _problem("include", "netlists of your own cannot be included yet", scene.include)
+
+
+def _problem(
+    key: str, message: str, got: object = None, expected: str | None = None, hint: str | None = None
+) -> UsageError:
+    return UsageError(message, where=key, got=got, expected=expected, hint=hint)
+
+
+def _parts(scene: Scene) -> Iterator[UsageError]:
+    needed = PARTS[scene.experiment]
+    for part in SECTIONS:
+        present = getattr(scene, part) is not None
+        if part in needed and not present:
+            hint = f"add [{part}]; an empty table takes the defaults"
+            yield _problem(part, f"experiment {scene.experiment!r} needs this part", hint=hint)
+        if present and part not in needed:
+            yield _problem(
+                part,
+                f"experiment {scene.experiment!r} has no such part",
+                expected="only " + ", ".join(needed),
+                hint="remove it from the scene and from --set",
+            )
+
+
+def _reduction(scene: Scene) -> Iterator[UsageError]:
+    low, high = scene.rom.band
+    if not 0 <= low < high:
+        yield _problem("rom.band", "empty band", f"{low:g} … {high:g} Hz", "0 <= low < high")
+
+
+def _kick(kick: Kick) -> Iterator[UsageError]:
+    outermost = kick.mesh.rings * kick.mesh.ring_spacing
+    if outermost >= kick.side / 2:
+        yield _problem(
+            "kick.mesh.ring_spacing",
+            f"the outermost of {kick.mesh.rings} contact rings lies beyond the chip",
+            f"ring radius {outermost:g} m",
+            f"less than half the chip's side, {kick.side / 2:g} m",
+        )
+    drive = kick.drive
+    if drive.edge > drive.width:
+        yield _problem(
+            "kick.drive.edge",
+            "the edges of the pulse are longer than the pulse",
+            f"{drive.edge:g} s",
+            f"at most kick.drive.width, {drive.width:g} s",
+        )
+
+
+def _rings_under_sphere(kick: Kick, sphere: Sphere) -> Iterator[UsageError]:
+    outermost = kick.mesh.rings * kick.mesh.ring_spacing
+    if outermost >= sphere.radius:
+        yield _problem(
+            "kick.mesh.ring_spacing",
+            "the outermost contact ring lies beyond the sphere, which can never touch it",
+            f"ring radius {outermost:g} m",
+            f"less than sphere.radius, {sphere.radius:g} m",
+        )
+
+
+def _catch(catch: Catch, sphere: Sphere) -> Iterator[UsageError]:
+    if catch.y_min >= catch.y_max:
+        got = f"{catch.y_min:g} … {catch.y_max:g} m"
+        yield _problem("catch.y_min", "empty range of positions", got, "y_min < y_max")
+    bodies = {name: getattr(catch, name) for name in ("ring", "lower", "upper")}
+    for name, part in bodies.items():
+        yield from _body(name, part, catch, sphere)
+    for (name, part), (other_name, other) in combinations(bodies.items(), 2):
+        if _overlap(part, other):
+            yield _problem(f"catch.{other_name}", f"overlaps catch.{name}")
+
+
+def _body(name: str, part: Part, catch: Catch, sphere: Sphere) -> Iterator[UsageError]:
+    key = f"catch.{name}"
+    if part.inner >= part.outer:
+        got = f"{part.inner:g} m"
+        yield _problem(f"{key}.inner", "no material left", got, f"less than outer, {part.outer:g}")
+    if part.inner <= sphere.radius:
+        yield _problem(
+            f"{key}.inner",
+            "the sphere does not fit through",
+            f"{part.inner:g} m",
+            f"more than sphere.radius, {sphere.radius:g} m",
+        )
+    if part.outer >= catch.air_radius:
+        yield _problem(
+            f"{key}.outer",
+            "reaches beyond the modelled air",
+            f"{part.outer:g} m",
+            f"less than catch.air_radius, {catch.air_radius:g} m",
+        )
+
+
+def _overlap(a: Part, b: Part) -> bool:
+    radial = a.inner < b.outer and b.inner < a.outer
+    axial = 2 * abs(a.y - b.y) < a.height + b.height
+    return radial and axial
+
+
+def _loop(scene: Scene, kick: Kick, catch: Catch, control: Control) -> Iterator[UsageError]:
+    table = f"inside the force table, {catch.y_min:g} … {catch.y_max:g} m"
+    stop = scene.solver.stop
+    if not catch.y_min < control.setpoint < catch.y_max:
+        hint = "catch.y_min and catch.y_max set the table's range"
+        yield _problem(
+            "control.setpoint", "outside the force table", f"{control.setpoint:g} m", table, hint
+        )
+    if scene.sphere is not None and not catch.y_min < scene.sphere.radius < catch.y_max:
+        got = f"rest height {scene.sphere.radius:g} m"
+        yield _problem("sphere.radius", "the resting sphere is outside the force table", got, table)
+    if control.enable_at >= stop:
+        yield _problem(
+            "control.enable_at",
+            "the controller starts after the simulation ends",
+            f"{control.enable_at:g} s",
+            f"before solver.stop, {stop:g} s",
+        )
+    if kick.electrical == "driven" and kick.drive.start >= stop:
+        yield _problem(
+            "kick.drive.start",
+            "the kick starts after the simulation ends",
+            f"{kick.drive.start:g} s",
+            f"before solver.stop, {stop:g} s",
+        )
+
+
+def _experiments(scene: Scene) -> Iterator[UsageError]:
+    if scene.impact and scene.impact.velocity >= 0:
+        got = f"{scene.impact.velocity:g} m/s"
+        yield _problem("impact.velocity", "the sphere never arrives", got, "negative (downwards)")
+    if scene.imprint and scene.sphere and scene.imprint.depth >= scene.sphere.radius:
+        got, limit = f"{scene.imprint.depth:g} m", f"less than {scene.sphere.radius:g} m"
+        yield _problem("imprint.depth", "deeper than the sphere's radius", got, limit)
+    if scene.harmonic and scene.harmonic.start >= scene.harmonic.stop:
+        got = f"{scene.harmonic.start:g} … {scene.harmonic.stop:g} Hz"
+        yield _problem("harmonic.stop", "empty frequency range", got, "start < stop")
+    if scene.solver.max_step > scene.solver.stop:
+        yield _problem(
+            "solver.max_step",
+            "longer than the whole simulation",
+            f"{scene.solver.max_step:g} s",
+            f"at most solver.stop, {scene.solver.stop:g} s",
+        )
