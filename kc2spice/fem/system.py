@@ -41,6 +41,7 @@ class PiezoSystem:
     where ``K`` is the stiffness with the potentials eliminated (paper eq. 1 and 2).
     All values are those of the modelled symmetry sector in SI; ``sectors`` of them make the device.
     Row ``i`` of ``B'`` averages the displacement of ring ``i`` with the weights of its force shape.
+    ``mass`` is that of the sector before constraints.
     """
 
     M: sparse.csc_array
@@ -56,6 +57,7 @@ class PiezoSystem:
     beta: float
     sectors: int
     ring_radii: np.ndarray
+    mass: float
 
     @property
     def unknowns(self) -> int:
