@@ -1,0 +1,5 @@
+"""``python -m kc2spice`` is the ``kc2spice`` script."""
+
+from kc2spice.cli import main
+
+main()

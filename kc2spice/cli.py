@@ -1,0 +1,232 @@
+"""The command line: options, progress and exit codes; the work is done by :mod:`kc2spice.study`.
+
+Imports that take time stand inside the commands, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kc2spice import __version__
+from kc2spice.console import print_facts, print_table, reported_errors, shown_progress
+
+if TYPE_CHECKING:
+    from kc2spice.scene.schema import Scene
+
+app = typer.Typer(
+    name="kc2spice",
+    help="Finite-element actuator models as SPICE subcircuits, run with their electronics.",
+    epilog="Exit codes: 0 ok, 2 bad usage or scene, 3 simulator or library missing, "
+    "4 accuracy gate failed, 5 simulation failed.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="Gallery name (see 'scenes') or path of a TOML file.")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Where to write; default: ./NAME of the scene."
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a key, e.g. --set kick.drive.voltage=80 or --set control.kd='25 A s/m'. "
+        "Repeatable; numbers are SI.",
+    ),
+]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")]
+
+
+def main() -> None:
+    """Entry point of the ``kc2spice`` script."""
+    app()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"kc2spice {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scene: SceneName,
+    out: Out = None,
+    set_: Set = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build, reduce, export, simulate and plot SCENE; all files appear in DIR at the end."""
+    with reported_errors():
+        study_scene, directory = _load(scene, set_, out)
+        from kc2spice import study
+
+        with shown_progress(quiet) as progress:
+            result = study.run(study_scene, directory, progress=progress)
+        if as_json:
+            print(json.dumps(result))
+        elif not quiet:
+            _show_result(result, directory)
+
+
+@app.command()
+def export(
+    scene: SceneName,
+    out: Out = None,
+    set_: Set = None,
+    dialect: Annotated[str, typer.Option(help="Simulator to write for: ngspice.")] = "ngspice",
+    tolerance: Annotated[
+        float | None, typer.Option(help="Short for --set rom.tolerance=X.", metavar="X")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the netlists of SCENE without simulating."""
+    with reported_errors():
+        overrides = [*(set_ or []), *([] if tolerance is None else [f"rom.tolerance={tolerance}"])]
+        study_scene, directory = _load(scene, overrides, out)
+        from kc2spice import study
+
+        with shown_progress(quiet) as progress:
+            files = study.export(study_scene, directory, dialect=dialect, progress=progress)
+        if as_json:
+            print(json.dumps({"scene": study_scene.name, "files": [str(path) for path in files]}))
+        elif not quiet:
+            print_table("files", [(str(path),) for path in files])
+
+
+@app.command()
+def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None:
+    """Say what is modelled for SCENE, what was left out, why, and at what error."""
+    with reported_errors():
+        from dataclasses import asdict
+
+        from kc2spice.scene.hash import scene_hash
+        from kc2spice.scene.load import load_scene
+        from kc2spice.scene.plan import plan
+
+        loaded = load_scene(scene, set_ or [])
+        found = plan(loaded)
+        if as_json:
+            print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
+            return
+        print(f"{loaded.name}: {loaded.title}\nscene hash {scene_hash(loaded)}\n")
+        rows = [(part.part, part.source, part.detail) for part in found.parts]
+        print_table("modelled", rows, header=("part", "model", "detail"))
+        if found.ports:
+            print(f"\nports of the reduced chip: {', '.join(found.ports)}\n")
+        left = [(item.effect, item.why, item.error) for item in found.left_out]
+        print_table("left out", left, header=("effect", "why", "size"))
+
+
+@app.command()
+def scenes(
+    keys: Annotated[
+        bool, typer.Option("--keys", help="List every key that a scene may have instead.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the built-in scenes, or all scene keys."""
+    with reported_errors():
+        if keys:
+            _show_keys(as_json)
+            return
+        from kc2spice.scene.load import gallery, load_scene
+
+        found = {name: load_scene(name).title for name in gallery()}
+        if as_json:
+            print(json.dumps(found))
+        else:
+            print_table("scenes", list(found.items()))
+
+
+@app.command()
+def doctor(as_json: AsJson = False) -> None:
+    """Check ngspice, its libraries and everything else; print the fix for what is missing."""
+    with reported_errors():
+        from dataclasses import asdict
+
+        from kc2spice.doctor import examine
+
+        findings = list(examine())
+        if as_json:
+            print(json.dumps({"findings": [asdict(finding) for finding in findings]}))
+        else:
+            marks = {(True, True): "ok", (True, False): "ok", (False, True): "MISSING"}
+            rows = [
+                (marks.get((f.ok, f.needed), "absent"), f.name, f.found, "" if f.ok else f.fix)
+                for f in findings
+            ]
+            print_table("doctor", rows, header=("", "what", "found", "fix"))
+        if any(finding.needed and not finding.ok for finding in findings):
+            raise typer.Exit(3)
+
+
+def _load(name: str, overrides: list[str] | None, out: Path | None) -> tuple[Scene, Path]:
+    from kc2spice.scene.load import load_scene
+
+    loaded = load_scene(name, overrides or [])
+    return loaded, out if out is not None else Path(loaded.name)
+
+
+def _show_result(result: Mapping[str, Any], directory: Path) -> None:
+    for part, facts in result.get("model", {}).items():
+        print_facts(f"model: {part}", facts)
+    if "rom" in result:
+        rom = result["rom"]
+        low, high = rom["band_hz"]
+        rows = [
+            ("order", str(rom["order"])),
+            ("band", f"{low:g} … {high:g} Hz"),
+            ("error estimate", f"{rom['error_estimate']:.3g}"),
+        ]
+        print_table("reduced model", rows)
+    print_facts("metrics", result.get("metrics", {}))
+    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def _show_keys(as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from kc2spice.scene.keys import scene_keys
+
+    found = list(scene_keys())
+    if as_json:
+        print(json.dumps([asdict(key) for key in found]))
+        return
+    rows = [
+        (
+            key.name,
+            key.unit or "",
+            "" if key.default is None else str(key.default),
+            " | ".join(key.choices) or key.doc,
+        )
+        for key in found
+    ]
+    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))

@@ -1,0 +1,88 @@
+"""Results appear in their directory all at once, after everything worked, or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kc2spice.errors import UsageError
+
+LAST = "result.json"  # moved after all others: whoever sees it sees the files that it lists
+
+
+@contextmanager
+def staged(out: Path | str) -> Iterator[Path]:
+    """Directory to build results in; its files move into ``out`` when the block ends well.
+
+    If the block raises, nothing was written and earlier results in ``out`` are as they were.
+    Files are moved by rename under a lock on ``out``: two runs into one directory finish one after
+    the other, and no reader ever sees half a file.
+
+    Raises
+    ------
+    UsageError : ``out`` is a file, or cannot be created or written.
+    """
+    out = Path(out).absolute()
+    parent = _nearest_directory(out.parent)
+    if out.exists() and not out.is_dir():
+        raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
+    if out.is_dir() and not os.access(out, os.W_OK | os.X_OK):
+        raise UsageError("cannot be written to", where=str(out), hint="choose another --out")
+    try:
+        work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=parent))
+    except OSError as error:
+        raise _unwritable(parent, error) from None
+    try:
+        yield work
+        try:
+            _publish(work, out)
+        except OSError as error:
+            raise _unwritable(out, error) from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _nearest_directory(path: Path) -> Path:
+    """``path`` or its first ancestor that exists: results are made on the same file system."""
+    for candidate in (path, *path.parents):
+        if candidate.is_dir():
+            return candidate
+        if candidate.exists():
+            raise UsageError(
+                "is a file, not a directory", where=str(candidate), hint="choose another --out"
+            )
+    raise UsageError("no such directory", where=str(path))
+
+
+def _unwritable(path: Path, error: OSError) -> UsageError:
+    reason = error.strerror or str(error)
+    return UsageError(f"cannot be written: {reason}", where=str(path), hint="choose another --out")
+
+
+def _publish(work: Path, out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    with _locked(out):
+        files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
+        for name in sorted(files, key=lambda path: (path.name == LAST, path)):
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(work / name, out / name)
+
+
+@contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    """Exclusive lock on the directory itself, which leaves no lock file behind."""
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system: each rename is still atomic
+        yield
+        return
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,18 @@
+"""A short name for what a scene says, independent of how and where it was written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from kc2spice.scene.schema import Scene
+
+
+def scene_hash(scene: Scene) -> str:
+    """First 16 hex digits of the SHA-256 of all numbers and choices; names and titles are free.
+
+    Floats enter with all their digits, so equal hashes mean bit-equal scenes.
+    """
+    content = scene.model_dump(mode="json", exclude={"name", "title"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
