@@ -1,0 +1,109 @@
+"""The catch actuator's force, flux and inductance, swept over the sphere's height.
+
+Materials are linear, so at each height the four sources (ring magnet, sphere magnet, a current in
+each coil) superpose: one factorisation and four right-hand sides give every current (paper 2.2.1
+solves 369 cases instead).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import pi
+
+import numpy as np
+
+from kc2spice.fem import magmesh
+from kc2spice.fem.emtable import EMTable
+from kc2spice.fem.magsystem import LOWER, RING, SPHERE, UPPER, System, assemble
+from kc2spice.scene.schema import Catch, Part, Sphere
+
+Progress = Callable[[int, int], None]
+
+
+def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) -> EMTable:
+    """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
+
+    ``progress(done, total)`` is called after each height.
+
+    Raises
+    ------
+    UsageError : the sphere does not fit through the parts or leaves the air cylinder.
+    SimulationError : a field that does not satisfy its equations.
+    """
+    y = positions(catch)
+    forces = np.empty((y.size, 4, 4))
+    fluxes = np.empty((y.size, 2, 4))
+    unknowns = np.empty(y.size, dtype=int)
+    for done, (index, system) in enumerate(_systems(catch, sphere, y), 1):
+        fields = system.solve(system.loads)
+        forces[index] = system.force(fields)
+        fluxes[index] = system.loads[:, [LOWER, UPPER]].T @ fields
+        unknowns[index] = system.free.size
+        if progress is not None:
+            progress(done, y.size)
+    sign = ring_sign(catch)
+    inductance = fluxes[:, :, [LOWER, UPPER]]
+    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
+    return EMTable(
+        y=y,
+        c0=forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
+        c1=2 * magnets[:, LOWER],
+        c2=2 * magnets[:, UPPER],
+        c11=forces[:, LOWER, LOWER],
+        c12=2 * forces[:, LOWER, UPPER],
+        c22=forces[:, UPPER, UPPER],
+        flux0=sign * fluxes[:, :, RING] + fluxes[:, :, SPHERE],
+        inductance=(inductance + inductance.transpose(0, 2, 1)) / 2,
+        resistance=np.array([coil_resistance(catch, coil) for coil in (catch.lower, catch.upper)]),
+        unknowns=int(unknowns.max()),
+    )
+
+
+def brute_force(
+    catch: Catch, sphere: Sphere, currents: np.ndarray, progress: Progress | None = None
+) -> np.ndarray:
+    """Force (n, m) [N] at n heights and the m pairs ``currents`` (m, 2), case by case.
+
+    The paper's road and the baseline of :func:`catch_table`: each case assembles, factorises and
+    solves for the sum of its sources and takes that one field's force.
+    """
+    y = positions(catch)
+    result = np.empty((y.size, len(currents)))
+    done = 0
+    for case, (lower, upper) in enumerate(np.asarray(currents, dtype=float)):
+        amplitudes = np.array([ring_sign(catch), 1.0, lower, upper])
+        for index, system in _systems(catch, sphere, y):
+            field = system.solve(system.loads @ amplitudes[:, None])
+            result[index, case] = system.force(field)[0, 0]
+            done += 1
+            if progress is not None:
+                progress(done, result.size)
+    return result
+
+
+def positions(catch: Catch) -> np.ndarray:
+    """Heights of the sphere's centre [m] that the table has."""
+    return np.linspace(catch.y_min, catch.y_max, catch.positions)
+
+
+def ring_sign(catch: Catch) -> float:
+    """Direction of the ring's magnetisation relative to the sphere's, which is +y."""
+    return 1.0 if catch.polarity == "parallel" else -1.0
+
+
+def coil_resistance(catch: Catch, coil: Part) -> float:
+    """``rho l / S`` [Ohm] of ``turns`` circles with the coil's mean radius."""
+    length = catch.turns * pi * (coil.inner + coil.outer)
+    return catch.resistivity * length / (pi * catch.wire_diameter**2 / 4)
+
+
+def _systems(catch: Catch, sphere: Sphere, y: np.ndarray) -> Iterator[tuple[int, System]]:
+    """Each height's index and equations; heights that share a lattice share their meshes."""
+    pitch = magmesh.lattice_pitch(catch, sphere.radius, (y[-1] - y[0]) / (y.size - 1))
+    offset = np.round((y - y[0]) / pitch, 6) % 1.0
+    for value in np.unique(offset):
+        chosen = np.flatnonzero(offset == value)
+        bore = magmesh.bore(catch, sphere.radius, pitch, y[chosen[0]], y[chosen[-1]])
+        pieces = assemble(catch, bore)
+        for index in chosen:
+            yield int(index), pieces.system(y[index])
