@@ -78,7 +78,7 @@ def kick_mesh(kick: Kick) -> KickMesh:
 
 def _check(kick: Kick) -> None:
     mesh, half = kick.mesh, kick.side / 2
-    if mesh.rings * mesh.ring_spacing >= half:
+    if mesh.rings * mesh.ring_spacing > half * (1 - 1e-6):
         raise UsageError(
             "contact ring beyond the chip",
             where="kick.mesh",
@@ -145,11 +145,10 @@ def _transfinite_patches(gmsh: ModuleType, kick: Kick, steps: int) -> None:
 
 def _growth(length: float, first: float, count: int) -> float:
     """Ratio g with ``first (1 + g + ... + g^(count-1)) = length``: no jump at the last ring."""
-    if count == 1:
+    if count == 1 or length <= first * count:
         return 1.0
-    return float(
-        brentq(lambda g: first * np.sum(g ** np.arange(count)) - length, 0.0, length / first)
-    )
+    powers = np.arange(count)
+    return float(brentq(lambda g: first * np.sum(g**powers) - length, 1.0, length / first))
 
 
 def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:

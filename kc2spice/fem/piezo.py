@@ -71,18 +71,18 @@ def _require_definite(matrix: np.ndarray, where: str) -> None:
         )
 
 
-def assemble_kick(kick: Kick) -> PiezoSystem:
+def assemble_kick(kick: Kick, mesh: KickMesh | None = None) -> PiezoSystem:
     """FE model of the quarter chip with ring ports R0, R1, ... and the anode, voltage driven.
 
     Boundary conditions: u_x = 0 on x = 0, u_y = 0 on y = 0, u_z = 0 on z = 0; even electrode
     planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
-    of nodes lies inside a layer.
+    of nodes lies inside a layer. ``mesh`` is that of ``kick``, made here if not given.
 
     Raises
     ------
     UsageError : rings beyond the chip, odd sector count, impossible material.
     """
-    mesh = kick_mesh(kick)
+    mesh = kick_mesh(kick) if mesh is None else mesh
     M, K_uu, K_uphi, K_phi = assemble_matrices(mesh, piezo_material(kick.material))
     free = free_displacements(mesh)
     anode, inner = _electrodes(mesh)
@@ -116,6 +116,7 @@ def assemble_matrices(
     poled along -z above a cathode, so that a positive anode voltage lengthens every layer.
     """
     scalar = Basis(mesh.layer, mesh.element, intorder=2 * mesh.order + 1)
+    _require_upright(scalar)
     vector = scalar.with_element(ElementVector(mesh.element))
     potentials = mesh.node
     displacements = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
@@ -131,6 +132,19 @@ def assemble_matrices(
         _sweep(K_uphi, mesh, poling, displacements, potentials),
         _symmetric(_sweep(K_phi, mesh, same, potentials, potentials)),
     )
+
+
+def _require_upright(basis: Basis) -> None:
+    """scikit-fem integrates with |det|, which would count a folded cell as volume."""
+    determinant = basis.mapping.detDF(basis.X)
+    if determinant.min() * determinant.max() <= 0:  # scikit-fem's boxes are left-handed
+        raise UsageError(
+            "mesh cells turned inside out",
+            where="kick.mesh",
+            got=f"Jacobian determinants {determinant.min():g} ... {determinant.max():g}",
+            expected="one sign",
+            hint="grade the mesh less: raise kick.mesh.outer_rings or kick.mesh.ring_spacing",
+        )
 
 
 def _sweep(

@@ -72,19 +72,18 @@ def condense(system: PiezoSystem) -> CondensedSystem:
     """
     b, capacitance = -system.k_uV, system.c_VV
     if system.K_pp.shape[0] == 0:
-        potentials, factor = None, factorise(system.K_uu, definite=True)
+        potentials = None
+        factor = factorise(system.K_uu, definite=True)
     else:
         potentials = factorise(system.K_pp, definite=True)
         lift = potentials.solve(system.k_pV)
         b = b + system.K_up @ lift
         capacitance = capacitance - float(system.k_pV @ lift)
-        factor = factorise(_coupled(system), definite=False)
+        # A unit of potential that makes both diagonal blocks equally large.
+        volt = float(np.sqrt(system.K_uu.diagonal().max() / system.K_pp.diagonal().max()))
+        K_up, K_pp = system.K_up * volt, system.K_pp * volt**2
+        coupled = sparse.block_array([[system.K_uu, K_up], [K_up.T, -K_pp]], format="csc")
+        factor = factorise(coupled, definite=False)
     D = np.zeros((len(system.ports),) * 2)
     D[-1, -1] = capacitance
     return CondensedSystem(system, np.column_stack([system.B, b]), D, potentials, factor)
-
-
-def _coupled(system: PiezoSystem) -> sparse.csc_array:
-    """``[[K_uu, K_up], [K_up', -K_pp]]``: solving with it solves with the Schur complement."""
-    blocks = [[system.K_uu, system.K_up], [system.K_up.T, -system.K_pp]]
-    return sparse.csc_array(sparse.block_array(blocks, format="csc"))

@@ -1,0 +1,187 @@
+"""Piezoelectric FE model against closed forms and exact properties."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.constants import epsilon_0
+from scipy.linalg import eigh
+from scipy.sparse import block_array
+from scipy.sparse.linalg import eigsh, spsolve
+
+from kc2spice.errors import UsageError
+from kc2spice.fem.mesh import kick_mesh
+from kc2spice.fem.piezo import assemble_kick, assemble_matrices, piezo_material, ring_shapes
+from kc2spice.scene.schema import Kick, Material
+
+# Rings wide enough for quadratic cells: strong grading would fold them.
+SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
+VARIANTS = [{}, {"refine": 2}, {"order": 2}]
+
+
+def small_kick(layers: int = 3, **mesh) -> Kick:
+    return Kick(layers=layers, mesh={**SMALL, **mesh})
+
+
+def nodes(mesh) -> np.ndarray:
+    """Positions (N, 3) in node order."""
+    plane = np.tile(mesh.plane, (len(mesh.heights), 1))
+    return np.column_stack([plane, np.repeat(mesh.heights, len(mesh.plane))])
+
+
+def compliance_form() -> tuple[np.ndarray, np.ndarray]:
+    """Strain-charge constants d (3, 6) and eps^T (3, 3), written out from the data sheet."""
+    c11, c12, c13, c33, c44, c66 = 158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9
+    stiffness = [
+        [c11, c12, c13, 0, 0, 0], [c12, c11, c13, 0, 0, 0], [c13, c13, c33, 0, 0, 0],
+        [0, 0, 0, c44, 0, 0], [0, 0, 0, 0, c44, 0], [0, 0, 0, 0, 0, c66],
+    ]  # fmt: skip
+    e = [[0, 0, 0, 0, 13.38, 0], [0, 0, 0, 13.38, 0, 0], [-3.914, -3.914, 27.50, 0, 0, 0]]
+    return e @ np.linalg.inv(stiffness), epsilon_0 * np.diag([3370.0, 3370.0, 3300.0])
+
+
+def static_gains(system) -> tuple[np.ndarray, float]:
+    """Ring displacements [m] and charge [C] of the sector at 1 V, potentials kept (oracle)."""
+    n, volt = system.M.shape[0], 1e9  # potentials in GV: entries of one size
+    K_up, K_pp = system.K_up * volt, system.K_pp * volt**2
+    coupled = block_array([[system.K_uu, K_up], [K_up.T, -K_pp]], format="csc")
+    x = spsolve(coupled, np.r_[-system.k_uV, volt * system.k_pV])
+    u, p = x[:n], volt * x[n:]
+    return system.B.T @ u, system.c_VV + system.k_pV @ p - system.k_uV @ u
+
+
+@pytest.mark.parametrize("change", VARIANTS)
+def test_constant_strain_and_field_are_reproduced_exactly(change):
+    """Patch test with coupling on a distorted swept mesh, collapsed hexahedra included."""
+    mesh = kick_mesh(small_kick(layers=1, **{**change, "refine": 2}))
+    x, y, z = mesh.layer.doflocs
+    bent = np.array([x * (1 + 80 * y) + 60 * y**2, y * (1 - 90 * x), z])
+    mesh = replace(mesh, layer=type(mesh.layer)(bent, mesh.layer.t))
+    material = piezo_material(Material())
+    _, K_uu, K_uphi, K_phi = assemble_matrices(mesh, material)
+    place = np.empty((K_phi.shape[0], 3))
+    place[mesh.node] = mesh.layer.doflocs.T
+
+    rng = np.random.default_rng(1)
+    gradient, slope = rng.normal(size=(3, 3)) * 1e-3, rng.normal(size=3) * 1e6
+    u, phi = (place @ gradient.T).ravel(), place @ slope
+    force, charge = K_uu @ u + K_uphi @ phi, K_uphi.T @ u - K_phi @ phi
+
+    volume = (K_phi @ place[:, 0] @ place[:, 0]) / material.eps[0, 0]
+    strain = np.array(
+        [*np.diag(gradient), gradient[1, 2] + gradient[2, 1], gradient[0, 2] + gradient[2, 0],
+         gradient[0, 1] + gradient[1, 0]]
+    )  # fmt: skip
+    e = -material.e  # the layer on the cathode is poled along -z
+    stress = material.C @ strain + e.T @ slope  # the field is minus the slope
+    displacement = e @ strain - material.eps @ slope
+    assert u @ force == pytest.approx(volume * strain @ stress, rel=1e-11)
+    assert phi @ charge == pytest.approx(volume * slope @ displacement, rel=1e-11)
+
+    rim = np.isclose(mesh.plane, 0, atol=1e-9).any(axis=1)
+    rim |= np.isclose(mesh.plane.max(axis=1), mesh.plane.max(), atol=1e-9)
+    inner_planes = np.arange(1, len(mesh.heights) - 1)
+    inside = np.add.outer(inner_planes * len(mesh.plane), np.flatnonzero(~rim)).ravel()
+    assert inside.size
+    assert np.abs(force.reshape(-1, 3)[inside]).max() < 1e-11 * np.abs(force).max()
+    assert np.abs(charge[inside]).max() < 1e-11 * np.abs(charge).max()
+
+
+def test_an_unsupported_chip_has_six_rigid_body_modes_and_no_more():
+    mesh = kick_mesh(Kick(layers=2, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
+    M, K, _, _ = assemble_matrices(mesh, piezo_material(Material()))
+    x, y, z = nodes(mesh).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    rigid = [
+        np.column_stack(c).ravel()
+        for c in (
+            (one, zero, zero), (zero, one, zero), (zero, zero, one),
+            (zero, -z, y), (z, zero, -x), (-y, x, zero),
+        )
+    ]  # fmt: skip
+    for mode in rigid:
+        assert np.abs(K @ mode).max() < 1e-12 * np.abs(K).max() * np.abs(mode).max()
+    values = eigh(K.toarray(), M.toarray(), eigvals_only=True)
+    assert np.abs(values[:6]).max() < 1e-9 * values[6]
+    assert rigid[0] @ M @ rigid[0] == pytest.approx(7700 * 1.5e-3**2 * 2e-3, rel=1e-12)
+
+
+@pytest.mark.parametrize("change", VARIANTS)
+def test_matrices_are_exactly_symmetric_and_definite(change):
+    system = assemble_kick(small_kick(**change))
+    for matrix in (system.M, system.K_uu, system.K_pp):
+        assert (matrix != matrix.T).nnz == 0
+        if matrix.shape[0]:
+            assert np.linalg.eigvalsh(matrix.toarray())[0] > 0
+
+
+@pytest.mark.parametrize("change", VARIANTS)
+def test_free_stack_strokes_by_d33_and_stores_eps_t(change):
+    """Laterally free layers in uniform field: strain d33 E, charge eps33^T E, both exact."""
+    layers, area, height = 3, 9e-6, 2e-3
+    d, eps_t = compliance_form()
+    system = assemble_kick(small_kick(layers, **change))
+    stroke, charge = static_gains(system)
+    np.testing.assert_allclose(stroke, layers * d[2, 2], rtol=1e-10)
+    assert 4 * charge == pytest.approx(eps_t[2, 2] * area * layers**2 / height, rel=1e-10)
+
+
+@pytest.mark.parametrize("change", VARIANTS)
+def test_clamped_stack_stores_eps_s(change):
+    layers, area, height = 3, 9e-6, 2e-3
+    d, eps_t = compliance_form()
+    eps33_s = eps_t[2, 2] - np.array([-3.914, -3.914, 27.50, 0, 0, 0]) @ d[2]
+    assert eps33_s / epsilon_0 == pytest.approx(803.5, abs=0.05)
+    system = assemble_kick(small_kick(layers, **change))
+    charge = system.c_VV
+    if system.K_pp.shape[0]:
+        charge -= system.k_pV @ spsolve(system.K_pp, system.k_pV)
+    assert 4 * charge == pytest.approx(eps33_s * area * layers**2 / height, rel=1e-10)
+
+
+def test_permittivity_at_strain_is_taken_as_it_is():
+    kick = Kick(material={"permittivity_at": "strain"}, layers=3, mesh=SMALL)
+    assert 4 * assemble_kick(kick).c_VV == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
+
+
+def test_slender_stack_rings_at_the_bar_frequency():
+    """Clamped-free bar, anode shorted: f = sqrt(1 / (s33 rho)) / (4 h), up to lateral inertia."""
+    kick = Kick(
+        side=0.2e-3, height=2e-3, layers=25,
+        mesh={"sectors": 4, "rings": 1, "ring_spacing": 40e-6, "outer_rings": 1},
+    )  # fmt: skip
+    system = assemble_kick(kick)
+    omega = np.sqrt(eigsh(system.K_uu, 1, M=system.M, sigma=0.0)[0][0])
+    stiffness = piezo_material(Material()).C
+    speed = np.sqrt(1 / np.linalg.inv(stiffness)[2, 2] / 7700)
+    # Rayleigh's correction nu^2 pi^2 (r/h)^2 / 8 is 2e-3 here.
+    assert omega / (2 * np.pi) == pytest.approx(speed / (4 * 2e-3), rel=4e-3)
+
+
+def test_quadratic_and_refined_meshes_approach_one_resonance():
+    def first(**mesh) -> float:
+        system = assemble_kick(Kick(layers=4, mesh={**SMALL, "rings": 1, **mesh}))
+        assert mesh == {} or system.K_pp.shape[0] > 0
+        return np.sqrt(eigsh(system.K_uu, 1, M=system.M, sigma=0.0)[0][0])
+
+    coarse, fine, quadratic = first(), first(refine=2), first(order=2)
+    assert coarse > fine > quadratic  # Galerkin: from above
+    assert (fine - quadratic) < 0.4 * (coarse - quadratic)  # second order
+
+
+def test_ring_shapes_average_and_share_equally():
+    mesh = kick_mesh(Kick())
+    shapes = ring_shapes(mesh)
+    np.testing.assert_allclose(shapes.sum(axis=0), 1, rtol=1e-14)
+    x, y, _ = nodes(mesh).T
+    radius = np.zeros(3 * len(x))
+    radius[2::3] = np.hypot(x, y)
+    np.testing.assert_allclose(shapes.T @ radius, 50e-6 * np.arange(6), atol=1e-18)
+    half = np.zeros(3 * len(x))
+    half[2::3] = np.where(x > y + 1e-12, 1.0, np.where(x < y - 1e-12, 0.0, 0.5))
+    np.testing.assert_allclose(shapes.T @ half, 0.5, rtol=1e-12)  # both octants alike
+
+
+def test_impossible_material_is_refused():
+    with pytest.raises(UsageError, match="positive definite"):
+        piezo_material(Material(permittivity=(100.0, 100.0)))
