@@ -1,0 +1,160 @@
+"""The cache: equal back, rebuilt when anything it depends on changes or the entry is damaged."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from kc2spice import cache
+from kc2spice.cache import cached
+from kc2spice.scene.schema import Kick
+
+
+@dataclass(frozen=True)
+class Inner:
+    name: str
+    limits: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Outer:
+    matrix: sparse.csc_array
+    dense: np.ndarray
+    ports: tuple[Inner, ...]
+    count: int
+    nothing: None
+    table: dict[str, float]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("KC2SPICE_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def outer():
+    rng = np.random.default_rng(1)
+    return Outer(
+        matrix=sparse.random_array((30, 20), density=0.1, rng=rng, format="csc"),
+        dense=rng.standard_normal((4, 5)),
+        ports=(Inner("a", (0.0, 1 / 3)), Inner("b", (-1.0, 1e-300))),
+        count=7,
+        nothing=None,
+        table={"x": 0.1},
+    )
+
+
+class Builder:
+    """Counts how often it had to build."""
+
+    def __init__(self, value):
+        self.value, self.calls = value, 0
+
+    def __call__(self):
+        self.calls += 1
+        return self.value
+
+
+def test_round_trip_is_bit_exact(outer):
+    build = Builder(outer)
+    first, hit = cached("kind", {"a": 1}, build, classes=(Outer, Inner))
+    assert first is outer
+    assert not hit
+    second, hit = cached("kind", {"a": 1}, build, classes=(Outer, Inner))
+    assert hit
+    assert build.calls == 1
+    assert (second.matrix != outer.matrix).nnz == 0
+    assert second.matrix.shape == outer.matrix.shape
+    assert second.dense.tobytes() == outer.dense.tobytes()
+    assert second.ports == outer.ports
+    assert (second.count, second.nothing, second.table) == (7, None, {"x": 0.1})
+
+
+def test_scalars_and_lists():
+    value = [np.float64(0.1), np.int64(3), True, ("x", None), np.array(["a", "b"])]
+    cached("kind", {}, Builder(value))
+    found, hit = cached("kind", {}, Builder(None))
+    assert hit
+    assert found[:4] == [0.1, 3, True, ("x", None)]
+    assert list(found[4]) == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"key": {"kick": Kick(layers=34)}},
+        {"key": {"kick": Kick(), "more": np.float64(1)}},
+        {"sources": ("kc2spice.units",)},
+        {"kind": "other"},
+    ],
+)
+def test_a_change_of_what_it_depends_on_builds_again(change):
+    base = {"kind": "kind", "key": {"kick": Kick()}}
+    build = Builder(1)
+    cached(build=build, **base)
+    assert cached(build=build, **base)[1]
+    assert not cached(build=build, **{**base, **change})[1]
+
+
+def test_changed_source_or_library_builds_again(tmp_path, monkeypatch):
+    (tmp_path / "some_model.py").write_text("x = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    build = Builder(1)
+    cached("kind", {}, build, sources=("some_model",))
+    assert cached("kind", {}, build, sources=("some_model",))[1]
+    (tmp_path / "some_model.py").write_text("x = 2\n")
+    assert not cached("kind", {}, build, sources=("some_model",))[1]
+    monkeypatch.setattr(cache, "_version", lambda library: "0.0")
+    assert not cached("kind", {}, build, sources=("some_model",))[1]
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty"])
+def test_damaged_entries_are_noticed(folder, outer, damage):
+    cached("kind", {}, Builder(outer), classes=(Outer, Inner))
+    (entry,) = folder.rglob("*.entry")
+    content = bytearray(entry.read_bytes())
+    if damage == "flip":
+        content[len(content) // 2] ^= 1
+    entry.write_bytes({"flip": content, "cut": content[:-9], "empty": b""}[damage])
+    build = Builder(outer)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert not cached("kind", {}, build, classes=(Outer, Inner))[1]
+    assert build.calls == 1
+    assert cached("kind", {}, build, classes=(Outer, Inner))[1]
+
+
+def test_an_unwritable_cache_warns_and_works(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("KC2SPICE_CACHE", str(tmp_path / "file"))
+    with pytest.warns(UserWarning, match="cannot write the cache"):
+        assert cached("kind", {}, Builder(3)) == (3, False)
+
+
+def test_a_failing_build_leaves_nothing(folder):
+    def fail():
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        cached("kind", {}, fail)
+    assert not list(folder.rglob("*.*"))
+
+
+def test_unnamed_classes_are_refused(outer):
+    with pytest.raises(TypeError, match="Outer"):
+        cached("kind", {}, Builder(outer))
+
+
+def test_old_entries_make_room(folder, monkeypatch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for number in range(6):
+            cached("kind", {"n": number}, Builder(np.zeros(1000)))
+        entries = list(folder.rglob("*.entry"))
+        assert len(entries) == 6
+        monkeypatch.setattr(cache, "MAX_TOTAL_BYTES", 3 * entries[0].stat().st_size)
+        cached("kind", {"n": 6}, Builder(np.zeros(1000)))
+        assert len(list(folder.rglob("*.entry"))) == 3
+        assert cached("kind", {"n": 6}, Builder(None))[1]

@@ -1,0 +1,199 @@
+"""The command line: what it prints, its exit codes, and that failures write nothing."""
+
+import json
+import os
+import subprocess
+import sys
+import types
+
+import pytest
+from typer.testing import CliRunner
+
+from kc2spice import __version__, doctor
+from kc2spice.cli import app
+from kc2spice.errors import GateMissedError, MissingToolError, SimulationError
+from kc2spice.output import staged
+
+
+@pytest.fixture
+def cli(tmp_path, monkeypatch):
+    """Runs a command in an empty directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("KC2SPICE_DEBUG", raising=False)
+    return lambda *words: CliRunner().invoke(app, list(words))
+
+
+@pytest.fixture
+def study(monkeypatch):
+    """Replaces the study, whose own tests are elsewhere, by one that does as told."""
+    fake = types.SimpleNamespace(calls=[], error=None)
+
+    def run(scene, out, progress):
+        fake.calls.append((scene, out))
+        progress("mesh", None, "building")
+        progress("mesh", 0.5, "half [way]")
+        with staged(out) as work:
+            (work / "result.json").write_text("{}")
+            if fake.error is not None:
+                raise fake.error
+        return {
+            "scene": scene.name,
+            "model": {"kick": {"mass_kg": 1.386e-4, "unknowns": 16722}},
+            "rom": {"order": 30, "band_hz": [0.0, 5e5], "error_estimate": 1e-3},
+            "metrics": {"caught": True, "launch_velocity_m_s": 1.02, "curve": [1, 2]},
+            "wall_s": {"mesh": 0.5},
+            "files": ["result.json"],
+        }
+
+    def export(scene, out, dialect, progress):
+        fake.calls.append((scene, out, dialect))
+        return [out / "kick.lib"]
+
+    fake.run, fake.export = run, export
+    monkeypatch.setitem(sys.modules, "kc2spice.study", fake)
+    monkeypatch.setattr("kc2spice.study", fake, raising=False)
+    return fake
+
+
+def test_help_and_version(cli):
+    help_text = cli("--help").stdout
+    for command in ("run", "export", "explain", "scenes", "doctor"):
+        assert command in help_text
+        assert cli(command, "--help").exit_code == 0
+    assert __version__ in cli("--version").stdout
+
+
+def test_help_loads_nothing_heavy():
+    """What keeps --help quick, without timing it."""
+    code = (
+        "import sys, kc2spice.cli; heavy = {'numpy', 'scipy', 'pydantic', 'skfem', 'gmsh',"
+        "'matplotlib', 'PySpice', 'jinja2'}; print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_run_prints_tables(cli, study, tmp_path):
+    done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=80")
+    assert done.exit_code == 0
+    scene, out = study.calls[0]
+    assert scene.kick.drive.voltage == 80
+    assert out.resolve() == tmp_path / "kick_and_catch"
+    for word in ("0.0001386 kg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
+        assert word in done.stdout
+    assert "mesh: building" in done.stderr
+
+
+def test_run_json_has_one_object_on_stdout(cli, study):
+    done = cli("run", "kick_and_catch", "-o", "there", "--json")
+    assert json.loads(done.stdout)["metrics"]["caught"] is True
+    assert "mesh: building" in done.stderr
+    assert str(study.calls[0][1]) == "there"
+
+
+def test_quiet_is_quiet(cli, study):
+    done = cli("run", "kick_and_catch", "--quiet")
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_export(cli, study):
+    done = cli("export", "kick_and_catch", "-o", "x", "--tolerance", "1e-5", "--json")
+    scene, _, dialect = study.calls[0]
+    assert (scene.rom.order, scene.rom.tolerance, dialect) == (None, 1e-5, "ngspice")
+    assert json.loads(done.stdout)["files"] == [os.path.join("x", "kick.lib")]
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (MissingToolError("ngspice is not installed"), 3),
+        (GateMissedError("missed"), 4),
+        (SimulationError("timestep too small"), 5),
+        (KeyboardInterrupt(), 130),
+        (ValueError("surprise\nsecond line"), 1),
+    ],
+)
+def test_failures_have_a_code_one_message_and_no_files(cli, study, tmp_path, error, code):
+    study.error = error
+    done = cli("run", "kick_and_catch", "-o", "deep/out", "--quiet")
+    assert done.exit_code == code
+    assert done.stdout == ""
+    assert done.stderr.startswith("kc2spice: error: ")
+    assert "Traceback" not in done.stderr
+    assert "second line" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(cli, study, monkeypatch):
+    study.error = ValueError("surprise")
+    monkeypatch.setenv("KC2SPICE_DEBUG", "1")
+    done = cli("run", "kick_and_catch")
+    assert done.exit_code == 1
+    assert "Traceback" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "kick_and_cach"], "did you mean 'kick_and_catch'"),
+        (["run", "missing.toml"], "no such scene"),
+        (["export", "kick_and_catch", "--set", "kick.drive.volage=1"], "did you mean 'voltage'"),
+        (["run", "kick_and_catch", "--set", "kick.drive.voltage=1 m"], "wrong unit"),
+        (["run", "kick_and_catch", "--set", "sphere.density=-1"], "out of range"),
+        (["run", "kick_and_catch", "--set", "kick.mesh.ring_spacing=1 mm"], "beyond the chip"),
+        (["run", "kick_and_catch", "--set", "control.setpoint=8 mm"], "outside the force table"),
+        (["explain", "kick_and_catch", "--set", "oops"], "not an override"),
+        (["run"], "Missing argument"),
+        (["rum"], "No such command"),
+        (["run", "kick_and_catch", "--nope"], "No such option"),
+        (["export", "kick_and_catch", "--tolerance", "x"], "tolerance"),
+    ],
+)
+def test_bad_usage_is_code_2_and_writes_nothing(cli, tmp_path, words, message):
+    done = cli(*words)
+    assert done.exit_code == 2
+    assert message in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_out_is_a_file(cli, study, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    done = cli("run", "kick_and_catch", "-o", "out", "--quiet")
+    assert done.exit_code == 2
+    assert "is a file" in done.stderr
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_scenes(cli):
+    assert "kick_and_catch" in cli("scenes").stdout
+    assert "kick_and_catch" in json.loads(cli("scenes", "--json").stdout)
+    assert "kick.drive.voltage" in cli("scenes", "--keys").stdout
+    keys = {key["name"]: key for key in json.loads(cli("scenes", "--keys", "--json").stdout)}
+    assert keys["kick.drive.voltage"]["unit"] == "V"
+
+
+def test_explain(cli):
+    text = cli("explain", "kick_and_catch").stdout
+    assert "left out" in text
+    assert "anode" in text
+    found = json.loads(cli("explain", "impact", "--json").stdout)
+    assert [part["part"] for part in found["parts"]] == ["kick", "contact", "sphere"]
+
+
+def test_doctor_finds_what_is_missing(cli, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    done = cli("doctor")
+    assert done.exit_code == 3
+    assert "apt-get install ngspice" in done.stdout
+    findings = json.loads(cli("doctor", "--json").stdout)["findings"]
+    broken = [found["name"] for found in findings if found["needed"] and not found["ok"]]
+    assert broken == ["ngspice"]
+
+
+def test_doctor_names_the_package_of_a_library(monkeypatch):
+    monkeypatch.setattr(doctor, "_loads", lambda soname: soname != "libGLU.so.1")
+    finding = doctor._gmsh_libraries()
+    assert not finding.ok
+    assert finding.fix == "apt-get install libglu1-mesa"

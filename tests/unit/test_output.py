@@ -1,0 +1,105 @@
+"""Staged output: all files at the end, or the directory as it was."""
+
+import os
+import threading
+
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.output import staged
+
+
+def write(work, **files):
+    for name, text in files.items():
+        (work / f"{name}.json").write_text(text)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def fail(error, out, **files):
+    """Write some files, then break off."""
+
+    def attempt():
+        with staged(out) as work:
+            write(work, **files)
+            raise error
+
+    with pytest.raises(error):
+        attempt()
+
+
+def test_files_appear_at_the_end(tmp_path):
+    out = tmp_path / "deep" / "out"
+    with staged(out) as work:
+        write(work, result="1", other="2")
+        (work / "plots").mkdir()
+        (work / "plots" / "a.png").write_text("png")
+        assert not out.exists()
+    assert names(out) == ["other.json", "plots", "result.json"]
+    assert (out / "plots" / "a.png").read_text() == "png"
+    assert names(tmp_path) == ["deep"]
+
+
+def test_a_failure_leaves_nothing(tmp_path):
+    fail(ZeroDivisionError, tmp_path / "deep" / "out", result="1")
+    assert names(tmp_path) == []
+
+
+def test_a_failure_spares_earlier_results(tmp_path):
+    out = tmp_path / "out"
+    with staged(out) as work:
+        write(work, result="old")
+    fail(KeyboardInterrupt, out, result="new", more="x")
+    assert names(out) == ["result.json"]
+    assert (out / "result.json").read_text() == "old"
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_second_run_replaces_and_keeps_foreign_files(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    for text in ("1", "2"):
+        with staged(out) as work:
+            write(work, result=text)
+    assert (out / "result.json").read_text() == "2"
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_concurrent_runs_do_not_mix(tmp_path):
+    """Whoever finishes last owns all files: no mixture of two runs ever stays."""
+    out, failures = tmp_path / "out", []
+    files = [f"f{number}" for number in range(20)]
+
+    def run(label):
+        try:
+            for _ in range(10):
+                with staged(out) as work:
+                    write(work, **dict.fromkeys([*files, "result"], label))
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=run, args=(label,)) for label in "abc"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failures
+    assert len({path.read_text() for path in out.iterdir()}) == 1
+
+
+def test_out_is_a_file(tmp_path):
+    (tmp_path / "out").write_text("")
+    for path in (tmp_path / "out", tmp_path / "out" / "deeper"):
+        with pytest.raises(UsageError, match="is a file"), staged(path):
+            pass
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_out_is_read_only(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UsageError, match="cannot be written"), staged(tmp_path / "out"):
+        pass
+    tmp_path.chmod(0o700)

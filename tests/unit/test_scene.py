@@ -1,0 +1,255 @@
+"""Scenes: the gallery, overrides, and an error that names the key for every sort of mistake."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kc2spice.errors import UsageError
+from kc2spice.scene.hash import scene_hash
+from kc2spice.scene.keys import did_you_mean, scene_keys
+from kc2spice.scene.load import MAX_BYTES, gallery, load_scene
+from kc2spice.scene.plan import plan
+from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
+
+
+def test_gallery_has_the_papers_experiments():
+    assert set(gallery()) >= {"kick_and_catch", "impact", "imprint", "harmonic", "em_force"}
+    for name in gallery():
+        scene = load_scene(name)
+        assert scene.name == name
+        assert scene.title
+
+
+def test_kick_and_catch_says_what_the_defaults_say():
+    scene = load_scene("kick_and_catch")
+    parts = {"kick": Kick(), "contact": Contact(), "sphere": Sphere(), "catch": Catch()}
+    assert scene == Scene(name=scene.name, title=scene.title, control=Control(), **parts)
+
+
+def test_paper_values():
+    scene = load_scene("kick_and_catch")
+    assert scene.kick.drive.width == 25e-6
+    assert scene.control.setpoint == 2.5e-3
+    assert scene.control.rolloff == 100e-9
+    assert scene.sphere.mass == pytest.approx(32.88e-6, rel=1e-3)  # paper: 32.88 mg
+    # 1 % of critical damping at 250 kHz: beta omega / 2 = 0.01
+    assert scene.kick.damping.beta * 2 * math.pi * 250e3 / 2 == pytest.approx(0.01, rel=1e-14)
+    assert load_scene("impact").gravity == 0.0
+    assert load_scene("impact").kick.electrical == "open"
+
+
+@pytest.mark.parametrize(
+    ("override", "value"),
+    [
+        ("kick.drive.voltage=80", 80.0),
+        ("kick.drive.voltage = 80 V", 80.0),
+        ("kick.drive.voltage='80 V'", 80.0),
+        ("kick.drive.voltage=0.08 kV", 80.0),
+        ("kick.drive={voltage=80}", 80.0),
+    ],
+)
+def test_override_spellings(override, value):
+    assert load_scene("kick_and_catch", [override]).kick.drive.voltage == value
+
+
+def test_overrides_apply_in_order_and_spare_the_rest():
+    changed = load_scene("kick_and_catch", ["control.kp=1", "control.kp=2", "catch.mu_r=1.5"])
+    original = load_scene("kick_and_catch")
+    assert changed.control.kp == 2
+    assert changed.catch.mu_r == 1.5
+    assert changed.kick == original.kick
+
+
+def test_order_and_tolerance_replace_each_other():
+    rom = load_scene("kick_and_catch", ["rom.tolerance=1e-4"]).rom
+    assert (rom.order, rom.tolerance) == (None, 1e-4)
+    rom = load_scene("kick_and_catch", ["rom.tolerance=1e-4", "rom.order=12"]).rom
+    assert (rom.order, rom.tolerance) == (12, None)
+    assert load_scene("harmonic").rom.order == 30
+
+
+# Every mistake: the overrides, what the message must contain besides the key that was set.
+MISTAKES = [
+    ("kick.drive.volage=3", ["unknown key", "did you mean 'voltage'"]),
+    ("voltage=3", ["unknown key", "did you mean 'kick.drive.voltage'"]),
+    ("kik.drive.voltage=3", ["unknown key", "did you mean 'kick'"]),
+    ("kick.drive.voltage=80 m", ["wrong unit 'm'", "number in V"]),
+    ("kick.drive.voltage.x=3", ["is a value, not a table"]),
+    ("kick=3", ["not a table"]),
+    ("kick.layers=3.5", ["not a whole number"]),
+    ("kick.layers=true", ["not a whole number"]),
+    ("kick.layers=0", ["out of range", ">= 1"]),
+    ("kick.mesh.ring_spacing=0.4 mm", ["beyond the chip"]),
+    ("kick.drive.edge=1 ms", ["longer than the pulse"]),
+    ("kick.drive.start=1", ["after the simulation ends"]),
+    ("contact.penalty=nan", ["not a finite number"]),
+    ("sphere.density=-1 kg/m3", ["out of range", "> 0 kg/m3"]),
+    ("sphere.radius=0.2 mm", ["beyond the sphere"]),
+    ("catch.polarity=antiparalel", ["did you mean 'antiparallel'"]),
+    ("catch.y_min=8 mm", ["empty range"]),
+    ("catch.ring={height=1}", ["catch.ring.outer is missing"]),
+    ("catch.ring.y=1 mm", []),  # ring magnet and coil side by side are fine
+    ("catch.lower.outer=20 mm", ["beyond the modelled air"]),
+    ("catch.lower.inner=0.5 mm", ["does not fit through"]),
+    ("catch.lower.y=3 mm", ["overlaps"]),
+    ("control.setpoint=9 mm", ["outside the force table"]),
+    ("control.current_limit=0", ["out of range"]),
+    ("control.enable_at=5 ms", ["after the simulation ends"]),
+    ("rom.band=[5, 2]", ["empty band"]),
+    ("rom.band=[5]", ["rom.band[1] is missing"]),
+    ("rom={order=3, tolerance=1e-4}", ["both set"]),
+    ("rom.order=0", ["out of range"]),
+    ("solver.max_step=1", ["longer than the whole"]),
+    ("gates.trajectory=1e-6", ["needs its unit"]),
+    ("name=../evil", ["not a name"]),
+    ("impact.velocity=-1", ["has no such part"]),
+    ("include=['a.lib']", ["cannot be included"]),
+    ("nothing", ["not an override"]),
+    ("a..b=1", ["not an override"]),
+    ("kick.mesh.refine=1\nfoo=3", ["not a whole number"]),
+]
+
+
+@pytest.mark.parametrize(("override", "parts"), MISTAKES, ids=[text for text, _ in MISTAKES])
+def test_mistakes_name_the_key(override, parts):
+    if not parts:
+        load_scene("kick_and_catch", [override])
+        return
+    with pytest.raises(UsageError) as error:
+        load_scene("kick_and_catch", [override])
+    text = str(error.value)
+    assert all(part in text for part in parts), text
+    assert override.partition("=")[0].split(".")[0] in text
+    assert "pydantic" not in text
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    """Writes a scene and returns its path."""
+
+    def write(text):
+        path = tmp_path / "my.toml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+LOOP = "[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
+
+
+def test_a_file_takes_its_name_from_its_stem(scene_file):
+    assert load_scene(scene_file(LOOP)).name == "my"
+
+
+def test_errors_in_a_file_give_the_line(scene_file):
+    path = scene_file(LOOP + "kp = 4\nkd = '3 m'\n")
+    with pytest.raises(UsageError, match=r"my\.toml, line 7, key control\.kd: wrong unit"):
+        load_scene(path)
+    path = scene_file(LOOP + "[kick.drive]\nstart = 0.1\n")
+    with pytest.raises(UsageError, match=r"line 7, key kick\.drive\.start: the kick starts"):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[kick]\n[contact]\n[sphere]\n[control]\n", "key catch: experiment 'loop' needs this"),
+        ("[sphere]\n[catch]\n[control]\n[contact]\n", "key kick: experiment 'loop' needs this"),
+        ("kick = 10 V", "not valid TOML"),
+        ("a = " + "[" * 50_000, "not valid TOML"),
+        ("a = " + "1" * 5000, "not valid TOML"),
+        ("x = 1\n" * (MAX_BYTES // 5), "too long"),
+        (b"\xff\xfe\x00", "not a text file"),
+        ("experiment = 'lop'", "did you mean 'loop'"),
+        ("name = 3", "string"),
+        (LOOP + "[rom]\norder = 3\ntolerance = 0.1", "both set"),
+    ],
+)
+def test_bad_files(scene_file, content, message):
+    with pytest.raises(UsageError) as error:
+        load_scene(scene_file(content))
+    assert message in str(error.value)
+    assert "my.toml" in str(error.value)
+    assert len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("kick_and_cach", "did you mean 'kick_and_catch'"),
+        ("no_such_file.toml", "one of"),
+        (".", "no such scene"),
+        ("a\0b", "cannot be read"),
+    ],
+)
+def test_missing_scene(name, hint):
+    with pytest.raises(UsageError) as error:
+        load_scene(name)
+    assert hint in str(error.value)
+
+
+def test_hash_follows_the_numbers_and_nothing_else():
+    scene = load_scene("kick_and_catch")
+    assert scene_hash(scene) == scene_hash(scene.model_copy(update={"title": "x", "name": "y"}))
+    assert scene_hash(scene) == scene_hash(load_scene("kick_and_catch", ["kick.side=0.003"]))
+    nudged = load_scene("kick_and_catch", [f"kick.side={math.nextafter(3e-3, 1)!r}"])
+    assert scene_hash(scene) != scene_hash(nudged)
+
+
+def test_every_key_of_the_contract_exists():
+    keys = {key.name: key for key in scene_keys()}
+    for section, names in {
+        "kick.drive": "voltage width edge start", "kick.damping": "ratio at",
+        "kick.mesh": "refine", "contact": "penalty", "sphere": "radius density",
+        "catch": "polarity remanence mu_r",
+        "control": "setpoint kp ki kd current_limit enable_at", "rom": "order tolerance band",
+        "solver": "reltol max_step method stop", "impact": "velocity gap",
+    }.items():  # fmt: skip
+        assert keys.keys() >= {f"{section}.{name}" for name in names.split()}
+    assert keys.keys() >= {"kick.electrical", "include"}
+    assert keys["control.kd"].unit == "A s/m"
+    assert keys["rom.band"].unit == "Hz"
+    assert keys["kick.electrical"].choices == ("open", "short", "driven")
+    assert keys["kick.layers"].unit is None
+
+
+def test_did_you_mean_stays_silent_when_nothing_is_near():
+    assert did_you_mean("zzz", ["voltage", "width"]) is None
+
+
+def test_plan_follows_the_scene():
+    full = plan(load_scene("kick_and_catch"))
+    assert [part.part for part in full.parts] == ["kick", "contact", "sphere", "catch", "pid"]
+    assert full.ports == ("R0", "R1", "R2", "R3", "R4", "R5", "anode")
+    assert [part.part for part in plan(load_scene("em_force")).parts] == ["sphere", "catch"]
+    assert plan(load_scene("em_force")).ports == ()
+    assert len(plan(load_scene("harmonic", ["kick.mesh.rings=2"])).ports) == 4
+    effects = {item.effect: item.error for item in full.left_out}
+    # Drag at Re = 132, c_d = 0.96 (textbook chart: about 0.9 … 1), against 0.32 mN of weight.
+    share = float(effects["drag of the air"].split()[0])
+    assert share == pytest.approx(0.5 * 1.204 * math.pi * 1e-6 * 0.96 / (32.88e-6 * 9.81), rel=0.05)
+
+
+KEYS = [key.name for key in scene_keys()]
+VALUES = st.one_of(
+    st.text(max_size=20),
+    st.floats().map(repr),
+    st.integers().map(repr),
+    st.builds("{} {}".format, st.floats(), st.sampled_from(["m", "um", "V", "s", "kHz", "N/m"])),
+    st.sampled_from(["{}", "[]", "[1, 2]", "true", "{a=1}", "2020-01-01", "'x'", "inf", "-nan"]),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(KEYS), VALUES), max_size=3))
+def test_any_override_gives_a_scene_or_one_clear_error(overrides):
+    try:
+        scene = load_scene("kick_and_catch", [f"{key}={value}" for key, value in overrides])
+    except UsageError as error:
+        assert error.where  # most values are refused, a few are fine
+        assert len(str(error)) < 1500
+    else:
+        assert len(scene_hash(scene)) == 16
