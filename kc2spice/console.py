@@ -34,7 +34,9 @@ def shown_progress(quiet: bool) -> Iterator[ProgressCallback]:
         yield lambda stage, done, text: None
     elif sys.stderr.isatty():
         with _bars() as progress:
-            yield _Bars(progress)
+            bars = _Bars(progress)
+            yield bars
+            bars.complete()
     else:
         yield _Lines()
 
@@ -57,11 +59,15 @@ class _Bars:
 
     def __call__(self, stage: str, done: float | None, text: str) -> None:
         if stage not in self._tasks:
-            for task in self._tasks.values():
-                self._progress.update(task, total=1, completed=1)
+            self.complete()
             self._tasks[stage] = self._progress.add_task(text, total=None, stage=stage)
         task, total = self._tasks[stage], None if done is None else 1.0
         self._progress.update(task, description=text, total=total, completed=done or 0.0)
+
+    def complete(self) -> None:
+        """Fill all bars."""
+        for task in self._tasks.values():
+            self._progress.update(task, total=1, completed=1)
 
 
 class _Lines:

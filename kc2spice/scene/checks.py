@@ -6,17 +6,23 @@ from collections.abc import Iterator
 from itertools import combinations
 
 from kc2spice.errors import UsageError
-from kc2spice.scene.schema import Catch, Control, Kick, Part, Scene, Sphere
+from kc2spice.scene.schema import Catch, Kick, Part, Scene, Sphere
 
-# What each experiment is made of. Anything else in the file would be ignored, so it is refused.
-PARTS = {
-    "loop": ("kick", "contact", "sphere", "catch", "control"),
+# What each experiment needs, and what it may have besides. Anything else in the file would be
+# ignored, so it is refused.
+NEEDED = {
+    "loop": ("sphere",),
     "impact": ("kick", "contact", "sphere", "impact"),
     "imprint": ("kick", "contact", "sphere", "imprint"),
     "harmonic": ("kick", "harmonic"),
     "em_force": ("sphere", "catch", "em_force"),
 }
-SECTIONS = tuple(dict.fromkeys(part for parts in PARTS.values() for part in parts))
+OPTIONAL = {"loop": ("kick", "contact", "catch", "control")}
+# A part is of use only with these others.
+PARTNERS = {"contact": ("kick", "sphere"), "catch": ("sphere",), "control": ("catch",)}
+SECTIONS = (
+    "kick", "contact", "sphere", "catch", "control", "impact", "imprint", "harmonic", "em_force",
+)  # fmt: skip
 
 
 def check(scene: Scene) -> None:
@@ -38,11 +44,11 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         yield from _rings_under_sphere(scene.kick, scene.sphere)
     if scene.catch is not None and scene.sphere is not None:
         yield from _catch(scene.catch, scene.sphere)
-    if scene.experiment == "loop" and scene.kick and scene.catch and scene.control:
-        yield from _loop(scene, scene.kick, scene.catch, scene.control)
+    if scene.experiment == "loop":
+        yield from _loop(scene)
     yield from _experiments(scene)
     if scene.include:
-        yield _problem("include", "netlists of your own cannot be included yet", scene.include)
+        yield _problem("include", "this version includes no netlists of your own", scene.include)
 
 
 def _problem(
@@ -52,19 +58,30 @@ def _problem(
 
 
 def _parts(scene: Scene) -> Iterator[UsageError]:
-    needed = PARTS[scene.experiment]
-    for part in SECTIONS:
-        present = getattr(scene, part) is not None
-        if part in needed and not present:
-            hint = f"add [{part}]; an empty table takes the defaults"
-            yield _problem(part, f"experiment {scene.experiment!r} needs this part", hint=hint)
-        if present and part not in needed:
+    experiment = scene.experiment
+    needed = NEEDED[experiment]
+    allowed = needed + OPTIONAL.get(experiment, ())
+    present = [part for part in SECTIONS if getattr(scene, part) is not None]
+    for part in needed:
+        if part not in present:
+            yield _absent(part, f"experiment {experiment!r} needs this part")
+    for part in present:
+        if part not in allowed:
             yield _problem(
                 part,
-                f"experiment {scene.experiment!r} has no such part",
-                expected="only " + ", ".join(needed),
+                f"experiment {experiment!r} has no such part",
+                expected="only " + ", ".join(allowed),
                 hint="remove it from the scene and from --set",
             )
+        for partner in PARTNERS.get(part, ()):
+            if partner not in present:
+                yield _absent(partner, f"{part} needs this part")
+    if scene.kick and scene.sphere and not scene.contact:
+        yield _absent("contact", "without it the sphere falls through the chip")
+
+
+def _absent(part: str, message: str) -> UsageError:
+    return _problem(part, message, hint=f"add [{part}]; an empty table takes the defaults")
 
 
 def _reduction(scene: Scene) -> Iterator[UsageError]:
@@ -142,31 +159,37 @@ def _overlap(a: Part, b: Part) -> bool:
     return radial and axial
 
 
-def _loop(scene: Scene, kick: Kick, catch: Catch, control: Control) -> Iterator[UsageError]:
-    table = f"inside the force table, {catch.y_min:g} … {catch.y_max:g} m"
-    stop = scene.solver.stop
-    if not catch.y_min < control.setpoint < catch.y_max:
-        hint = "catch.y_min and catch.y_max set the table's range"
-        yield _problem(
-            "control.setpoint", "outside the force table", f"{control.setpoint:g} m", table, hint
-        )
-    if scene.sphere is not None and not catch.y_min < scene.sphere.radius < catch.y_max:
-        got = f"rest height {scene.sphere.radius:g} m"
-        yield _problem("sphere.radius", "the resting sphere is outside the force table", got, table)
-    if control.enable_at >= stop:
-        yield _problem(
-            "control.enable_at",
-            "the controller starts after the simulation ends",
-            f"{control.enable_at:g} s",
-            f"before solver.stop, {stop:g} s",
-        )
-    if kick.electrical == "driven" and kick.drive.start >= stop:
-        yield _problem(
-            "kick.drive.start",
-            "the kick starts after the simulation ends",
-            f"{kick.drive.start:g} s",
-            f"before solver.stop, {stop:g} s",
-        )
+def _loop(scene: Scene) -> Iterator[UsageError]:
+    if (
+        scene.catch
+        and scene.sphere
+        and not scene.catch.y_min < scene.sphere.radius < scene.catch.y_max
+    ):
+        yield _outside("sphere.radius", "rest height", scene.sphere.radius, scene.catch)
+    if scene.control and scene.catch:
+        setpoint = scene.control.setpoint
+        if not scene.catch.y_min < setpoint < scene.catch.y_max:
+            yield _outside("control.setpoint", "height", setpoint, scene.catch)
+    if scene.control:
+        yield from _late("control.enable_at", "the controller", scene.control.enable_at, scene)
+    if scene.kick and scene.kick.electrical == "driven":
+        yield from _late("kick.drive.start", "the kick", scene.kick.drive.start, scene)
+
+
+def _outside(key: str, what: str, height: float, catch: Catch) -> UsageError:
+    return _problem(
+        key,
+        "outside the force table",
+        f"{what} {height:g} m",
+        f"between {catch.y_min:g} and {catch.y_max:g} m",
+        "catch.y_min and catch.y_max set the table's range",
+    )
+
+
+def _late(key: str, what: str, start: float, scene: Scene) -> Iterator[UsageError]:
+    if start >= scene.solver.stop:
+        limit = f"before solver.stop, {scene.solver.stop:g} s"
+        yield _problem(key, f"{what} starts after the simulation ends", f"{start:g} s", limit)
 
 
 def _experiments(scene: Scene) -> Iterator[UsageError]:

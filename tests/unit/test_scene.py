@@ -105,7 +105,7 @@ MISTAKES = [
     ("gates.trajectory=1e-6", ["needs its unit"]),
     ("name=../evil", ["not a name"]),
     ("impact.velocity=-1", ["has no such part"]),
-    ("include=['a.lib']", ["cannot be included"]),
+    ("include=['a.lib']", ["includes no netlists"]),
     ("nothing", ["not an override"]),
     ("a..b=1", ["not an override"]),
     ("kick.mesh.refine=1\nfoo=3", ["not a whole number"]),
@@ -144,6 +144,11 @@ def test_a_file_takes_its_name_from_its_stem(scene_file):
     assert load_scene(scene_file(LOOP)).name == "my"
 
 
+@pytest.mark.parametrize("parts", ["[sphere]", "[kick]\n[contact]\n[sphere]", "[sphere]\n[catch]"])
+def test_a_loop_without_some_parts(scene_file, parts):
+    assert load_scene(scene_file(parts)).control is None
+
+
 def test_errors_in_a_file_give_the_line(scene_file):
     path = scene_file(LOOP + "kp = 4\nkd = '3 m'\n")
     with pytest.raises(UsageError, match=r"my\.toml, line 7, key control\.kd: wrong unit"):
@@ -156,8 +161,11 @@ def test_errors_in_a_file_give_the_line(scene_file):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("[kick]\n[contact]\n[sphere]\n[control]\n", "key catch: experiment 'loop' needs this"),
-        ("[sphere]\n[catch]\n[control]\n[contact]\n", "key kick: experiment 'loop' needs this"),
+        ("[kick]\n[contact]\n[sphere]\n[control]\n", "key catch: control needs this part"),
+        ("[sphere]\n[contact]\n", "key kick: contact needs this part"),
+        ("[kick]\n[contact]\n", "key sphere: experiment 'loop' needs this part"),
+        ("[kick]\n[sphere]\n", "key contact: without it the sphere falls"),
+        ("experiment = 'harmonic'\n[kick]", "key harmonic: experiment 'harmonic' needs this part"),
         ("kick = 10 V", "not valid TOML"),
         ("a = " + "[" * 50_000, "not valid TOML"),
         ("a = " + "1" * 5000, "not valid TOML"),
