@@ -32,8 +32,9 @@ class FreeModes:
         a, velocity = x[:q], w * x[q : 2 * q]
         half = 0.5 * law.damp
         spread = np.sqrt((half**2 - w**2).astype(complex))
-        # Equal roots divide by zero; 1e-6 apart the solution differs by 1e-12.
-        spread = np.where(np.abs(spread) < 1e-6 * w, 1e-6 * w, spread)
+        # Equal roots divide by zero; 1e-4 apart the solution differs by 1e-8, and so much again
+        # is lost by cancellation in the energy.
+        spread = np.where(np.abs(spread) < 1e-4 * w, 1e-4 * w, spread)
         fast = -half - spread
         slow = np.where(half > w, w**2 / fast, -half + spread)
         push = law.scale**2 * law.charge / w**2

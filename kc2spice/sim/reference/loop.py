@@ -27,7 +27,7 @@ from kc2spice.sim.reference.pieces import Piece, coupled, flight
 from kc2spice.sim.reference.statics import rest
 from kc2spice.sim.waveforms import Waveforms
 
-_MAX_PIECES = 20_000  # a chattering contact beyond this is a modelling error, not a waveform
+_MAX_PIECES = 5_000  # a chattering contact beyond this is a modelling error, not a waveform
 
 
 @dataclass(frozen=True)
