@@ -1,0 +1,129 @@
+"""Reduced model to subcircuit: resonators as pairs of integrators (paper eq. 7, diagonalised)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.cards import name as checked_name
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.header import Header, part_header, rom_line
+from kc2spice.netlist.render import render
+from kc2spice.rom.model import ResonatorModel
+
+MICRO = 1e-6  # 1 V on a mechanical pin is 1 um
+STATE = 1e-6  # farad of every state: one chgtol is then one tolerance of displacement
+LINK = 1e9  # N/um between a ring pin and the modal sum; far above any ring's stiffness
+LEAK = 1e-12  # S; the charge of a floating anode decays in hours
+
+
+@dataclass(frozen=True)
+class _Ring:
+    pin: str
+    column: int
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """Card values of one resonator."""
+
+    index: int
+    hertz: float
+    ratio: float
+    stiffness: float
+    damping: float
+    shape: np.ndarray
+    force: np.ndarray
+    voltage: float
+    current: float
+    leak: float
+
+
+def realize(
+    model: ResonatorModel,
+    header: Header,
+    *,
+    name: str = "kick",
+    ports: tuple[str, ...] | None = None,
+) -> Subcircuit:
+    """One ``.subckt`` with the electrical port ``anode cathode``, the rings asked for and ``base``.
+
+    With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
+    mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um::
+
+        C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k,    C = 1 uF
+
+    Parameters
+    ----------
+    model : the whole device, not a symmetry sector.
+    ports : names of the model's ports to bring out, all by default; the others see no load.
+
+    Raises
+    ------
+    UsageError : an unknown port, or a port that is neither mechanical nor electrical.
+    """
+    wanted = tuple(p.name for p in model.ports) if ports is None else ports
+    known = {p.name: p for p in model.ports}
+    for port in wanted:
+        if port not in known:
+            raise UsageError("no such port", where=name, got=port, expected=", ".join(known))
+    rings = tuple(
+        _Ring(checked_name(p.name), column)
+        for column, p in enumerate(model.ports)
+        if p.kind == "mechanical" and p.name in wanted
+    )
+    anode = next((i for i, p in enumerate(model.ports) if p.kind == "electrical"), None)
+    electrical = anode is not None and model.ports[anode].name in wanted
+    clamped = float(model.D[anode, anode]) if anode is not None else 0.0
+    pins = _pins(rings, electrical)
+    text = render(
+        "kick.j2",
+        header=part_header(
+            header,
+            f"{name}: piezoelectric actuator, reduced finite-element model of the whole device",
+            pins,
+            rom=rom_line(model.order, model.certificate),
+        ),
+        name=checked_name(name),
+        pins=[pin.name for pin in pins],
+        rings=rings,
+        modes=_modes(model, anode, clamped),
+        electrical=electrical,
+        clamped=clamped,
+        link=LINK,
+        leak=LEAK,
+    )
+    return Subcircuit(name, pins, (), text)
+
+
+def _pins(rings: tuple[_Ring, ...], electrical: bool) -> tuple[Pin, ...]:
+    terminals = (Pin("anode", "V", "A"), Pin("cathode", "V", "A")) if electrical else ()
+    return (*terminals, *(Pin(ring.pin, "um", "N") for ring in rings), Pin("base", "um", "N"))
+
+
+def _modes(model: ResonatorModel, anode: int | None, clamped: float) -> list[_Mode]:
+    """Card values of every mode, from low to high frequency."""
+    mechanical = [p.kind == "mechanical" for p in model.ports]
+    modes = []
+    for j in np.argsort(model.omega):
+        omega, damp, gain = model.omega[j], model.damp[j], model.gain[j]
+        scale = np.max(np.abs(gain[mechanical]), initial=0.0) or 1.0
+        drive = STATE * scale * gain / (omega * MICRO)  # A into p per newton or volt
+        charge = gain[anode] * MICRO / scale if anode is not None else 0.0  # C per um
+        modes.append(
+            _Mode(
+                index=len(modes) + 1,
+                hertz=omega / (2 * np.pi),
+                ratio=damp / (2 * omega),
+                stiffness=STATE * omega,
+                damping=STATE * damp,
+                shape=gain / scale,
+                force=drive,
+                voltage=drive[anode] if anode is not None else 0.0,
+                current=charge * omega,
+                leak=LEAK * charge / clamped if clamped else 0.0,
+            )
+        )
+    return modes

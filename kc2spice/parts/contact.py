@@ -1,0 +1,63 @@
+"""Contact between chip and sphere: one unilateral spring per ring (paper eq. 10)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.header import Header, parameter_list, part_header
+from kc2spice.netlist.render import render
+
+
+def ring_gaps(ring_radii: np.ndarray, sphere_radius: float) -> np.ndarray:
+    """Gap [m] of every ring under a sphere that touches the centre: ``R - sqrt(R^2 - r^2)``.
+
+    Written as ``r^2 / (R + sqrt(R^2 - r^2))``, which does not cancel.
+    """
+    r = np.asarray(ring_radii, dtype=float)
+    return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
+
+
+def contact_force(
+    displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
+) -> np.ndarray:
+    """Force [N] of every ring on the sphere, ``eps max(0, u - bottom - gap)``, rings last.
+
+    ``displacement`` (..., rings) and ``bottom`` (...) in m, ``eps`` in N/m of the whole ring.
+    """
+    return eps * np.maximum(0.0, displacement - np.asarray(bottom)[..., None] - gaps)
+
+
+def contact_subcircuit(
+    header: Header,
+    rings: tuple[str, ...],
+    gaps: np.ndarray,
+    eps: float,
+    *,
+    name: str = "contact",
+) -> Subcircuit:
+    """The law of :func:`contact_force` between ring pins, the sphere's ``v`` and its ``bottom``.
+
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring.
+    """
+    pins = (
+        *(Pin(ring, "um", "N") for ring in rings),
+        Pin("v", "m/s", "N"),
+        Pin("bottom", "um", "-"),
+    )
+    params = (
+        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        *(
+            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when the sphere touches")
+            for ring, gap in zip(rings, gaps, strict=True)
+        ),
+    )
+    text = render(
+        "contact.j2",
+        header=part_header(header, f"{name}: penalty contact of sphere and chip", pins, params),
+        name=name,
+        pins=[pin.name for pin in pins],
+        parameters=parameter_list(params),
+        rings=rings,
+    )
+    return Subcircuit(name, pins, params, text)

@@ -1,0 +1,196 @@
+"""Runs ngspice in batch mode and judges what it did; its exit code alone is not believed."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from kc2spice.errors import MissingToolError, SimulationError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.sim.log import classify, statistics
+from kc2spice.sim.rawfile import last_scale_value, read_raw
+from kc2spice.sim.waveforms import Waveforms
+
+POLL = 0.05  # s between two looks at the growing raw file
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """The program that runs the decks."""
+
+    name: str
+    version: str
+    path: str
+
+
+@cache
+def find_ngspice() -> Simulator:
+    """The ngspice on the search path.
+
+    Raises
+    ------
+    MissingToolError : there is none, or it does not tell its version.
+    """
+    path = shutil.which("ngspice")
+    if path is None:
+        raise MissingToolError(
+            "ngspice is not on this machine",
+            where="PATH",
+            expected="the program ngspice, version 39 or later",
+            hint="Debian or Ubuntu: apt-get install ngspice; else https://ngspice.sourceforge.io",
+        )
+    said = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
+    version = re.search(r"ngspice-(\S+)", said)
+    if version is None:
+        raise MissingToolError(
+            "this ngspice does not tell its version", where=path, got=said.strip()[:80]
+        )
+    return Simulator("ngspice", version.group(1), path)
+
+
+def write_deck(deck: Deck, directory: Path) -> Path:
+    """Write all files of ``deck`` into ``directory`` and return the path of its main file."""
+    directory.mkdir(parents=True, exist_ok=True)
+    for filename, text in deck.files.items():
+        (directory / filename).write_text(text, encoding="utf-8")
+    return directory / deck.main
+
+
+def run_deck(
+    deck: Deck,
+    directory: Path,
+    progress: Callable[[float], None] | None = None,
+    timeout: float | None = None,
+) -> Waveforms:
+    """Write ``deck`` into ``directory``, run it, return the vectors it names in SI.
+
+    Parameters
+    ----------
+    progress : called with the share of the transient that is done, 0 to 1.
+    timeout : seconds of wall clock after which the run is given up.
+
+    Raises
+    ------
+    MissingToolError : no ngspice.
+    SimulationError : ngspice failed, stopped early, or its raw file is not complete. The message
+        holds the cause, node and time from the log, and the directory with ``NAME.log``. Such
+        a run leaves no raw file.
+    """
+    simulator = find_ngspice()
+    main = write_deck(deck, directory)
+    raw, log = main.with_suffix(".raw"), main.with_suffix(".log")
+    unfinished = main.with_suffix(".raw.part")
+    for stale in (raw, log, unfinished):
+        stale.unlink(missing_ok=True)
+    try:
+        code = _execute(simulator, main, unfinished, log, deck.stop, progress, timeout)
+        text = log.read_text(encoding="utf-8", errors="replace")
+        _judge_log(deck, directory, code, text)
+        vectors = read_raw(unfinished)
+        _judge_end(deck, directory, vectors, text)
+        waveforms = Waveforms(_named(deck, vectors), statistics(text))
+        unfinished.rename(raw)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return waveforms
+
+
+def _execute(
+    simulator: Simulator,
+    main: Path,
+    raw: Path,
+    log: Path,
+    stop: float | None,
+    progress: Callable[[float], None] | None,
+    timeout: float | None,
+) -> int:
+    """Run ngspice with the user's start-up files kept out; return its exit code."""
+    command = [simulator.path, "-b", "-n", "-r", raw.name, main.name]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
+    begin = time.monotonic()
+    with (
+        log.open("wb") as sink,
+        subprocess.Popen(
+            command,
+            cwd=main.parent,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=sink,
+            stderr=subprocess.STDOUT,
+        ) as process,
+    ):
+        try:
+            while True:
+                try:
+                    return process.wait(POLL)
+                except subprocess.TimeoutExpired:
+                    if timeout is not None and time.monotonic() - begin > timeout:
+                        raise SimulationError(
+                            f"ngspice did not finish within {timeout:g} s",
+                            where=str(main.parent),
+                            got=f"time point {last_scale_value(raw)} s of {stop} s",
+                            hint="give it more time, a looser solver.reltol or a shorter stop",
+                        ) from None
+                    if progress is not None and stop:
+                        progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def _judge_log(deck: Deck, directory: Path, code: int, text: str) -> None:
+    """Refuse a run whose log holds a failure, or whose process was killed."""
+    report = classify(text)
+    if not report.errors and code == 0:
+        return
+    blame = [f"node {report.node}"] if report.node else []
+    blame += [f"t = {report.time:g} s"] if report.time is not None else []
+    tail = " | ".join(text.strip().splitlines()[-3:])
+    raise SimulationError(
+        f"ngspice failed: {report.cause or f'exit code {code}'}",
+        where=str(directory / deck.main),
+        got=", ".join(blame) or tail,
+        hint=f"the whole log is {Path(deck.main).with_suffix('.log')} in the same directory",
+    )
+
+
+def _judge_end(deck: Deck, directory: Path, vectors: dict[str, np.ndarray], text: str) -> None:
+    """Refuse a transient that did not reach its end; ngspice can stop early and return 0."""
+    if deck.stop is None:
+        return
+    last = float(vectors["time"][-1]) if "time" in vectors else float("nan")
+    if not abs(last - deck.stop) <= 1e-9 * deck.stop:
+        report = classify(text)
+        raise SimulationError(
+            "ngspice stopped before the end of the transient",
+            where=str(directory / deck.main),
+            got=f"last time point {last:g} s" + (f", node {report.node}" if report.node else ""),
+            expected=f"{deck.stop:g} s",
+        )
+
+
+def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``."""
+    names = list(vectors)
+    scale = names[0] if names[0] in ("time", "frequency") else "sweep"
+    data = {scale: vectors[names[0]].real.copy()}
+    for key, (expression, factor) in deck.vectors.items():
+        data[key] = factor * sum(_vector(deck, vectors, v) for v in expression.split("+"))
+    return data
+
+
+def _vector(deck: Deck, vectors: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """One raw vector; ngspice wraps device currents as ``i(@device[i])``."""
+    for spelling in (name, f"i({name})"):
+        if spelling in vectors:
+            return vectors[spelling]
+    raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
