@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
 from kc2spice.errors import SimulationError, UsageError
 
@@ -50,6 +50,23 @@ class EMTable:
         values = np.column_stack([getattr(self, name) for name in FORCE])
         return CubicSpline(self.y, values, bc_type="not-a-knot", extrapolate=False)
 
+    @cached_property
+    def potentials(self) -> PPoly:
+        """Integrals over y (..., 6) of the splines: U0, flux_1, flux_2, L11/2, L12, L22/2.
+
+        Coenergy is ``U0 + flux_1 i1 + flux_2 i2 + L11 i1^2 / 2 + L12 i1 i2 + L22 i2^2 / 2``; its
+        slope in y is the force, its slopes in the currents are the flux linkages. Integrating the
+        force keeps both consistent exactly and smooths, where a differentiated flux would lose an
+        order; the free constants put the mean over the nodes on the FE fluxes.
+        """
+        potentials = self.splines.antiderivative()
+        half = self.inductance / 2
+        nodes = np.column_stack(
+            [self.flux0, half[:, 0, 0], self.inductance[:, 0, 1], half[:, 1, 1]],
+        )
+        potentials.c[-1, :, 1:] += np.mean(nodes - potentials(self.y)[:, 1:], axis=0)
+        return potentials
+
 
 def coefficients(table: EMTable, y: np.ndarray | float) -> np.ndarray:
     """``c0 c1 c2 c11 c12 c22`` (..., 6) at the heights ``y`` [m].
@@ -58,17 +75,7 @@ def coefficients(table: EMTable, y: np.ndarray | float) -> np.ndarray:
     ------
     SimulationError : a height outside the table.
     """
-    y = np.asarray(y, dtype=float)
-    outside = ~((y >= table.y[0]) & (y <= table.y[-1]))
-    if np.any(outside):
-        raise SimulationError(
-            "the sphere is outside the table of forces",
-            where="catch",
-            got=f"{float(np.atleast_1d(y)[np.atleast_1d(outside)][0]):g} m",
-            expected=f"{table.y[0]:g} m to {table.y[-1]:g} m",
-            hint="widen catch.y_min, catch.y_max",
-        )
-    return table.splines(y)
+    return table.splines(_inside(table, y))
 
 
 def force(
@@ -76,6 +83,26 @@ def force(
 ) -> np.ndarray:
     """Force on the sphere [N] at heights ``y`` [m] and coil currents [A]; arguments broadcast."""
     return _quadratic(np.moveaxis(coefficients(table, y), -1, 0), i1, i2)
+
+
+def flux_linkage(
+    table: EMTable, y: np.ndarray | float, i1: np.ndarray | float, i2: np.ndarray | float
+) -> np.ndarray:
+    """Flux linkages (..., 2) [Wb] of both coils with ``d lambda_k / dy = dF / di_k`` exactly.
+
+    A circuit whose coils see ``d lambda_k / dt`` therefore gives the sphere the work that it takes
+    from the sources, apart from what ``inductances`` store.
+    """
+    _, f1, f2, *_ = np.moveaxis(table.potentials(_inside(table, y)), -1, 0)
+    currents = np.stack(np.broadcast_arrays(i1, i2), axis=-1)
+    induced = np.squeeze(inductances(table, y) @ currents[..., None], axis=-1)
+    return np.stack([f1, f2], axis=-1) + induced
+
+
+def inductances(table: EMTable, y: np.ndarray | float) -> np.ndarray:
+    """Symmetric L (..., 2, 2) [H] at the heights ``y`` [m], consistent with :func:`force`."""
+    *_, l11, l12, l22 = np.moveaxis(table.potentials(_inside(table, y)), -1, 0)
+    return np.stack([np.stack([2 * l11, l12], -1), np.stack([l12, 2 * l22], -1)], -1)
 
 
 def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
@@ -88,6 +115,20 @@ def current_pairs(limit: float = 0.1) -> np.ndarray:
     """The nine pairs (9, 2) of -limit, 0 and +limit [A] of the paper's section 2.2.1."""
     steps = (-limit, 0.0, limit)
     return np.array([(i1, i2) for i1 in steps for i2 in steps])
+
+
+def _inside(table: EMTable, y: np.ndarray | float) -> np.ndarray:
+    y = np.asarray(y, dtype=float)
+    outside = ~((y >= table.y[0]) & (y <= table.y[-1]))
+    if np.any(outside):
+        raise SimulationError(
+            "the sphere is outside the table of forces",
+            where="catch",
+            got=f"{float(y[outside].flat[0]):g} m",
+            expected=f"{table.y[0]:g} m to {table.y[-1]:g} m",
+            hint="widen catch.y_min, catch.y_max",
+        )
+    return y
 
 
 def _quadratic(c: np.ndarray, i1: np.ndarray | float, i2: np.ndarray | float) -> np.ndarray:

@@ -99,14 +99,13 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     top = bore.bottom + bore.rows * bore.pitch
     boxes = [rectangle(part) for part in parts(catch)]
     shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
-    corners = np.array([(r, y) for box in boxes for r in box[::2] for y in box[1::2]])
-    outlines = np.array(shapes[1:])
+    corners = [(r, y) for box in boxes for r in box[::2] for y in box[1::2]]
 
     def size(r: float, y: float) -> float:
-        to_corner = np.min(np.hypot(corners[:, 0] - r, corners[:, 1] - y))
-        off_r = np.maximum(0, np.maximum(outlines[:, 0] - r, r - outlines[:, 2]))
-        off_y = np.maximum(0, np.maximum(outlines[:, 1] - y, y - outlines[:, 3]))
-        to_part = np.min(np.hypot(off_r, off_y))
+        to_corner = min(math.hypot(r - a, y - b) for a, b in corners)
+        to_part = min(
+            math.hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]
+        )
         near = min(_CORNER * bore.size + _GROWTH * to_corner, _PART * bore.size)
         return near + _GROWTH * to_part / catch.refine
 

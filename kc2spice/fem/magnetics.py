@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.fem import magmesh
 from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magsystem import LOWER, RING, SPHERE, UPPER, System, assemble
+from kc2spice.fem.magsystem import LOWER, RING, SPHERE, UPPER, Pieces, assemble
 from kc2spice.scene.schema import Catch, Part, Sphere
 
 Progress = Callable[[int, int], None]
@@ -34,7 +34,8 @@ def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) 
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = np.empty(y.size, dtype=int)
-    for done, (index, system) in enumerate(_systems(catch, sphere, y), 1):
+    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y), 1):
+        system = pieces.system(y[index])
         fields = system.solve(system.loads)
         forces[index] = system.force(fields)
         fluxes[index] = system.loads[:, [LOWER, UPPER]].T @ fields
@@ -64,20 +65,19 @@ def brute_force(
 ) -> np.ndarray:
     """Force (n, m) [N] at n heights and the m pairs ``currents`` (m, 2), case by case.
 
-    The paper's road and the baseline of :func:`catch_table`: each case assembles, factorises and
-    solves for the sum of its sources and takes that one field's force.
+    The paper's road and the baseline of :func:`catch_table`: on the same meshes, each case
+    assembles, factorises and solves for the sum of its sources and takes that one field's force.
     """
     y = positions(catch)
-    result = np.empty((y.size, len(currents)))
-    done = 0
-    for case, (lower, upper) in enumerate(np.asarray(currents, dtype=float)):
-        amplitudes = np.array([ring_sign(catch), 1.0, lower, upper])
-        for index, system in _systems(catch, sphere, y):
-            field = system.solve(system.loads @ amplitudes[:, None])
+    amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
+    result = np.empty((y.size, len(amplitudes)))
+    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y), 1):
+        for case, amplitude in enumerate(amplitudes):
+            system = pieces.system(y[index])
+            field = system.solve(system.loads @ amplitude[:, None])
             result[index, case] = system.force(field)[0, 0]
-            done += 1
-            if progress is not None:
-                progress(done, result.size)
+        if progress is not None:
+            progress(done, y.size)
     return result
 
 
@@ -97,8 +97,8 @@ def coil_resistance(catch: Catch, coil: Part) -> float:
     return catch.resistivity * length / (pi * catch.wire_diameter**2 / 4)
 
 
-def _systems(catch: Catch, sphere: Sphere, y: np.ndarray) -> Iterator[tuple[int, System]]:
-    """Each height's index and equations; heights that share a lattice share their meshes."""
+def _pieces(catch: Catch, sphere: Sphere, y: np.ndarray) -> Iterator[tuple[int, Pieces]]:
+    """Index and pieces of each height, in the order in which heights share a lattice's meshes."""
     pitch = magmesh.lattice_pitch(catch, sphere.radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
@@ -106,4 +106,4 @@ def _systems(catch: Catch, sphere: Sphere, y: np.ndarray) -> Iterator[tuple[int,
         bore = magmesh.bore(catch, sphere.radius, pitch, y[chosen[0]], y[chosen[-1]])
         pieces = assemble(catch, bore)
         for index in chosen:
-            yield int(index), pieces.system(y[index])
+            yield int(index), pieces

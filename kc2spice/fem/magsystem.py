@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -34,14 +35,14 @@ _ORDER = 6  # quadrature: the integrands on straight triangles are polynomials o
 
 
 @BilinearForm
-def _stiffness(u, v, w):
+def _stiffness(u: Any, v: Any, w: Any) -> np.ndarray:
     r = w.x[0]
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     return 2 * pi * r * (bu * bv + r**2 * u.grad[1] * v.grad[1])
 
 
 @BilinearForm
-def _stretch(u, v, w):
+def _stretch(u: Any, v: Any, w: Any) -> np.ndarray:
     """Derivative of the stiffness when points move by g in y and carry their values along."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
@@ -50,14 +51,14 @@ def _stretch(u, v, w):
 
 
 @LinearForm
-def _remanence(v, w):
+def _remanence(v: Any, w: Any) -> np.ndarray:
     """``int b(v) dV``: the load of an axial ``nu B_rem`` of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
-def _current(v, w):
+def _current(v: Any, w: Any) -> np.ndarray:
     """``int A_phi 2 pi r dr dy``: the load of 1 A/m^2, and the flux that one turn/m^2 links."""
     return 2 * pi * w.x[0] ** 2 * v
 
@@ -167,7 +168,7 @@ def assemble(catch: Catch, bore: magmesh.Bore) -> Pieces:
     r, y = mover.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    stretch = _stretch_matrix(mover_mesh, sphere, rim)
+    stretch = force_form(mover_mesh, sphere, shell_weight(mover_mesh, sphere, rim))
     return Pieces(stator, mover, stretch, fixed, rim, cKDTree(stator.points.T), bore)
 
 
@@ -205,15 +206,19 @@ def _mover(catch: Catch, mesh: MeshTri2, sphere: np.ndarray) -> Body:
     return _body(mesh, reluctivity, [none, magnet, none, none])
 
 
-def _stretch_matrix(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> sparse.csr_array:
-    """Force form of the air between sphere and outline, weighted by a harmonic g."""
+def shell_weight(mesh: MeshTri2, sphere: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """Weight g at the mover's unknowns: 1 in the sphere, 0 on the ``rim``, harmonic between."""
     basis = _basis(mesh)
     g = np.zeros(basis.N)
     core = np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
-    g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
-    around = _basis(mesh, np.flatnonzero(~sphere))
-    return sparse.csr_array(_stretch.assemble(around, g=around.interpolate(g)) / MU0)
+    return solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
+
+
+def force_form(mesh: MeshTri2, sphere: np.ndarray, g: np.ndarray) -> sparse.csr_array:
+    """Matrix S of the force ``-1/2 a' S a`` [N], carried by the air where g varies."""
+    air = _basis(mesh, np.flatnonzero(~sphere))
+    return sparse.csr_array(_stretch.assemble(air, g=air.interpolate(g)) / MU0)
 
 
 def _within(part: Part, points: np.ndarray) -> np.ndarray:

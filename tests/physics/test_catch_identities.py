@@ -1,0 +1,145 @@
+"""Identities that the catch actuator's discrete field must keep, whatever the mesh."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from skfem import Basis, ElementTriP2, Functional
+
+from kc2spice.fem import magmesh, magsystem
+from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
+from kc2spice.fem.magnetics import brute_force, catch_table
+from kc2spice.scene.schema import Catch, Sphere
+
+RADIUS = Sphere().radius
+
+
+@pytest.fixture(scope="module")
+def table() -> EMTable:
+    return catch_table(Catch(), Sphere())
+
+
+@pytest.fixture(scope="module")
+def bore() -> magmesh.Bore:
+    catch = Catch()
+    pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
+    return magmesh.bore(catch, RADIUS, pitch, catch.y_min, catch.y_max)
+
+
+def test_meshes_fill_cylinder_and_sphere(bore: magmesh.Bore) -> None:
+    @Functional
+    def volume(w):
+        return 2 * np.pi * w.x[0]
+
+    stator = magmesh.stator_mesh(Catch(), bore)
+    whole = volume.assemble(Basis(stator, ElementTriP2()))
+    assert whole == pytest.approx(np.pi * 0.01**2 * 0.03, rel=1e-12)
+    mover, inside = magmesh.mover_mesh(bore)
+    ball = volume.assemble(Basis(mover, ElementTriP2(), elements=np.flatnonzero(inside)))
+    assert ball == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=1e-6)  # arcs, not chords
+    box = volume.assemble(Basis(mover, ElementTriP2()))
+    assert box == pytest.approx(np.pi * bore.wall**2 * 2 * bore.half, rel=1e-9)
+
+
+@pytest.mark.parametrize("polarity", ["parallel", "antiparallel"])
+def test_superposition_equals_brute_force(polarity: str) -> None:
+    catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
+    cases = current_pairs()[[0, 1, 2, 4, 5]]
+    force = brute_force(catch, Sphere(), cases).T
+    quick = em_cases(catch_table(catch, Sphere()), cases)
+    assert np.max(np.abs(force - quick)) < 1e-12 * np.max(np.abs(force))
+
+
+def test_polarity_turns_the_ring_and_nothing_else(table: EMTable) -> None:
+    span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
+    turned = catch_table(Catch(polarity="antiparallel", **span), Sphere())
+    coarse = slice(None, None, 10)
+    # The ring's pull on the sphere as magnetised by a coil turns too: 3e-3 of c1 at mu_r 1.06.
+    np.testing.assert_allclose(turned.c1, table.c1[coarse], rtol=1e-2)
+    scale = np.max(np.abs(table.c0))
+    # What is left after the sign is the sphere's pull on the permeable ring and the mesh's error.
+    assert np.max(np.abs(turned.c0 + table.c0[coarse])) < 5e-3 * scale
+
+
+def test_actuator_is_symmetric_about_its_middle(table: EMTable) -> None:
+    largest = np.max(np.abs(em_cases(table, current_pairs())))
+    assert np.max(np.abs(table.c0 + table.c0[::-1])) < 1e-5 * largest
+    assert np.max(np.abs(table.c1 + table.c2[::-1])) * 0.1 < 1e-5 * largest
+    assert np.max(np.abs(table.c11 + table.c22[::-1])) * 0.01 < 1e-5 * largest
+    assert np.max(np.abs(table.c12 + table.c12[::-1])) * 0.01 < 1e-5 * largest
+    np.testing.assert_allclose(table.flux0[:, 0], table.flux0[::-1, 1], atol=1e-8)
+
+
+def test_force_is_the_slope_of_flux_and_inductance() -> None:
+    # Positions every 62.5 um so that the derivative of a spline is no limit.
+    table = catch_table(Catch(y_min=-0.5e-3, y_max=1.5e-3, positions=33), Sphere())
+    inner = slice(3, -3)
+    flux = CubicSpline(table.y, table.flux0)(table.y, 1)[inner]
+    inductance = CubicSpline(table.y, table.inductance)(table.y, 1)[inner]
+    pairs = {
+        "c1": flux[:, 0],
+        "c2": flux[:, 1],
+        "c11": inductance[:, 0, 0] / 2,
+        "c12": inductance[:, 0, 1],
+        "c22": inductance[:, 1, 1] / 2,
+    }
+    for name, slope in pairs.items():
+        got = getattr(table, name)[inner]
+        # Virtual work and flux come from different integrals; they meet as the mesh error goes.
+        assert np.max(np.abs(got - slope)) < 1e-4 * np.max(np.abs(slope)), name
+
+
+def test_inductance_is_symmetric_positive_definite(table: EMTable) -> None:
+    assert np.all(np.linalg.eigvalsh(table.inductance) > 0)
+    np.testing.assert_allclose(table.inductance, table.inductance.transpose(0, 2, 1), rtol=0)
+
+
+def test_force_does_not_depend_on_the_shell(bore: magmesh.Bore) -> None:
+    pieces = magsystem.assemble(Catch(), bore)
+    system = pieces.system(1e-3)
+    fields = system.solve(system.loads)
+    mesh, inside = magmesh.mover_mesh(bore)
+    # Another weight: falls along the way from the sphere to the outline, not harmonically.
+    r, y = pieces.mover.points
+    beyond = np.maximum(np.hypot(r, y) - RADIUS, 0)
+    short = np.maximum(np.minimum(bore.wall - r, bore.half - np.abs(y)), 0)
+    weight = np.where(beyond < 1e-9, 1.0, short**2 / (short**2 + beyond**2))
+    near = fields[system.mover]
+    other = -0.5 * near.T @ (magsystem.force_form(mesh, inside, weight) @ near)
+    ampere = np.array([1.0, 1.0, -0.1, 0.1])
+    force = ampere @ system.force(fields) @ ampere
+    assert ampere @ other @ ampere == pytest.approx(force, rel=1e-4)
+
+
+def test_coil_is_pushed_back() -> None:
+    """Lorentz force on the lower coil in the sphere's field, which the shell knows nothing of."""
+    catch = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3)
+    pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
+    bore = magmesh.bore(catch, RADIUS, pitch, 0.0, 1e-3)
+    system = magsystem.assemble(catch, bore).system(1e-3 - 4 * pitch)
+    fields = system.solve(system.loads)
+    stator = magmesh.stator_mesh(catch, bore)
+    r, y = stator.p[:, stator.t].mean(axis=1)
+    coil = catch.lower
+    inside = (r > coil.inner) & (r < coil.outer) & (np.abs(y - coil.y) < coil.height / 2)
+    basis = Basis(stator, ElementTriP2(), intorder=6, elements=np.flatnonzero(inside))
+    density = catch.turns / ((coil.outer - coil.inner) * coil.height)
+
+    @Functional
+    def lorentz(w):  # J x B along y: -J B_r with B_r = -r da/dy
+        return 2 * np.pi * w.x[0] ** 2 * density * w["a"].grad[1]
+
+    of_sphere = basis.interpolate(fields[: basis.N, magsystem.SPHERE])
+    on_coil = lorentz.assemble(basis, a=of_sphere)
+    c1 = 2 * system.force(fields)[magsystem.SPHERE, magsystem.LOWER]
+    assert abs(c1) > 0.1
+    assert on_coil == pytest.approx(-c1, rel=1e-4)
+
+
+def test_positions_off_the_lattice_get_lattices_of_their_own(table: EMTable) -> None:
+    # 0.0625 mm is half a cell: every second position is on a shifted lattice and another mesh.
+    fine = catch_table(Catch(y_min=1e-3, y_max=1.5e-3, positions=9), Sphere())
+    from_nodes = table.splines(fine.y)
+    largest = np.max(np.abs(em_cases(table, current_pairs())))
+    for column, (name, scale) in enumerate({"c0": 1, "c1": 0.1, "c2": 0.1, "c11": 0.01}.items()):
+        miss = np.max(np.abs(getattr(fine, name) - from_nodes[:, column])) * scale
+        assert miss < 1e-4 * largest, name  # spline of 41 nodes: 7e-5

@@ -1,0 +1,130 @@
+"""The table of the catch actuator: evaluation, coenergy, files, bad input."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kc2spice.errors import SimulationError, UsageError
+from kc2spice.fem import emtable
+from kc2spice.fem.emtable import EMTable
+from kc2spice.fem.magnetics import catch_table, coil_resistance
+from kc2spice.scene.schema import Catch, Sphere
+
+
+@pytest.fixture
+def table() -> EMTable:
+    """A smooth actuator in closed form: c = d(flux)/dy, c11 = dL11/dy / 2, c12 = dM/dy."""
+    y = np.linspace(-1.0, 1.0, 21)
+    flux0 = np.column_stack([np.sin(y), np.cos(y)])
+    own, mutual = 3 + 0.1 * np.sin(2 * y), 1 + 0.1 * np.cos(y)
+    inductance = np.stack([np.stack([own, mutual], -1), np.stack([mutual, own], -1)], -1)
+    return EMTable(
+        y=y,
+        c0=y**3,
+        c1=np.cos(y),
+        c2=-np.sin(y),
+        c11=0.1 * np.cos(2 * y),
+        c12=-0.1 * np.sin(y),
+        c22=0.1 * np.cos(2 * y),
+        flux0=flux0,
+        inductance=inductance,
+        resistance=np.array([1.0, 2.0]),
+        unknowns=7,
+    )
+
+
+def test_force_is_the_quadratic_form(table: EMTable) -> None:
+    y, i1, i2 = 0.123, 0.7, -0.4
+    expected = y**3 + np.cos(y) * i1 - np.sin(y) * i2
+    expected += 0.1 * np.cos(2 * y) * (i1**2 + i2**2) - 0.1 * np.sin(y) * i1 * i2
+    assert emtable.force(table, y, i1, i2) == pytest.approx(expected, abs=2e-5)  # spline, h = 0.1
+    many = emtable.force(table, np.array([y, y]), i1, i2)
+    assert many.shape == (2,)
+
+
+def test_cases_are_exact_at_the_nodes(table: EMTable) -> None:
+    pairs = emtable.current_pairs(0.5)
+    assert pairs.shape == (9, 2)
+    cases = emtable.em_cases(table, pairs)
+    for (i1, i2), row in zip(pairs, cases, strict=True):
+        np.testing.assert_allclose(row, emtable.force(table, table.y, i1, i2), atol=1e-14)
+
+
+def test_flux_slope_is_force_slope(table: EMTable) -> None:
+    """d lambda_k / dy = dF / di_k between the nodes, which is what conserves energy."""
+    y, step, i = np.linspace(-0.97, 0.93, 39), 1e-4, np.array([0.3, -0.8])
+    flux = [emtable.flux_linkage(table, y + s, *i) for s in (step, -step)]
+    by_y = (flux[0] - flux[1]) / (2 * step)
+    for k in range(2):
+        probe = np.eye(2)[k] * 0.5
+        by_i = emtable.force(table, y, *(i + probe)) - emtable.force(table, y, *(i - probe))
+        np.testing.assert_allclose(by_y[:, k], by_i, atol=1e-8)  # differences: step^2
+
+
+def test_no_energy_is_gained_on_a_closed_path(table: EMTable) -> None:
+    """Electrical work in equals mechanical work out around a loop in (y, i1, i2)."""
+    s = 2 * np.pi * np.arange(4000) / 4000
+    y, i1, i2 = 0.6 * np.sin(s), 0.5 + np.cos(s), np.sin(2 * s)
+    ahead = [np.roll(x, -1) for x in (y, i1, i2)]
+    flux = emtable.flux_linkage(table, y, i1, i2)
+    flux_step = emtable.flux_linkage(table, *ahead) - flux
+    middle = [(a + b) / 2 for a, b in zip((y, i1, i2), ahead, strict=True)]
+    electrical = np.sum(flux_step * np.column_stack(middle[1:]))
+    mechanical = np.sum(emtable.force(table, *middle) * (ahead[0] - y))
+    assert abs(mechanical) > 0.1
+    assert electrical == pytest.approx(mechanical, rel=1e-5)  # midpoint rule on 4000 steps
+
+
+def test_consistent_flux_stays_on_the_given_flux(table: EMTable) -> None:
+    got = emtable.flux_linkage(table, table.y, 0.0, 0.0)
+    np.testing.assert_allclose(got, table.flux0, atol=1e-5)
+    np.testing.assert_allclose(emtable.inductances(table, table.y), table.inductance, atol=1e-5)
+
+
+@pytest.mark.parametrize("y", [-1.1, 1.0001, np.nan, np.array([0.0, 2.0])])
+def test_outside_the_table_raises(table: EMTable, y: object) -> None:
+    with pytest.raises(SimulationError, match="outside the table"):
+        emtable.coefficients(table, y)
+
+
+def test_file_gives_back_every_bit(table: EMTable, tmp_path: Path) -> None:
+    path = tmp_path / "em_table.npz"
+    emtable.save(table, path)
+    again = emtable.load(path)
+    for name, value in vars(table).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+    assert [p.name for p in tmp_path.iterdir()] == ["em_table.npz"]
+    with np.load(path, allow_pickle=False) as file:
+        assert {"y", "c0", "c1", "c2", "c11", "c12", "c22"} <= set(file.files)
+
+
+def test_foreign_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.npz"
+    np.savez(path, y=np.arange(3))
+    with pytest.raises(UsageError, match="not a table"):
+        emtable.load(path)
+    (tmp_path / "text.npz").write_text("no archive")
+    with pytest.raises(UsageError, match="not a table"):
+        emtable.load(tmp_path / "text.npz")
+    with pytest.raises(UsageError, match="not a table"):
+        emtable.load(tmp_path / "absent.npz")
+
+
+def test_resistance_of_the_winding() -> None:
+    catch = Catch()
+    assert coil_resistance(catch, catch.lower) == pytest.approx(1596, abs=0.5)  # data: design note
+
+
+def test_sphere_must_fit_and_stay_in_the_air() -> None:
+    with pytest.raises(UsageError, match="does not fit"):
+        catch_table(Catch(), Sphere(radius=1.3e-3))
+    with pytest.raises(UsageError, match="leaves the air"):
+        catch_table(Catch(y_max=17e-3), Sphere())
+
+
+def test_progress_counts_every_position() -> None:
+    seen: list[tuple[int, int]] = []
+    catch = Catch(y_min=0.0, y_max=3e-3, positions=4)
+    catch_table(catch, Sphere(), lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
