@@ -154,7 +154,9 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> U
             return UsageError(f"{_dotted(path)} is missing", where=where)
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
-            return UsageError("not a name", where=where, got=got, expected=expected)
+            if path == ("title",):  # it ends up in the netlist, where a line is a command
+                expected = "one line of text without control characters"
+            return UsageError("not allowed", where=where, got=got, expected=expected)
         case "quantity":
             return UsageError(context["reason"], where=where, got=got, expected=context["expected"])
         case "literal_error":

@@ -255,7 +255,7 @@ class Scene(Section):
     """One study. A part that a scene does not name is not modelled."""
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
-    title: str = Field("", max_length=200)
+    title: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")
     experiment: Experiment = "loop"
     gravity: Acceleration = 9.81
     kick: Kick | None = None
