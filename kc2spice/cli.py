@@ -89,7 +89,7 @@ def run(
         with shown_progress(quiet) as progress:
             result = study.run(study_scene, directory, progress=progress)
         if as_json:
-            print(json.dumps(result))
+            print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
             _show_result(result, directory)
 
@@ -115,7 +115,9 @@ def export(
         with shown_progress(quiet) as progress:
             files = study.export(study_scene, directory, dialect=dialect, progress=progress)
         if as_json:
-            print(json.dumps({"scene": study_scene.name, "files": [str(path) for path in files]}))
+            names = [path.name for path in files]
+            where = str(directory.absolute())
+            print(json.dumps({"scene": study_scene.name, "directory": where, "files": names}))
         elif not quiet:
             print_table("files", [(str(path),) for path in files])
 

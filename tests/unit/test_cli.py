@@ -1,7 +1,6 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
-import os
 import subprocess
 import sys
 import types
@@ -84,9 +83,11 @@ def test_run_prints_tables(cli, study, tmp_path):
     assert "mesh: building" in done.stderr
 
 
-def test_run_json_has_one_object_on_stdout(cli, study):
+def test_run_json_has_one_object_on_stdout(cli, study, tmp_path):
     done = cli("run", "kick_and_catch", "-o", "there", "--json")
-    assert json.loads(done.stdout)["metrics"]["caught"] is True
+    found = json.loads(done.stdout)
+    assert found["metrics"]["caught"] is True
+    assert found["directory"] == str(tmp_path / "there")
     assert "mesh: building" in done.stderr
     assert str(study.calls[0][1]) == "there"
 
@@ -96,11 +97,12 @@ def test_quiet_is_quiet(cli, study):
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_export(cli, study):
+def test_export(cli, study, tmp_path):
     done = cli("export", "kick_and_catch", "-o", "x", "--tolerance", "1e-5", "--json")
     scene, _, dialect = study.calls[0]
     assert (scene.rom.order, scene.rom.tolerance, dialect) == (None, 1e-5, "ngspice")
-    assert json.loads(done.stdout)["files"] == [os.path.join("x", "kick.lib")]
+    found = {"scene": "kick_and_catch", "directory": str(tmp_path / "x"), "files": ["kick.lib"]}
+    assert json.loads(done.stdout) == found
 
 
 @pytest.mark.parametrize(
