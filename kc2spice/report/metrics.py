@@ -61,20 +61,27 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
     The launch is the separation that the flight follows; ``peak_height_m`` is the largest
     ``sphere.y``; ``final_error_m`` is set point less position, ``hold_current_a`` the upper
     coil's last current, ``kick_stroke_m`` the centre node's largest displacement. ``caught``:
-    inside the settling band for the last tenth of the run at least.
+    inside the settling band for the last tenth of the run at least. Scenes without control have
+    no metrics of it.
     """
-    t, y = waves["time"], waves["sphere.y"]
-    launch, setpoint = separation(waves), scene.control.setpoint
-    settled = settling_time(t, y, setpoint, SETTLING_BAND * abs(setpoint - scene.sphere.radius))
-    return {
+    y, launch = waves["sphere.y"], separation(waves)
+    found = {
         "launch_velocity_m_s": launch and launch.velocity,
         "launch_time_s": launch and launch.time,
         "peak_height_m": float(y.max()),
-        "settling_time_s": settled,
         "final_position_m": float(y[-1]),
+        "kick_stroke_m": float(waves["kick.u.R0"].max()),
+    }
+    return found if scene.control is None else found | _control_metrics(waves, scene)
+
+
+def _control_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:
+    t, y, setpoint = waves["time"], waves["sphere.y"], scene.control.setpoint
+    settled = settling_time(t, y, setpoint, SETTLING_BAND * abs(setpoint - scene.sphere.radius))
+    return {
+        "settling_time_s": settled,
         "final_error_m": float(setpoint - y[-1]),
         "hold_current_a": float(waves["coil.upper.current"][-1]),
-        "kick_stroke_m": float(waves["kick.u.R0"].max()),
         "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
     }
 

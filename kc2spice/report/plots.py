@@ -1,0 +1,102 @@
+"""The one place that draws: style, sheets of axes, files. Figures elsewhere only fill axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+# Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
+PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
+
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelcolor": BLACK,
+    "ytick.labelcolor": BLACK,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "axes.formatter.useoffset": False,
+    "savefig.dpi": 150,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on disk with the words that go with it."""
+
+    path: Path
+    title: str
+    caption: str
+
+
+@contextmanager
+def sheet(
+    path: Path,
+    rows: int = 1,
+    columns: int = 1,
+    size: tuple[float, float] = (7.0, 4.0),
+    **options: Any,
+) -> Iterator[Any]:
+    """Axes to fill, one or an array as in ``Figure.subplots``; written as PNG to ``path`` after.
+
+    ``size`` is in inches at 150 dots per inch. ``options`` go to ``Figure.subplots``.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.subplots(rows, columns, **options)
+        yield axes
+        figure.savefig(path, format="png", metadata={"Software": "kc2spice"})
+
+
+def name_axes(axes: Any, x: str, y: str, title: str = "") -> None:
+    """Label both axes, units included."""
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    if title:
+        axes.set_title(title)
+
+
+def legend_beside(axes: Any, title: str = "") -> None:
+    """Legend to the right of the axes, where it covers no data."""
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, title=title or None,
+        alignment="left",
+    )  # fmt: skip
+
+
+def legend_above(axes: Any, columns: int = 4) -> None:
+    """Legend in one line above the axes."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
+        handlelength=1.6, columnspacing=1.4,
+    )  # fmt: skip
+
+
+def decades(axes: Any, values: Sequence[float], floor: float) -> None:
+    """Logarithmic ordinate from ``floor`` to just over the data."""
+    top = max([v for v in values if v > 0.0], default=10.0 * floor)
+    axes.set_yscale("log")
+    axes.set_ylim(floor, max(top * 3.0, 10.0 * floor))

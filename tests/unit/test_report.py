@@ -1,0 +1,164 @@
+"""The run's figures and page from small synthetic waveforms: complete, self-contained, safe."""
+
+from __future__ import annotations
+
+import struct
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kc2spice.fem.emtable import EMTable
+from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.loop_figures import loop_figures
+from kc2spice.report.metrics import compare, metrics
+from kc2spice.report.run_page import fact, write_run
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.waveforms import Waveforms
+
+
+def loop_waves() -> Waveforms:
+    """A caught sphere with the names of waveforms.npz, drawn by hand."""
+    t = np.union1d(np.linspace(0, 5e-3, 500), np.linspace(4.9e-4, 6e-4, 400))
+    s = np.maximum(0.0, t - 5.057e-4)
+    y = 2.5e-3 - 1.5e-3 * np.exp(-s / 0.4e-3)
+    load = 3.0 * np.clip((5.057e-4 - t) / 5e-6, 0.0, 1.0)
+    data = {"time": t, "sphere.y": y, "sphere.v": np.gradient(y, t), "contact.force": load}
+    data |= {f"contact.force.R{i}": load * (i == 0) for i in range(6)}
+    data |= {f"kick.u.R{i}": 2e-6 * np.exp(-s / 5e-5) for i in range(6)}
+    data |= {"kick.voltage": 100.0 * (s > 0), "kick.current": 0 * t, "control.error": 2.5e-3 - y}
+    data |= {"coil.upper.current": 0.1 * np.exp(-s / 1e-4)}
+    return Waveforms(data | {"coil.lower.current": -data["coil.upper.current"]}, {})
+
+
+def table() -> EMTable:
+    y = np.linspace(-2.5e-3, 7.5e-3, 9)
+    bell = np.exp(-((y / 2e-3) ** 2))
+    return EMTable(
+        y=y, c0=bell * 1e-3, c1=-bell, c2=bell, c11=bell, c12=bell, c22=bell,
+        flux0=np.zeros((9, 2)), inductance=np.zeros((9, 2, 2)), resistance=np.ones(2), unknowns=1,
+    )  # fmt: skip
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    head = path.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">II", head[16:24])
+
+
+class Page(HTMLParser):
+    """Collects headings, image sources and every address that a browser would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.headings: list[str] = []
+        self.sources: list[str] = []
+        self.cells: list[str] = []
+        self._open = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._open = tag
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_data(self, data: str) -> None:
+        if self._open == "h2" and data.strip():
+            self.headings.append(data)
+        if self._open == "td" and data.strip():
+            self.cells.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    out = tmp_path_factory.mktemp("report")
+    waves, scene = loop_waves(), load_scene("kick_and_catch", [])
+    pictures = loop_figures(out, waves, scene, table(), waves)
+    names = {"trajectory", "kick_stroke", "contact_force", "coil_currents", "em_force"}
+    assert {p.path.stem for p in pictures} == names | {"reference_error"}
+    for picture in pictures:
+        width, height = png_size(picture.path)
+        assert width >= 1000  # 7 inches at 150 dots
+        assert height >= 450
+        assert picture.path.stat().st_size > 10_000  # an empty sheet is smaller
+    result = {
+        "metrics": metrics(waves, scene),
+        "wall_s": {"mesh": 1.5, "simulate": 0.5},
+        "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
+        "steps": {"accepted": 1234, "rejected": 5},
+        "rom": {"order": 30, "ports": ["R0", "anode"], "band_hz": [0, 5e5], "error_estimate": 1e-3},
+        "model": {"kick": {"unknowns": 16722}, "catch": {"coil_resistance_ohm": 1596.0}},
+        "files": ["kick.lib"],
+    }
+    errors = [
+        {"road": "scipy", "wall_s": 3.0},
+        {"road": "ngspice", "wall_s": 0.5, **compare(waves, waves)},
+    ]
+    path = write_run(out / "report.html", result, scene, pictures, errors)
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_page_has_all_sections(page: Page) -> None:
+    assert page.headings == [
+        "Metrics", "Time and error", "Wall time", "Simulator", "Model: kick", "Model: catch",
+        "Reduced model", "What is modelled", "What is left out", "Figures", "Files",
+    ]  # fmt: skip
+
+
+def test_page_loads_nothing_from_elsewhere(page: Page) -> None:
+    assert len(page.sources) == 6
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+
+
+def test_page_shows_the_numbers_and_escapes_words(page: Page) -> None:
+    assert "16 722" in page.cells
+    assert "1.596 kΩ" in page.cells
+    assert "<batch>" in page.cells  # arrived as text, not as a tag
+    assert "yes" in page.cells
+
+
+def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
+    path = write_page(tmp_path / "x.html", "<script>a()</script>", "", [Section("s", [("&",)])])
+    assert "<script>" not in path.read_text(encoding="utf-8")
+
+
+def test_run_without_catch_is_drawn_too(tmp_path: Path) -> None:
+    scene = load_scene("kick_and_catch", []).model_copy(update={"control": None, "catch": None})
+    waves = loop_waves()
+    kept = {k: v for k, v in waves.data.items() if not k.startswith(("coil", "control"))}
+    pictures = loop_figures(tmp_path, Waveforms(kept, {}), scene)
+    assert {p.path.stem for p in pictures} == {"trajectory", "kick_stroke", "contact_force"}
+    assert "caught" not in metrics(Waveforms(kept, {}), scene)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (5.0573e-4, "s", "505.73 µs"),
+        (-3.112e-6, "m", "−3.112 µm"),
+        (143.19e-9, "F", "143.19 nF"),
+        (1.386e-4, "kg", "138.6 mg"),
+        (0.0, "s", "0 s"),
+        (None, "s", "—"),
+        (1e-20, "N", "1e-05 fN"),
+        (1.057e-3, "", "0.001057"),
+    ],
+)
+def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) -> None:
+    assert quantity(value, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "shown"),
+    [
+        ("launch_velocity_m_s", 1.02, ("launch velocity", "1.02 m/s")),
+        ("hold_current_a", 4.9e-4, ("hold current", "490 µA")),
+        ("settling_time_s", None, ("settling time", "not reached")),
+        ("free_stroke_m_per_100v", 2.35e-6, ("free stroke", "2.35 µm per 100 V")),
+        ("band_hz", [0, 5e5], ("band", "0 Hz, 500 kHz")),
+        ("caught", True, ("caught", "yes")),
+        ("force_n", [1.0] * 9, ("force", "9 values, in result.json")),
+    ],
+)
+def test_facts_take_their_unit_from_the_key(key: str, value: object, shown: tuple) -> None:
+    assert fact(key, value) == shown
