@@ -1,0 +1,32 @@
+"""Progress and wall time of the stages of a study."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+Progress = Callable[[str, float | None, str], None]
+
+STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
+
+
+def silent(stage: str, done: float | None, text: str) -> None:
+    """Report nothing."""
+
+
+@dataclass
+class Clock:
+    """Wall time by stage; a stage that was not needed or came from the cache says 0."""
+
+    progress: Progress = silent
+    wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
+
+    @contextmanager
+    def stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
+        """Announce a stage, time it, and hand out a function that takes the share done."""
+        self.progress(name, None, text)
+        start = time.perf_counter()
+        yield lambda done: self.progress(name, done, text)
+        self.wall_s[name] += time.perf_counter() - start

@@ -1,0 +1,131 @@
+"""``run`` and ``export``: build, reduce, write, simulate, measure, plot."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import kc2spice
+from kc2spice.errors import SimulationError
+from kc2spice.fem import emtable
+from kc2spice.netlist.circuit import Deck
+from kc2spice.output import staged
+from kc2spice.report.html import write_report
+from kc2spice.report.loop_figures import loop_figures
+from kc2spice.report.metrics import metrics
+from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.plan import plan
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.ngspice import Simulator, find_ngspice, run_deck, write_deck
+from kc2spice.sim.waveforms import Waveforms
+from kc2spice.study.decks import make_deck
+from kc2spice.study.models import Models, build_models, model_facts
+from kc2spice.study.progress import Clock, Progress, silent
+from kc2spice.study.results import write_record, write_waveforms
+
+
+def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
+    """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
+
+    Raises
+    ------
+    MissingToolError : no ngspice; noticed before any FE is computed.
+    SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
+        beside it in ``<out>.failed``.
+    """
+    simulator = find_ngspice()
+    clock = Clock(progress)
+    with staged(out) as work:
+        models = build_models(scene, clock)
+        deck = _written(scene, models, "ngspice", clock, work)
+        with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+            with _kept_on_failure(work, out):
+                waves = run_deck(deck, work, progress=share)
+        with clock.stage("report", "metrics, plots and page"):
+            record = _record(scene, models, deck, simulator, waves, clock)
+            files = [*sorted(deck.files), *write_waveforms(waves, work)]
+            if models.table is not None:
+                emtable.save(models.table, work / "em_table.npz")
+                files.append("em_table.npz")
+            pictures = loop_figures(work, waves, scene, models.table)
+            files += [picture.path.name for picture in pictures]
+        record["files"] = [*files, "report.html", "result.json"]
+        write_report(work / "report.html", scene, record, pictures)
+        write_record(record, work)
+        for spare in (f"{scene.name}.raw", f"{scene.name}.log"):
+            (work / spare).unlink(missing_ok=True)
+    return record
+
+
+def export(
+    scene: Scene, out: Path, dialect: str = "ngspice", progress: Progress = silent
+) -> list[Path]:
+    """Write the netlists of ``scene`` into ``out`` without simulating; return their paths."""
+    clock = Clock(progress)
+    with staged(out) as work:
+        deck = _written(scene, build_models(scene, clock), dialect, clock, work)
+    return [Path(out) / name for name in sorted(deck.files)]
+
+
+def _written(scene: Scene, models: Models, dialect: str, clock: Clock, work: Path) -> Deck:
+    with clock.stage("export", "netlists"):
+        deck = make_deck(scene, models, dialect)
+        write_deck(deck, work)
+    return deck
+
+
+@contextmanager
+def _kept_on_failure(work: Path, out: Path) -> Iterator[None]:
+    """Keep the deck and log of a failed run beside ``out``, where no result is looked for."""
+    try:
+        yield
+    except SimulationError as error:
+        kept = Path(out).absolute().with_name(f"{Path(out).name}.failed")
+        shutil.rmtree(kept, ignore_errors=True)
+        shutil.copytree(work, kept)
+        error.where = None if error.where is None else error.where.replace(str(work), str(kept))
+        raise
+
+
+def _record(
+    scene: Scene,
+    models: Models,
+    deck: Deck,
+    simulator: Simulator,
+    waves: Waveforms,
+    clock: Clock,
+) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "scene": scene.name,
+        "version": kc2spice.__version__,
+        "netlist": deck.main,
+        "simulator": {"name": simulator.name, "version": simulator.version, "engine": "batch"},
+        "model": model_facts(models),
+    }
+    if models.kick is not None:
+        record["rom"] = _rom(models.kick.resonators)
+    record |= {
+        "steps": {name: int(waves.stats[name]) for name in ("accepted", "rejected")},
+        "simulator_cpu_s": waves.stats["cpu_s"],
+        "metrics": metrics(waves, scene),
+        "plan": asdict(plan(scene)),
+        "wall_s": clock.wall_s,
+    }
+    return record
+
+
+def _rom(model: ResonatorModel) -> dict[str, Any]:
+    certificate = model.certificate
+    return {
+        "order": model.order,
+        "ports": [port.name for port in model.ports],
+        "band_hz": list(certificate.band_hz),
+        "error_estimate": certificate.error_estimate,
+        "method": certificate.method,
+        "stable": certificate.stable,
+        "passive": certificate.passive,
+    }
