@@ -14,7 +14,8 @@ import numpy as np
 
 from kc2spice.fem import magmesh
 from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magsystem import LOWER, RING, SPHERE, UPPER, Pieces, assemble
+from kc2spice.fem.magforms import LOWER, RING, SPHERE, UPPER
+from kc2spice.fem.magsystem import Pieces, assemble, condense
 from kc2spice.scene.schema import Catch, Part, Sphere
 
 Progress = Callable[[int, int], None]
@@ -34,12 +35,12 @@ def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) 
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = np.empty(y.size, dtype=int)
-    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y), 1):
+    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y, condense), 1):
         system = pieces.system(y[index])
         fields = system.solve(system.loads)
         forces[index] = system.force(fields)
-        fluxes[index] = system.loads[:, [LOWER, UPPER]].T @ fields
-        unknowns[index] = system.free.size
+        fluxes[index] = (pieces.energy + system.loads.T @ fields)[[LOWER, UPPER]]
+        unknowns[index] = pieces.eliminated + system.free.size
         if progress is not None:
             progress(done, y.size)
     sign = ring_sign(catch)
@@ -71,7 +72,7 @@ def brute_force(
     y = positions(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((y.size, len(amplitudes)))
-    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y), 1):
+    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y, lambda pieces: pieces), 1):
         for case, amplitude in enumerate(amplitudes):
             system = pieces.system(y[index])
             field = system.solve(system.loads @ amplitude[:, None])
@@ -97,13 +98,15 @@ def coil_resistance(catch: Catch, coil: Part) -> float:
     return catch.resistivity * length / (pi * catch.wire_diameter**2 / 4)
 
 
-def _pieces(catch: Catch, sphere: Sphere, y: np.ndarray) -> Iterator[tuple[int, Pieces]]:
-    """Index and pieces of each height, in the order in which heights share a lattice's meshes."""
+def _pieces(
+    catch: Catch, sphere: Sphere, y: np.ndarray, prepare: Callable[[Pieces], Pieces]
+) -> Iterator[tuple[int, Pieces]]:
+    """Index and prepared pieces of each height; heights on one lattice share their meshes."""
     pitch = magmesh.lattice_pitch(catch, sphere.radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
         chosen = np.flatnonzero(offset == value)
         bore = magmesh.bore(catch, sphere.radius, pitch, y[chosen[0]], y[chosen[-1]])
-        pieces = assemble(catch, bore)
+        pieces = prepare(assemble(catch, bore))
         for index in chosen:
             yield int(index), pieces

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
-from kc2spice.fem import magmesh, magsystem
+from kc2spice.fem import magforms, magmesh, magsystem
 from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
 from kc2spice.fem.magnetics import brute_force, catch_table
 from kc2spice.scene.schema import Catch, Sphere
@@ -104,7 +104,7 @@ def test_force_does_not_depend_on_the_shell(bore: magmesh.Bore) -> None:
     short = np.maximum(np.minimum(bore.wall - r, bore.half - np.abs(y)), 0)
     weight = np.where(beyond < 1e-9, 1.0, short**2 / (short**2 + beyond**2))
     near = fields[system.mover]
-    other = -0.5 * near.T @ (magsystem.force_form(mesh, inside, weight) @ near)
+    other = -0.5 * near.T @ (magforms.force_form(mesh, inside, weight) @ near)
     ampere = np.array([1.0, 1.0, -0.1, 0.1])
     force = ampere @ system.force(fields) @ ampere
     assert ampere @ other @ ampere == pytest.approx(force, rel=1e-4)
@@ -128,9 +128,9 @@ def test_coil_is_pushed_back() -> None:
     def lorentz(w):  # J x B along y: -J B_r with B_r = -r da/dy
         return 2 * np.pi * w.x[0] ** 2 * density * w["a"].grad[1]
 
-    of_sphere = basis.interpolate(fields[: basis.N, magsystem.SPHERE])
+    of_sphere = basis.interpolate(fields[: basis.N, magforms.SPHERE])
     on_coil = lorentz.assemble(basis, a=of_sphere)
-    c1 = 2 * system.force(fields)[magsystem.SPHERE, magsystem.LOWER]
+    c1 = 2 * system.force(fields)[magforms.SPHERE, magforms.LOWER]
     assert abs(c1) > 0.1
     assert on_coil == pytest.approx(-c1, rel=1e-4)
 
@@ -143,3 +143,16 @@ def test_positions_off_the_lattice_get_lattices_of_their_own(table: EMTable) -> 
     for column, (name, scale) in enumerate({"c0": 1, "c1": 0.1, "c2": 0.1, "c11": 0.01}.items()):
         miss = np.max(np.abs(getattr(fine, name) - from_nodes[:, column])) * scale
         assert miss < 1e-4 * largest, name  # spline of 41 nodes: 7e-5
+
+
+def test_condensing_the_surrounding_changes_nothing(bore: magmesh.Bore) -> None:
+    pieces = magsystem.assemble(Catch(), bore)
+    small = magsystem.condense(pieces)
+    full, reduced = pieces.system(1e-3), small.system(1e-3)
+    assert small.eliminated + reduced.free.size == full.free.size
+    assert reduced.free.size < full.free.size / 3
+    a, b = full.solve(full.loads), reduced.solve(reduced.loads)
+    products = full.loads.T @ a
+    scale = np.max(np.abs(products), axis=0)
+    assert np.all(np.abs(small.energy + reduced.loads.T @ b - products) < 1e-11 * scale)
+    np.testing.assert_allclose(b[reduced.mover], a[full.mover], rtol=0, atol=1e-10 * np.max(a))
