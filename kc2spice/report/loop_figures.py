@@ -22,6 +22,7 @@ from kc2spice.report.plots import (
     name_axes,
     sheet,
 )
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
 
@@ -56,7 +57,7 @@ def trajectory(
     with sheet(path) as axes:
         if scene.control is not None:
             goal = 1e3 * scene.control.setpoint
-            band = SETTLING_BAND * abs(goal - 1e3 * scene.sphere.radius)
+            band = SETTLING_BAND * abs(goal - 1e3 * need(scene.sphere, "sphere").radius)
             axes.axhspan(goal - band, goal + band, color=GREEN, alpha=0.15, lw=0,
                          label="±5 % of the step")  # fmt: skip
             axes.axhline(goal, color=GREEN, lw=1.0, label="set point")
@@ -72,7 +73,7 @@ def trajectory(
 
 def _window(scene: Scene) -> tuple[float, float]:
     """Around the kick, as the paper shows it: 50 us before the pulse to 75 us after it."""
-    drive = scene.kick.drive
+    drive = need(scene.kick, "kick").drive
     return drive.start - 50e-6, drive.start + drive.width + 75e-6
 
 
@@ -87,6 +88,7 @@ def _cut(waves: Waveforms, first: float, last: float) -> np.ndarray:
 def kick(path: Path, waves: Waveforms, scene: Scene, reference: Waveforms | None = None) -> Picture:
     """Centre node and underside of the sphere around the kick, over the pulse (Fig. 10b)."""
     first, last = _window(scene)
+    radius = need(scene.sphere, "sphere").radius
     inside = _cut(waves, first, last)
     t = 1e6 * waves["time"][inside]
     with sheet(path, 2, 1, size=(7.0, 5.2), sharex=True, gridspec_kw={"height_ratios": (3, 1)}) as (
@@ -94,7 +96,7 @@ def kick(path: Path, waves: Waveforms, scene: Scene, reference: Waveforms | None
         low,
     ):
         stroke = 1e6 * waves["kick.u.R0"][inside]
-        under = 1e6 * (waves["sphere.y"][inside] - scene.sphere.radius)
+        under = 1e6 * (waves["sphere.y"][inside] - radius)
         top.plot(t, under, color=ORANGE, label="underside of the sphere")
         top.plot(t, stroke, color=BLUE, label="centre node R0, ngspice")
         if reference is not None:
@@ -114,7 +116,7 @@ def kick(path: Path, waves: Waveforms, scene: Scene, reference: Waveforms | None
 
 def contact(path: Path, waves: Waveforms, scene: Scene) -> Picture:
     """Force of every ring that ever closes, during the kick."""
-    start = scene.kick.drive.start
+    start = need(scene.kick, "kick").drive.start
     leave = separation(waves)
     last = start + 1.5 * (leave.time - start) if leave else _window(scene)[1]
     inside = _cut(waves, start, last)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
 
@@ -60,14 +61,15 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
 
     The launch is the separation that the flight follows; ``peak_height_m`` is the largest
     ``sphere.y``; ``final_error_m`` is set point less position, ``hold_current_a`` the upper
-    coil's last current, ``kick_stroke_m`` the centre node's largest displacement. ``caught``:
+    coil's mean current over the last twentieth of the run (the derivative term makes single
+    samples noisy), ``kick_stroke_m`` the centre node's largest displacement. ``caught``:
     inside the settling band for the last tenth of the run at least. Scenes without control have
     no metrics of it.
     """
     y, launch = waves["sphere.y"], separation(waves)
-    found = {
-        "launch_velocity_m_s": launch and launch.velocity,
-        "launch_time_s": launch and launch.time,
+    found: dict[str, float | bool | None] = {
+        "launch_velocity_m_s": launch.velocity if launch else None,
+        "launch_time_s": launch.time if launch else None,
         "peak_height_m": float(y.max()),
         "final_position_m": float(y[-1]),
         "kick_stroke_m": float(waves["kick.u.R0"].max()),
@@ -76,14 +78,21 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
 
 
 def _control_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:
-    t, y, setpoint = waves["time"], waves["sphere.y"], scene.control.setpoint
-    settled = settling_time(t, y, setpoint, SETTLING_BAND * abs(setpoint - scene.sphere.radius))
+    t, y, setpoint = waves["time"], waves["sphere.y"], need(scene.control, "control").setpoint
+    step = abs(setpoint - need(scene.sphere, "sphere").radius)
+    settled = settling_time(t, y, setpoint, SETTLING_BAND * step)
     return {
         "settling_time_s": settled,
         "final_error_m": float(setpoint - y[-1]),
-        "hold_current_a": float(waves["coil.upper.current"][-1]),
+        "hold_current_a": _tail_mean(t, waves["coil.upper.current"]),
         "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
     }
+
+
+def _tail_mean(t: np.ndarray, values: np.ndarray) -> float:
+    """Time average over the last twentieth of the run."""
+    tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
+    return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
 
 
 def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
@@ -100,13 +109,13 @@ def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> f
 
 def impact_metrics(waves: Waveforms, scene: Scene, sectors: int = 4) -> dict[str, float | None]:
     """Metrics of ``impact``: positions from the touching height, the force of one sector."""
-    t, y = waves["time"], waves["sphere.y"] - scene.sphere.radius
+    t, y = waves["time"], waves["sphere.y"] - need(scene.sphere, "sphere").radius
     leave, (time, lowest) = separation(waves), _minimum(t, y)
     return {
         "min_position_m": lowest,
         "time_of_min_s": time,
-        "separation_time_s": leave and leave.time,
-        "rebound_velocity_m_s": leave and leave.velocity,
+        "separation_time_s": leave.time if leave else None,
+        "rebound_velocity_m_s": leave.velocity if leave else None,
         "max_force_n": float(waves["contact.force"].max() / sectors),
     }
 
@@ -168,11 +177,13 @@ def compare(waves: Waveforms, reference: Waveforms) -> dict[str, float | None]:
     t, difference = trajectory_difference(waves, reference)
     worst = int(np.argmax(np.abs(difference)))
     ours, theirs = separation(waves), separation(reference)
-    both = ours is not None and theirs is not None
+    velocity = time = None
+    if ours is not None and theirs is not None:
+        velocity, time = abs(ours.velocity / theirs.velocity - 1.0), abs(ours.time - theirs.time)
     square = np.trapezoid(difference**2, t) / (t[-1] - t[0])
     return {
-        "velocity_relative": abs(ours.velocity / theirs.velocity - 1.0) if both else None,
-        "separation_time_s": abs(ours.time - theirs.time) if both else None,
+        "velocity_relative": velocity,
+        "separation_time_s": time,
         "trajectory_m": float(abs(difference[worst])),
         "trajectory_at_s": float(t[worst]),
         "trajectory_rms_m": float(np.sqrt(square)),

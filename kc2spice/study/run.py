@@ -14,9 +14,9 @@ from kc2spice.errors import SimulationError
 from kc2spice.fem import emtable
 from kc2spice.netlist.circuit import Deck
 from kc2spice.output import staged
-from kc2spice.report.html import write_report
 from kc2spice.report.loop_figures import loop_figures
 from kc2spice.report.metrics import metrics
+from kc2spice.report.run_page import write_run
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Scene
@@ -54,7 +54,7 @@ def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
             pictures = loop_figures(work, waves, scene, models.table)
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
-        write_report(work / "report.html", scene, record, pictures)
+        write_run(work / "report.html", record, scene, pictures)
         write_record(record, work)
         for spare in (f"{scene.name}.raw", f"{scene.name}.log"):
             (work / spare).unlink(missing_ok=True)
