@@ -1,6 +1,7 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
+import os
 import subprocess
 import sys
 import types
@@ -199,3 +200,17 @@ def test_doctor_names_the_package_of_a_library(monkeypatch):
     finding = doctor._gmsh_libraries()
     assert not finding.ok
     assert finding.fix == "apt-get install libglu1-mesa"
+
+
+def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
+    """The real study in a process of its own, with a search path that has no ngspice."""
+    environment = {**os.environ, "PATH": str(tmp_path), "KC2SPICE_CACHE": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "kc2spice", "run", "kick_and_catch", "-o", "out"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 3
+    assert "ngspice" in done.stderr
+    assert "apt-get install ngspice" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
