@@ -96,7 +96,7 @@ def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:
     assert got["settling_time_s"] == pytest.approx(LAUNCH + 0.4e-3 * np.log(20.0), abs=1e-8)
     assert got["final_error_m"] == pytest.approx(1.5e-3 * np.exp(-s[-1] / 0.4e-3), rel=1e-9)
     assert got["kick_stroke_m"] == pytest.approx(4.2e-6, rel=1e-3)
-    assert got["hold_current_a"] == 4.9e-4
+    assert got["hold_current_a"] == pytest.approx(4.9e-4, rel=1e-12)
     json.dumps(got)
     lost = m.metrics(Waveforms(waves.data | coil, {}), scene)
     assert lost["caught"] is False

@@ -7,6 +7,7 @@ two can be compared. All quantities are of the whole device, in SI.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,7 +15,10 @@ from scipy.interpolate import CubicSpline
 from kc2spice.errors import SimulationError
 from kc2spice.fem.emtable import EMTable
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Control, Drive, Scene
+
+Real = TypeVar("Real", float, np.ndarray)
 
 # States after the 2 q modal ones, and their number.
 HEIGHT, SPEED, RATE, INTEGRAL, E_IN, E_DAMPED, E_EM = range(7)
@@ -34,8 +38,8 @@ class Mode:
     enabled: bool = False
     saturated: int = 0
 
-    def voltage(self, t: float) -> float:
-        """Prescribed anode voltage [V]."""
+    def voltage(self, t: Real) -> Real:
+        """Prescribed anode voltage [V] at one time or an array of them."""
         return self.volt + self.slope * (t - self.start)
 
 
@@ -140,7 +144,7 @@ class Law:
 
     def demand(self, rest: np.ndarray) -> np.ndarray:
         """Current that the controller asks for before the clamp [A], from the last seven rows."""
-        c = self.control
+        c = need(self.control, "control")
         error = c.setpoint - self.radius - rest[HEIGHT]
         return c.kp * error + rest[INTEGRAL] + c.kd * rest[RATE]
 
@@ -148,7 +152,7 @@ class Law:
         """Coil current after the clamp [A], from the last seven rows."""
         if not mode.enabled:
             return np.zeros(rest.shape[1:])
-        limit = self.control.current_limit
+        limit = need(self.control, "control").current_limit
         return np.clip(self.demand(rest), -limit, limit)
 
     def modal_energy(self, x: np.ndarray) -> float:
@@ -253,8 +257,9 @@ def law(model: ResonatorModel, scene: Scene, table: EMTable | None, sectors: int
             where="kick model",
         )
     gain, drive = model.gain[:, rings], model.gain[:, anode]
-    radii = np.arange(len(rings)) * scene.kick.mesh.ring_spacing
-    radius = scene.sphere.radius
+    kick, sphere = need(scene.kick, "kick"), need(scene.sphere, "sphere")
+    radii = np.arange(len(rings)) * kick.mesh.ring_spacing
+    radius = sphere.radius
     floor = np.abs(gain).max() / max(np.abs(drive).max(), 1e-300)
     scale = np.maximum(np.abs(gain).max(axis=1), np.abs(drive) * floor)
     scale = np.maximum(scale, 1e-12 * scale.max())
@@ -265,13 +270,13 @@ def law(model: ResonatorModel, scene: Scene, table: EMTable | None, sectors: int
         rings=(gain / scale[:, None]).T.copy(),
         charge=drive / scale,
         c0=float(model.D[anode, anode]),
-        electrical=scene.kick.electrical,
-        stiffness=sectors * scene.contact.penalty,
+        electrical=kick.electrical,
+        stiffness=sectors * need(scene.contact, "contact").penalty,
         gaps=radius - np.sqrt(radius**2 - radii**2),
         radius=radius,
-        mass=scene.sphere.mass,
+        mass=sphere.mass,
         gravity=scene.gravity,
         force_map=None if table is None else ForceMap.of(table),
         control=None if table is None else scene.control,
-        drive=scene.kick.drive if scene.kick.electrical == "driven" else None,
+        drive=kick.drive if kick.electrical == "driven" else None,
     )

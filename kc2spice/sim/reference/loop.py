@@ -10,6 +10,7 @@ import numpy as np
 from kc2spice.errors import SimulationError
 from kc2spice.fem.emtable import EMTable
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.reference.flight import FreeModes
 from kc2spice.sim.reference.law import (
@@ -99,8 +100,9 @@ def impact(
     """Throw the free sphere onto the chip at rest (paper 3.2.3); anode open (Q = 0) or shorted."""
     equations = law(model, scene, None, sectors)
     x = np.zeros(2 * equations.q + EXTRA)
-    x[2 * equations.q + HEIGHT] = scene.impact.gap
-    x[2 * equations.q + SPEED] = scene.impact.velocity
+    throw = need(scene.impact, "impact")
+    x[2 * equations.q + HEIGHT] = throw.gap
+    x[2 * equations.q + SPEED] = throw.velocity
     if times is None:
         times = np.linspace(0.0, scene.solver.stop, 3001)
     return _run(equations, x, scene.solver.stop, rtol, times)
@@ -132,7 +134,9 @@ def _ramps(law: Law, stop: float) -> list[tuple[float, float, float, bool]]:
     ] + [(stop, 0.0, 0.0, False)]
 
 
-def _integrate(law: Law, x: np.ndarray, stop: float, rtol: float):
+def _integrate(
+    law: Law, x: np.ndarray, stop: float, rtol: float
+) -> tuple[list[Piece], list[Event]]:
     pieces: list[Piece] = []
     events: list[Event] = []
     ramps = _ramps(law, stop)
@@ -152,7 +156,9 @@ def _integrate(law: Law, x: np.ndarray, stop: float, rtol: float):
     return pieces, events
 
 
-def _step(law: Law, mode: Mode, x, end: float, closed, rtol: float) -> Piece:
+def _step(
+    law: Law, mode: Mode, x: np.ndarray, end: float, closed: np.ndarray, rtol: float
+) -> Piece:
     if law.electrical == "open":  # charge constraint couples the modes: no exact flight
         return coupled(law, mode, x, end, closed, np.inf, rtol)
     free = FreeModes.of(law, mode, mode.start, x)
@@ -171,8 +177,8 @@ def _closed(law: Law, x: np.ndarray, closed: np.ndarray, fired: tuple[str, ...])
 def _saturation(law: Law, x: np.ndarray, enabled: bool) -> int:
     if not enabled:
         return 0
-    demand = float(law.demand(x[2 * law.q :]))
-    return int(np.sign(demand)) if abs(demand) > law.control.current_limit else 0
+    rest = x[2 * law.q :]
+    return int(np.sign(law.demand(rest) - law.current(rest, Mode(enabled=True))))
 
 
 def _toggled(saturated: int, fired: tuple[str, ...]) -> int:
@@ -183,7 +189,7 @@ def _toggled(saturated: int, fired: tuple[str, ...]) -> int:
     return saturated
 
 
-def _events(time: float, before, after, was: int, now: int) -> list[Event]:
+def _events(time: float, before: np.ndarray, after: np.ndarray, was: int, now: int) -> list[Event]:
     verbs = {True: "closes", False: "opens"}
     found = [Event(time, f"R{i} {verbs[bool(after[i])]}") for i in np.flatnonzero(before != after)]
     if was != now:
@@ -236,12 +242,14 @@ def _columns(law: Law, mode: Mode, t: np.ndarray, x: np.ndarray) -> dict[str, np
 
 def _book(law: Law, first: np.ndarray, pieces: list[Piece]) -> EnergyBook:
     last = pieces[-1].last
-    ends = ((first, pieces[0].mode, pieces[0].start), (last, pieces[-1].mode, pieces[-1].end))
     extra = last[2 * law.q :]
 
     def sphere(x: np.ndarray) -> float:
         p, v = x[2 * law.q + HEIGHT], x[2 * law.q + SPEED]
-        return law.mass * (0.5 * v * v + law.gravity * p)
+        return float(law.mass * (0.5 * v * v + law.gravity * p))
+
+    def capacitor(x: np.ndarray, mode: Mode, t: float) -> float:
+        return 0.5 * law.c0 * law.voltage(t, x, mode) ** 2
 
     def spring(x: np.ndarray) -> float:
         return 0.5 * law.stiffness * float((np.maximum(0.0, law.penetration(x)) ** 2).sum())
@@ -250,8 +258,11 @@ def _book(law: Law, first: np.ndarray, pieces: list[Piece]) -> EnergyBook:
         electrical_in=float(extra[E_IN]),
         em_work=float(extra[E_EM]),
         damped=float(extra[E_DAMPED]),
-        stored=tuple(law.modal_energy(x) for x, _, _ in ends),
-        capacitor=tuple(0.5 * law.c0 * law.voltage(t, x, m) ** 2 for x, m, t in ends),
-        spring=tuple(spring(x) for x, _, _ in ends),
-        sphere=tuple(sphere(x) for x, _, _ in ends),
+        stored=(law.modal_energy(first), law.modal_energy(last)),
+        capacitor=(
+            capacitor(first, pieces[0].mode, pieces[0].start),
+            capacitor(last, pieces[-1].mode, pieces[-1].end),
+        ),
+        spring=(spring(first), spring(last)),
+        sphere=(sphere(first), sphere(last)),
     )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from kc2spice.errors import SimulationError
+from kc2spice.scene.need import need
 from kc2spice.sim.reference.flight import FreeModes
 from kc2spice.sim.reference.law import (
     E_DAMPED,
@@ -43,28 +46,45 @@ class Piece:
     steps: int
 
 
-def _event(name: str, value: Callable[[np.ndarray], float], direction: int):
-    def crossing(t: float, x: np.ndarray) -> float:
-        return value(x)
+@dataclass(frozen=True)
+class _Event:
+    """A crossing of zero that ends a piece; attributes as ``solve_ivp`` asks for them."""
 
-    crossing.terminal, crossing.direction, crossing.label = True, direction, name
-    return crossing
+    label: str
+    value: Callable[[np.ndarray], float]
+    direction: int
+    terminal: bool = True
+
+    def __call__(self, t: float, x: np.ndarray) -> float:
+        return self.value(x)
 
 
-def _clamp_events(law: Law, mode: Mode, rest: slice) -> list:
+def _clamp_events(law: Law, mode: Mode, rest: Callable[[np.ndarray], np.ndarray]) -> list[_Event]:
+    """Crossings of the current limits; ``rest`` takes the last seven rows out of a state."""
     if not mode.enabled:
         return []
-    limit = law.control.current_limit
+    limit = need(law.control, "control").current_limit
     upper, lower = (-1 if mode.saturated == 1 else 1), (1 if mode.saturated == -1 else -1)
     return [
-        _event("upper limit", lambda x: law.demand(x[rest]) - limit, upper),
-        _event("lower limit", lambda x: law.demand(x[rest]) + limit, lower),
+        _Event("upper limit", lambda x: float(law.demand(rest(x))) - limit, upper),
+        _Event("lower limit", lambda x: float(law.demand(rest(x))) + limit, lower),
     ]
 
 
-def _solve(rhs, jac, x0, start, end, events, rtol, atol):
+def _penetration(law: Law, ring: int, x: np.ndarray) -> float:
+    return float(law.penetration(x)[ring])
+
+
+def _solve(
+    rhs: Callable[[float, np.ndarray], np.ndarray],
+    jac: Callable[[float, np.ndarray], np.ndarray],
+    x0: np.ndarray,
+    span: tuple[float, float],
+    events: list[_Event],
+    tolerance: tuple[float, np.ndarray],
+) -> tuple[Any, tuple[str, ...]]:
     solution = solve_ivp(
-        rhs, (start, end), x0, method="Radau", jac=jac, events=events, rtol=rtol, atol=atol,
+        rhs, span, x0, method="Radau", jac=jac, events=events, rtol=tolerance[0], atol=tolerance[1],
         dense_output=True,
     )  # fmt: skip
     if solution.status < 0:
@@ -86,17 +106,17 @@ def coupled(
     """
     row = 2 * law.q + HEIGHT
     events = [
-        _event(f"R{i}", lambda x, i=i: law.penetration(x)[i], -1 if closed[i] else 1)
+        _Event(f"R{i}", partial(_penetration, law, i), -1 if closed[i] else 1)
         for i in range(closed.size)
     ]
-    events += _clamp_events(law, mode, slice(2 * law.q, None))
+    events += _clamp_events(law, mode, lambda x: x[2 * law.q :])
     if np.isfinite(ceiling):
-        events.append(_event("clear", lambda x: x[row] - ceiling, 1))
+        events.append(_Event("clear", lambda x: x[row] - ceiling, 1))
     atol = np.full(2 * law.q + EXTRA, rtol * 1e-6)
     atol[2 * law.q :] = rtol * _ATOL
     solution, fired = _solve(
         lambda t, y: law.rhs(t, y, mode), lambda t, y: law.jacobian(t, y, mode),
-        x, mode.start, end, events, rtol, atol,
+        x, (mode.start, end), events, (rtol, atol),
     )  # fmt: skip
     law.check_height(solution.y[row])
     last = solution.y[:, -1]
@@ -120,13 +140,9 @@ def flight(
     def jac(t: float, y: np.ndarray) -> np.ndarray:
         return law.sphere_jacobian(widen(y), mode)[np.ix_(_FLYING, _FLYING)]
 
-    events = [_event("near", lambda y: y[0] - floor, -1)]
-    events += [
-        _event(e.label, lambda y, e=e: e(0.0, widen(y)), e.direction)
-        for e in _clamp_events(law, mode, slice(0, None))
-    ]
+    events = [_Event("near", lambda y: y[0] - floor, -1), *_clamp_events(law, mode, widen)]
     atol = rtol * _ATOL[_FLYING]
-    solution, fired = _solve(rhs, jac, small, mode.start, end, events, rtol, atol)
+    solution, fired = _solve(rhs, jac, small, (mode.start, end), events, (rtol, atol))
 
     law.check_height(solution.y[0])
 

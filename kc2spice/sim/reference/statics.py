@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from kc2spice.errors import SimulationError
 from kc2spice.fem.emtable import EMTable
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.reference.law import EXTRA, HEIGHT, Law, law
 from kc2spice.sim.waveforms import Waveforms
@@ -88,7 +89,8 @@ def imprint(
     """
     equations = law(model, scene, table, sectors)
     soft = compliance(equations)
-    depth = np.linspace(0.0, scene.imprint.depth, scene.imprint.steps + 1)
+    push = need(scene.imprint, "imprint")
+    depth = np.linspace(0.0, push.depth, push.steps + 1)
     force = np.array([contact_forces(soft, equations.stiffness, d - equations.gaps) for d in depth])
     data = {"imprint.depth": depth, "contact.force": force.sum(axis=1)}
     data |= {f"contact.force.R{i}": column for i, column in enumerate(force.T)}
@@ -121,9 +123,9 @@ def harmonic(model: ResonatorModel, scene: Scene) -> Waveforms:
 
     Arrays ``frequency`` (nf,) and, complex, ``INPUT>OUTPUT`` (nf,) for every pair of ports.
     """
-    sweep = scene.harmonic
+    sweep = need(scene.harmonic, "harmonic")
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
-    full = transfer(model, frequency, scene.kick.electrical)
+    full = transfer(model, frequency, need(scene.kick, "kick").electrical)
     names = [port.name for port in model.ports]
     data = {
         f"{source}>{sink}": full[:, k, j]
