@@ -1,16 +1,18 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
-import os
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import kc2spice
 from kc2spice import __version__, doctor
 from kc2spice.cli import app
+from kc2spice.console import fact_row
 from kc2spice.errors import GateMissedError, MissingToolError, SimulationError
 from kc2spice.output import staged
 
@@ -79,7 +81,7 @@ def test_run_prints_tables(cli, study, tmp_path):
     scene, out = study.calls[0]
     assert scene.kick.drive.voltage == 80
     assert out.resolve() == tmp_path / "kick_and_catch"
-    for word in ("0.0001386 kg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
+    for word in ("138.6 mg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
         assert word in done.stdout
     assert "mesh: building" in done.stderr
 
@@ -204,7 +206,8 @@ def test_doctor_names_the_package_of_a_library(monkeypatch):
 
 def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
     """The real study in a process of its own, with a search path that has no ngspice."""
-    environment = {**os.environ, "PATH": str(tmp_path), "KC2SPICE_CACHE": str(tmp_path / "cache")}
+    package = Path(kc2spice.__file__).parent.parent
+    environment = {"PATH": str(tmp_path), "PYTHONPATH": str(package), "HOME": str(tmp_path)}
     command = [sys.executable, "-m", "kc2spice", "run", "kick_and_catch", "-o", "out"]
     done = subprocess.run(
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
@@ -214,3 +217,25 @@ def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
     assert "apt-get install ngspice" in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "row"),
+    [
+        ("launch_velocity_m_s", 1.02095, ("launch velocity", "1.02095 m/s")),
+        ("settling_time_s", 1.67647e-3, ("settling time", "1.67647 ms")),
+        ("mass_kg", 1.386e-4, ("mass", "138.6 mg")),
+        ("free_stroke_m_per_100v", 2.3508e-6, ("free stroke", "2.3508 um per 100 V")),
+        ("final_error_m", -1.3e-8, ("final error", "-13 nm")),
+        ("final_error_m", 0.0, ("final error", "0 m")),
+        ("hold_current_a", None, ("hold current", "-")),
+        ("caught", False, ("caught", "no")),
+        ("unknowns", 16722, ("unknowns", "16722")),
+        ("resonance_short_hz", 270363.0, ("resonance short", "270.363 kHz")),
+        ("coil_resistance_ohm", 1595.7, ("coil resistance", "1.5957 kOhm")),
+        ("tiny_f", 1e-21, ("tiny", "1e-06 fF")),
+        ("lost_s", float("nan"), ("lost", "nan s")),
+    ],
+)
+def test_facts_are_printed_with_prefixes(name, value, row):
+    assert fact_row(name, value) == row
