@@ -58,7 +58,15 @@ def rectangle(part: Part) -> tuple[float, float, float, float]:
 def air(catch: Catch) -> tuple[float, float, float, float]:
     """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
     boxes = [rectangle(part) for part in parts(catch)]
-    centre = (min(box[1] for box in boxes) + max(box[3] for box in boxes)) / 2
+    low, high = min(box[1] for box in boxes), max(box[3] for box in boxes)
+    if high - low >= catch.air_height:
+        raise UsageError(
+            "the air cylinder is lower than what stands in it",
+            where="catch.air_height",
+            got=f"{catch.air_height:g} m",
+            expected=f"more than {high - low:g} m, several times that for a small error",
+        )
+    centre = (low + high) / 2
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
 
 

@@ -64,19 +64,19 @@ def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) 
 def brute_force(
     catch: Catch, sphere: Sphere, currents: np.ndarray, progress: Progress | None = None
 ) -> np.ndarray:
-    """Force (n, m) [N] at n heights and the m pairs ``currents`` (m, 2), case by case.
+    """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
 
     The paper's road and the baseline of :func:`catch_table`: on the same meshes, each case
     assembles, factorises and solves for the sum of its sources and takes that one field's force.
     """
     y = positions(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
-    result = np.empty((y.size, len(amplitudes)))
+    result = np.empty((len(amplitudes), y.size))
     for done, (index, pieces) in enumerate(_pieces(catch, sphere, y, lambda pieces: pieces), 1):
         for case, amplitude in enumerate(amplitudes):
             system = pieces.system(y[index])
             field = system.solve(system.loads @ amplitude[:, None])
-            result[index, case] = system.force(field)[0, 0]
+            result[case, index] = system.force(field)[0, 0]
         if progress is not None:
             progress(done, y.size)
     return result

@@ -44,7 +44,7 @@ def test_meshes_fill_cylinder_and_sphere(bore: magmesh.Bore) -> None:
 def test_superposition_equals_brute_force(polarity: str) -> None:
     catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
     cases = current_pairs()[[0, 1, 2, 4, 5]]
-    force = brute_force(catch, Sphere(), cases).T
+    force = brute_force(catch, Sphere(), cases)
     quick = em_cases(catch_table(catch, Sphere()), cases)
     assert np.max(np.abs(force - quick)) < 1e-12 * np.max(np.abs(force))
 

@@ -121,6 +121,8 @@ def test_sphere_must_fit_and_stay_in_the_air() -> None:
         catch_table(Catch(), Sphere(radius=1.3e-3))
     with pytest.raises(UsageError, match="leaves the air"):
         catch_table(Catch(y_max=17e-3), Sphere())
+    with pytest.raises(UsageError, match="lower than what stands in it"):
+        catch_table(Catch(air_height=5e-3), Sphere())
 
 
 def test_progress_counts_every_position() -> None:
