@@ -55,6 +55,7 @@ Rate = Annotated[float, _si("1/s")]
 Ratio = Annotated[float, _si("")]
 Count = Annotated[int, Strict()]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
+GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
 
 Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
 
@@ -249,6 +250,20 @@ class Gates(Section):
     trajectory: GateLength = Field(  # type: ignore[assignment]  # validated like a file's value
         default="1 um", gt=0, description="largest, ngspice against scipy"
     )
+    launch_full_model: Ratio = Field(5e-4, gt=0, description="relative, against the full model")
+    position: Ratio = Field(1e-4, gt=0, description="of the travel in an impact, any two roads")
+    rebound_velocity: Ratio = Field(1e-4, gt=0, description="relative, any two roads")
+    separation_time: GateTime = Field(  # type: ignore[assignment]
+        default="20 ns", gt=0, description="end of the impact, any two roads"
+    )
+    energy: Ratio = Field(1e-4, gt=0, description="unexplained part of the energy turned over")
+    imprint_rom: Ratio = Field(1e-9, gt=0, description="static force, ROM against full model")
+    imprint_ngspice: Ratio = Field(1e-6, gt=0, description="static force, ngspice against full")
+    harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
+    harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
+    harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
+    superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
+    lookup: Ratio = Field(1e-4, gt=0, description="EM force, ngspice lookup to largest FE force")
 
 
 class Scene(Section):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+
+import numpy as np
 
 from kc2spice.cache import cached
-from kc2spice.fem.emtable import EMTable
+from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
 from kc2spice.fem.magnetics import catch_table
 from kc2spice.fem.mesh import kick_mesh
 from kc2spice.fem.piezo import assemble_kick
@@ -16,6 +17,7 @@ from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.model import Certificate, ResonatorModel
 from kc2spice.rom.reduce import reduce_condensed
 from kc2spice.rom.schur import condense
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.study.progress import Clock
 
@@ -29,7 +31,7 @@ class KickModel:
     """
 
     resonators: ResonatorModel
-    ring_radii: Any  # ndarray
+    ring_radii: np.ndarray
     sectors: int
     facts: dict[str, float]
 
@@ -51,8 +53,7 @@ def build_models(scene: Scene, clock: Clock) -> Models:
 
 
 def _kick(scene: Scene, clock: Clock) -> KickModel:
-    kick = scene.kick
-    assert kick is not None
+    kick = need(scene.kick, "kick")
 
     def build() -> KickModel:
         with clock.stage("mesh", "chip mesh"):
@@ -79,8 +80,7 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
 
 
 def _table(scene: Scene, clock: Clock) -> EMTable:
-    catch, sphere = scene.catch, scene.sphere
-    assert catch is not None and sphere is not None
+    catch, sphere = need(scene.catch, "catch"), need(scene.sphere, "sphere")
 
     def build() -> EMTable:
         with clock.stage("magnetics", "field of the catch actuator") as share:
@@ -102,8 +102,6 @@ def model_facts(models: Models) -> dict[str, dict[str, float]]:
 
 
 def _table_facts(table: EMTable) -> dict[str, float]:
-    from kc2spice.fem.emtable import current_pairs, em_cases
-
     return {
         "unknowns": table.unknowns,
         "force_max_n": float(abs(em_cases(table, current_pairs())).max()),

@@ -29,4 +29,4 @@ class Clock:
         self.progress(name, None, text)
         start = time.perf_counter()
         yield lambda done: self.progress(name, done, text)
-        self.wall_s[name] += time.perf_counter() - start
+        self.wall_s[name] = self.wall_s.get(name, 0.0) + time.perf_counter() - start

@@ -42,9 +42,9 @@ def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
     with staged(out) as work:
         models = build_models(scene, clock)
         deck = _written(scene, models, "ngspice", clock, work)
-        with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-            with _kept_on_failure(work, out):
-                waves = run_deck(deck, work, progress=share)
+        simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
+        with simulating as share, _kept_on_failure(work, out):
+            waves = run_deck(deck, work, progress=share)
         with clock.stage("report", "metrics, plots and page"):
             record = _record(scene, models, deck, simulator, waves, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, work)]
