@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable, current_pairs, force
+from kc2spice.fem.emtable import EMTable, force
 from kc2spice.report.metrics import SETTLING_BAND, separation, trajectory_difference
 from kc2spice.report.plots import (
     BLACK,
@@ -168,9 +168,9 @@ def error(path: Path, waves: Waveforms, reference: Waveforms) -> Picture:
 
 
 def force_map(path: Path, table: EMTable, scene: Scene) -> Picture:
-    """Force over position for nine pairs of coil currents (Fig. 6)."""
-    limit = 0.1 if scene.control is None else scene.control.current_limit
-    pairs = current_pairs(limit)
+    """Force over position for pairs of coil currents (Fig. 6): lowest, nearest to 0, highest."""
+    steps = _shown_currents(scene)
+    pairs = [(lower, upper) for lower in steps for upper in steps]
     fine = np.linspace(table.y[0], table.y[-1], 401)
     with sheet(path, size=(7.6, 4.4)) as axes:
         curves = 1e3 * np.array([force(table, fine, *pair) for pair in pairs])
@@ -178,10 +178,19 @@ def force_map(path: Path, table: EMTable, scene: Scene) -> Picture:
         colours = {-1: BLUE, 0: BLACK, 1: ORANGE}
         for (lower, upper), curve in zip(pairs, curves, strict=True):
             colour, style = colours[int(np.sign(lower))], styles[int(np.sign(upper))]
-            label = f"{1e3 * lower:+.0f} / {1e3 * upper:+.0f}".replace("+0", "0").replace("-", "−")
+            label = " / ".join(f"{1e3 * i:+.3g}" if i else "0" for i in (lower, upper))
+            label = label.replace("-", "−")
             axes.plot(1e3 * fine, curve, color=colour, ls=style, lw=1.4, label=label)
         axes.set_xlim(1e3 * fine[0], 1e3 * fine[-1])
         name_axes(axes, "height of the sphere's centre in mm", "force on the sphere in mN")
         legend_beside(axes, "lower / upper coil in mA")
-    caption = "Vertical electromagnetic force for nine pairs of coil currents (paper Fig. 6)."
+    caption = "Vertical electromagnetic force on the sphere by coil currents (paper Fig. 6)."
     return Picture(path, "Force map", caption)
+
+
+def _shown_currents(scene: Scene) -> list[float]:
+    if scene.em_force is not None:
+        every = scene.em_force.currents
+        return sorted({min(every), min(every, key=abs), max(every)})
+    limit = 0.1 if scene.control is None else scene.control.current_limit
+    return [-limit, 0.0, limit]

@@ -53,7 +53,7 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> Separat
         time = min(time + force[last] / decay, float(t[free]))
     later = min(int(np.searchsorted(t, t[free] + 100e-9)), t.size - 1)
     slope = (v[later] - v[free]) / (t[later] - t[free]) if later > free else 0.0
-    return Separation(time, float(v[free] + slope * (time - t[free])))
+    return Separation(float(time), float(v[free] + slope * (time - t[free])))
 
 
 def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:

@@ -1,7 +1,7 @@
 """Independent scipy oracle of the loop, the impact, the imprint and the harmonic response."""
 
 from kc2spice.sim.reference.loop import EnergyBook, Event, Reference, impact, kick_and_catch
-from kc2spice.sim.reference.statics import harmonic, imprint, transfer
+from kc2spice.sim.reference.statics import harmonic, imprint, spectra, transfer
 
 __all__ = [
     "EnergyBook",
@@ -11,5 +11,6 @@ __all__ = [
     "impact",
     "imprint",
     "kick_and_catch",
+    "spectra",
     "transfer",
 ]

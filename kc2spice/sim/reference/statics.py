@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import brentq
 
@@ -126,9 +128,13 @@ def harmonic(model: ResonatorModel, scene: Scene) -> Waveforms:
     sweep = need(scene.harmonic, "harmonic")
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
     full = transfer(model, frequency, need(scene.kick, "kick").electrical)
-    names = [port.name for port in model.ports]
+    return spectra(frequency, full, [port.name for port in model.ports])
+
+
+def spectra(frequency: np.ndarray, response: np.ndarray, names: Sequence[str]) -> Waveforms:
+    """Name the entries of ``response`` (nf, outputs, inputs) ``INPUT>OUTPUT``."""
     data = {
-        f"{source}>{sink}": full[:, k, j]
+        f"{source}>{sink}": response[:, k, j]
         for j, source in enumerate(names)
         for k, sink in enumerate(names)
     }

@@ -1,0 +1,33 @@
+"""The figures of one run, by its experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kc2spice.fem.emtable import EMTable
+from kc2spice.report.loop_figures import force_map, loop_figures
+from kc2spice.report.plots import Picture
+from kc2spice.report.verify_figures import harmonic_figures, impact_figures, imprint_figures
+from kc2spice.scene.need import need
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.waveforms import Waveforms
+
+
+def run_figures(
+    directory: Path,
+    scene: Scene,
+    waves: Waveforms | None,
+    table: EMTable | None = None,
+    reference: Waveforms | None = None,
+) -> list[Picture]:
+    """Draw what ngspice gave, over the independent ``reference`` where there is one."""
+    if scene.experiment == "em_force":
+        return [force_map(directory / "em_force.png", need(table, "catch"), scene)]
+    found = need(waves, "solver")
+    if scene.experiment == "loop":
+        return loop_figures(directory, found, scene, table, reference)
+    roads = {"ngspice": found} if reference is None else {"scipy": reference, "ngspice": found}
+    if scene.experiment == "impact":
+        return impact_figures(directory, roads, need(scene.sphere, "sphere").radius)
+    draw = imprint_figures if scene.experiment == "imprint" else harmonic_figures
+    return draw(directory, roads)

@@ -1,0 +1,137 @@
+"""``verify.html``: every scene's checks, roads, paper table and figures on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.paper import paper_section
+from kc2spice.report.plots import Picture
+from kc2spice.report.run_page import fact
+
+
+class CheckLike(Protocol):
+    """A number against its gate."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def value(self) -> float | None: ...
+    @property
+    def limit(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def passed(self) -> bool: ...
+
+
+class RoadLike(Protocol):
+    """One way to the result with its wall time and its errors against another."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def wall_s(self) -> float: ...
+    @property
+    def against(self) -> str: ...
+    @property
+    def errors(self) -> Mapping[str, float]: ...
+
+
+class FindingsLike(Protocol):
+    """Outcome of one scene's verification."""
+
+    @property
+    def checks(self) -> Sequence[CheckLike]: ...
+    @property
+    def roads(self) -> Sequence[RoadLike]: ...
+    @property
+    def errors(self) -> Mapping[str, float]: ...
+    @property
+    def speedup(self) -> Mapping[str, float]: ...
+    @property
+    def metrics(self) -> Mapping[str, Any]: ...
+    @property
+    def notes(self) -> Sequence[str]: ...
+    @property
+    def pictures(self) -> Sequence[Picture]: ...
+
+
+def write_verify(path: Path, found: Mapping[str, FindingsLike]) -> Path:
+    """Write the page for the findings of each scene, by its name.
+
+    The table "paper / here" takes its values from each scene's ``metrics``.
+    """
+    sections = [_summary(found)]
+    for scene, findings in found.items():
+        sections += _scene(scene, findings)
+    lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
+    kept = [s for s in sections if s.rows or s.pictures or s.note]
+    return write_page(path, "Verification", lead, kept)
+
+
+def _summary(found: Mapping[str, FindingsLike]) -> Section:
+    rows = []
+    for scene, findings in found.items():
+        missed = [check for check in findings.checks if not check.passed]
+        errors = [
+            quantity(findings.errors.get(key), "", 2)
+            for key in ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
+        ]
+        speed = [quantity(findings.speedup.get(key), "", 3) for key in ("refactor", "low_rank")]
+        verdict = "missed" if missed else "met"
+        rows.append((scene, verdict, *errors, *speed))
+    head = (
+        "scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full",
+        "speed-up, refactorised", "speed-up, low rank",
+    )  # fmt: skip
+    note = "Errors are the largest relative ones. Speed-ups: full model over reduced model."
+    return Section("Summary", rows, head, note)
+
+
+def _scene(scene: str, findings: FindingsLike) -> list[Section]:
+    checks = [
+        (
+            check.name,
+            _with_unit(check.value, check.unit),
+            _with_unit(check.limit, check.unit),
+            "met" if check.passed else "missed",
+        )
+        for check in findings.checks
+    ]
+    return [
+        Section(f"{scene}: gates", checks, ("check", "value", "limit", "")),
+        _roads(scene, findings),
+        paper_section(scene, findings.metrics),
+        Section(
+            f"{scene}: results",
+            [
+                fact(key, value)
+                for key, value in findings.metrics.items()
+                if not isinstance(value, Mapping)
+            ],
+            note=" ".join(findings.notes),
+        ),
+        Section(f"{scene}: figures", pictures=findings.pictures),
+    ]
+
+
+def _with_unit(value: float | None, unit: str) -> str:
+    return quantity(value, "" if unit == "1" else unit, 3)
+
+
+def _roads(scene: str, findings: FindingsLike) -> Section:
+    keys = list(dict.fromkeys(key for road in findings.roads for key in road.errors))
+    rows = [
+        (
+            road.name,
+            quantity(road.wall_s, "s", 3),
+            road.against,
+            *(fact(key, road.errors[key])[1] if key in road.errors else "" for key in keys),
+        )
+        for road in findings.roads
+    ]
+    head = ("road", "wall time", "compared with", *(fact(key, 0)[0] for key in keys))
+    return Section(f"{scene}: time and error", rows, head)
