@@ -20,9 +20,10 @@ BANDED_BYTES = 3e9
 
 @dataclass(frozen=True)
 class Factor:
-    """A factorised matrix; ``solve`` refuses to return an inaccurate solution."""
+    """A factorised matrix and its 1-norm; ``solve`` refuses to return an inaccurate solution."""
 
     matrix: sparse.csc_array
+    norm: float
     apply_inverse: Callable[[np.ndarray], np.ndarray]
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
@@ -34,7 +35,7 @@ class Factor:
         """
         solution = self.apply_inverse(rhs)
         residual = np.abs(self.matrix @ solution - rhs).max(initial=0.0)
-        scale = np.abs(self.matrix).sum(axis=0).max() * np.abs(solution).max(initial=0.0)
+        scale = self.norm * np.abs(solution).max(initial=0.0)
         scale += np.abs(rhs).max(initial=0.0)
         if not residual <= RESIDUAL_LIMIT * scale:
             raise SimulationError(
@@ -60,10 +61,11 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     """
     coo = sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
+    norm = float(abs(matrix).sum(axis=0).max())
     try:
         if definite and (bandwidth + 1) * coo.shape[0] * 8 <= BANDED_BYTES:
-            return Factor(matrix, _banded(coo, bandwidth))
-        return Factor(matrix, _superlu(matrix))
+            return Factor(matrix, norm, _banded(coo, bandwidth))
+        return Factor(matrix, norm, _superlu(matrix))
     except (LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",

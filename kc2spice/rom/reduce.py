@@ -27,7 +27,7 @@ def reduce_condensed(model: CondensedSystem, rom: Rom) -> ReducedModel:
     """
     order = rom.order
     ports = model.B.shape[1]
-    V = block_arnoldi(model.stiffness, model.solve, lambda x: model.M @ x, model.B, order + ports)
+    V = block_arnoldi(model.stiffness, model.solve, model.mass, model.B, order + ports)
     certified = project(model, V)
     return certify(leading(certified, min(order, V.shape[1])), certified, rom.band)
 

@@ -82,16 +82,11 @@ def test_small_model_reduced_far_enough_is_the_full_model(change):
 
 
 def test_default_model_follows_the_direct_solution_within_its_certificate(default):
-    frequency = np.array([90e3, 480e3])
-    full = np.array([full_response(default.system, f) for f in frequency])
+    full = full_response(default.system, 480e3)[None]
     rom = reduce_condensed(default, Rom())
     assert rom.order == 30
-    error = [
-        relative_error(frequency_response(rom, [f]), h[None])
-        for f, h in zip(frequency, full, strict=True)
-    ]
-    assert error[0] < 1e-9
-    assert max(error) < 1.5 * rom.certificate.error_estimate < 2e-3
+    error = relative_error(frequency_response(rom, [480e3]), full)
+    assert error < 1.5 * rom.certificate.error_estimate < 2e-3
     assert relative_error(full, full.transpose(0, 2, 1)) < 1e-9  # reciprocity of the full model
 
 

@@ -1,0 +1,276 @@
+"""Full-model references: harmonic, imprint, impact and kick, each against an independent oracle."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.sparse import block_array
+from scipy.sparse.linalg import splu
+
+from kc2spice.errors import SimulationError
+from kc2spice.fem.contact import contact_forces, contact_surface, sphere_gap
+from kc2spice.fem.harmonic import harmonic
+from kc2spice.fem.piezo import assemble_kick
+from kc2spice.fem.statics import imprint, imprint_refactorised
+from kc2spice.fem.transient import Ball, kick_pulse, transient
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.reduce import reduce_condensed
+from kc2spice.rom.response import frequency_response
+from kc2spice.rom.schur import condense
+from kc2spice.rom.standin import stand_in
+from kc2spice.scene.schema import Contact, Drive, Kick, Rom, Sphere
+
+SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
+MASS = Sphere().mass / 4
+
+
+@cache
+def small(per_node: bool = False, **change):
+    kick = Kick(layers=3, mesh={**SMALL, **change})
+    return assemble_kick(kick), contact_surface(kick, Contact(), Sphere(), per_node=per_node)
+
+
+@pytest.fixture(scope="module")
+def default():
+    kick = Kick()
+    return assemble_kick(kick), contact_surface(kick, Contact(), Sphere())
+
+
+def energy_error(result) -> float:
+    """Largest imbalance of the energy budget relative to what came in."""
+    e = result.energy
+    total = e["sphere"] + e["chip"] + e["contact"] + e["damped"] - e["supplied"]
+    came_in = np.abs(e["supplied"]).max() + np.ptp(e["sphere"])
+    return np.abs(total - total[0]).max() / came_in
+
+
+def test_gap_of_a_sphere_is_exact():
+    r = np.array([0.0, 1e-9, 50e-6, 250e-6, 1e-3])
+    np.testing.assert_allclose(
+        sphere_gap(1e-3, r)[2:], 1e-3 - np.sqrt(1e-6 - r[2:] ** 2), rtol=1e-9
+    )
+    assert sphere_gap(1e-3, r)[1] == pytest.approx(5e-16, rel=1e-12)  # no cancellation
+
+
+def test_contact_forces_satisfy_the_law_for_random_compliances():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        root = rng.normal(size=(6, 4))
+        G, p, k = root @ root.T * 1e-8, rng.normal(size=6) * 1e-6, 10 ** rng.uniform(6, 11, 6)
+        force, _ = contact_forces(G, p, k)
+        np.testing.assert_allclose(force, k * np.maximum(p - G @ force, 0), atol=1e-9 * force.max())
+
+
+@pytest.mark.parametrize("change", [{}, {"order": 2}])
+def test_harmonic_is_the_response_of_the_coupled_equations(change):
+    """Oracle: damping written as a second potential, driven by velocities (see the reduction)."""
+    system, _ = small(**change)
+    s, volt = 2j * np.pi * 2.3e5, 1e9
+    n, m, damped = system.M.shape[0], system.K_pp.shape[0], 1 + 2j * np.pi * 2.3e5 * system.beta
+    K_up, K_pp = system.K_up * volt, system.K_pp * volt**2
+    dynamic = s**2 * system.M + damped * system.K_uu
+    rhs = np.zeros((n + 2 * m, len(system.ports)), dtype=complex)
+    rhs[:n] = np.column_stack([system.B, -system.k_uV])
+    rhs[n : n + m, -1] = system.k_pV * volt
+    matrix = dynamic
+    if m:
+        matrix = block_array(
+            [[dynamic, K_up, damped * K_up], [None, -K_pp, None], [K_up.T, None, -K_pp]]
+        )
+    x = splu(matrix.tocsc()).solve(rhs)
+    p = volt * (x[n : n + m] + x[n + m :])
+    charge = system.k_pV @ p - system.k_uV @ x[:n]
+    charge[-1] += system.c_VV
+    expected = np.vstack([system.B.T @ x[:n], charge])
+    np.testing.assert_allclose(harmonic(system, [2.3e5])[0], expected, rtol=1e-9)
+
+
+def test_stand_in_is_checked_against_direct_solutions():
+    system, _ = small(order=2)
+    model, error = stand_in(condense(system), (0.0, 500e3))
+    assert error < 1e-10
+    frequency = np.array([1.23e5, 4.56e5])
+    np.testing.assert_allclose(
+        frequency_response(model, frequency), harmonic(system, frequency), rtol=1e-9
+    )
+    with pytest.raises(SimulationError, match="does not stand in"):
+        stand_in(condense(system), (0.0, 500e3), blocks=3)
+
+
+@pytest.mark.parametrize("electrical", ["open", "short"])
+@pytest.mark.parametrize("change", [{}, {"order": 2}])
+def test_both_roads_of_the_imprint_agree(electrical, change):
+    system, surface = small(**change)
+    depth = np.array([0.0, 1e-6, 5e-6, 100e-6])
+    fast = imprint(system, surface, depth, electrical)
+    slow = imprint_refactorised(system, surface, depth, electrical)
+    np.testing.assert_allclose(fast.ring_force, slow.ring_force, rtol=1e-10, atol=1e-12)
+
+
+def test_open_anode_stiffens_the_chip(default):
+    system, surface = default
+    depth = np.linspace(0, 50e-6, 251)
+    force = {e: imprint(system, surface, depth, e).force for e in ("open", "short")}
+    assert np.all(force["open"][1:] > force["short"][1:])
+
+
+def test_imprint_force_and_rings_rise_monotonically(default):
+    system, surface = default
+    result = imprint(system, surface, np.linspace(0, 50e-6, 251))
+    assert result.force[0] == 0
+    assert np.all(np.diff(result.force) > 0)
+    assert np.all(np.diff((result.ring_force > 0).sum(axis=1)) >= 0)
+
+
+def test_grouping_the_nodes_of_a_ring_changes_little(default):
+    system, surface = default
+    single = contact_surface(Kick(), Contact(), Sphere(), per_node=True)
+    depth = np.linspace(2e-7, 50e-6, 50)
+    grouped, nodal = (imprint(system, s, depth).force for s in (surface, single))
+    assert np.abs(nodal / grouped - 1).max() < 1e-4  # measured 2e-7
+
+
+def test_reduced_imprint_equals_the_full_one(default):
+    """Static port answers are in the basis; force laws see nothing else."""
+    system, surface = default
+    depth = np.linspace(0, 50e-6, 51)
+    rom = resonators(reduce_condensed(condense(system), Rom()))
+    G = frequency_response(rom, [0.0])[0].real
+    open_anode = G[:6, :6] - np.outer(G[:6, 6], G[6, :6]) / G[6, 6]
+    reduced = np.array(
+        [contact_forces(open_anode, d - surface.gap, surface.penalty)[0].sum() for d in depth]
+    )
+    np.testing.assert_allclose(reduced, imprint(system, surface, depth).force, rtol=1e-9)
+
+
+def test_imprint_of_an_isotropic_chip_follows_hertz():
+    """F = 4/3 E/(1-nu^2) sqrt(R) d^1.5 on a half space; finite chip, rings 1/8 of the contact."""
+    young, nu = 70e9, 0.3
+    lame, shear = young * nu / (1 + nu) / (1 - 2 * nu), young / 2 / (1 + nu)
+    stiffness = (lame + 2 * shear, lame, lame, lame + 2 * shear, shear, shear)
+    kick = Kick(
+        side=3e-3, layers=40, electrical="short",
+        material={"stiffness": stiffness, "coupling": (0, 0, 0)},
+        mesh={"rings": 10, "ring_spacing": 25e-6, "outer_rings": 11},
+    )  # fmt: skip
+    surface = contact_surface(kick, Contact(penalty=1e13), Sphere())
+    depth = np.array([40e-6])
+    force = 4 * imprint(assemble_kick(kick), surface, depth, "short").force
+    hertz = 4 / 3 * young / (1 - nu**2) * np.sqrt(1e-3) * depth**1.5
+    np.testing.assert_allclose(force, hertz, rtol=0.08)  # measured 6 %
+
+
+@pytest.mark.parametrize("voltage", [None, lambda t: 0.0])
+@pytest.mark.parametrize("per_node", [False, True])
+def test_both_roads_of_the_impact_agree(voltage, per_node):
+    system, surface = small(per_node)
+    ball = Ball(MASS, 1e-7, -1.0, 9.81)
+    fast, slow = (
+        transient(system, surface, ball, step=50e-9, stop=4e-6, voltage=voltage, road=road)
+        for road in ("low_rank", "refactorise")
+    )
+    assert fast.force.max() > 0.1
+    assert slow.factorisations > 80 > fast.factorisations == 1
+    np.testing.assert_allclose(fast.ring_force, slow.ring_force, atol=1e-9 * fast.force.max())
+    # Springs that just open magnify rounding; measured 3e-10.
+    np.testing.assert_allclose(fast.height, slow.height, rtol=1e-8, atol=1e-16)
+
+
+def test_free_flight_is_a_parabola():
+    system, surface = small()
+    result = transient(
+        system, surface, Ball(MASS, 1e-3, -0.5, 9.81), step=1e-6, stop=1e-4, voltage=None
+    )
+    t = result.time
+    np.testing.assert_allclose(result.height, 1e-3 - 0.5 * t - 9.81 / 2 * t**2, rtol=1e-12)
+    assert not result.force.any()
+
+
+def test_impact_agrees_with_an_adaptive_integration_of_the_same_equations():
+    """Dense Radau on the constrained matrices; the step error of 5 ns is what remains."""
+    system, surface = small()
+    M, K = system.M.toarray(), system.K_uu.toarray()
+    n, W = len(M), surface.shapes
+    inverse = np.linalg.inv(M)
+
+    def spring(x: np.ndarray) -> np.ndarray:
+        return surface.penalty * np.maximum(W.T @ x[:n] - x[n] - surface.gap, 0)
+
+    def slope(_, z):
+        x, v = z[: n + 1], z[n + 1 :]
+        force = spring(x)
+        chip = inverse @ (-K @ (x[:n] + system.beta * v[:n]) - W @ force)
+        return np.concatenate([v, chip, [force.sum() / MASS]])
+
+    start = np.zeros(2 * n + 2)
+    start[n], start[-1] = 1e-7, -1.0
+    linear = np.zeros((2 * n + 2,) * 2)
+    linear[: n + 1, n + 1 :] = np.eye(n + 1)
+    linear[n + 1 : -1, :n] = -inverse @ K
+    linear[n + 1 : -1, n + 1 : -1] = -system.beta * inverse @ K
+
+    def jacobian(_, z):
+        J = linear.copy()
+        closed = np.vstack([W, -np.ones(W.shape[1])])[:, spring(z[: n + 1]) > 0]
+        springs = surface.penalty[spring(z[: n + 1]) > 0]
+        couple = closed * springs @ closed.T
+        J[n + 1 : -1, : n + 1] -= inverse @ couple[:n]
+        J[-1, : n + 1] -= couple[n] / MASS
+        return J
+
+    stop = 4e-6
+    exact = solve_ivp(slope, (0, stop), start, "Radau", rtol=1e-7, atol=1e-13, jac=jacobian)
+    result = transient(
+        system, surface, Ball(MASS, 1e-7, -1.0), step=5e-9, stop=stop, voltage=lambda t: 0.0
+    )
+    travel = 1e-7 - result.height.min()
+    assert result.height[-1] == pytest.approx(exact.y[n, -1], abs=3e-4 * travel)
+    assert result.velocity[-1] == pytest.approx(exact.y[-1, -1], abs=3e-4)
+
+
+def test_step_error_of_the_impact_falls_quadratically():
+    system, surface = small()
+    ball = Ball(MASS, 1e-7, -1.0)
+
+    def history(step: float) -> np.ndarray:
+        result = transient(system, surface, ball, step=step, stop=3e-6, voltage=None)
+        return np.interp(np.linspace(0, 3e-6, 151), result.time, result.height)
+
+    exact = history(1e-9)
+    error = [np.linalg.norm(history(h) - exact) for h in (20e-9, 10e-9, 5e-9)]
+    assert error[1] < 0.3 * error[0]
+    assert error[2] < 0.3 * error[1]
+
+
+def test_impact_energy_balances_and_the_sphere_keeps_98_percent(default):
+    system, surface = default
+    result = transient(
+        system, surface, Ball(MASS, 1e-6, -1.0), step=50e-9, stop=12e-6, voltage=None
+    )
+    assert energy_error(result) < 2e-4  # the steps in which springs open or close
+    assert result.height.min() == pytest.approx(-3.112e-6, rel=1e-3)
+    assert result.velocity[-1] == pytest.approx(0.990, abs=1e-3)
+    impulse = np.sum((result.force[1:] + result.force[:-1]) / 2) * 50e-9
+    assert MASS * (result.velocity[-1] + 1) == pytest.approx(impulse, rel=1e-9)
+
+
+def test_kick_starts_at_rest_and_launches_at_one_metre_per_second(default):
+    system, surface = default
+    result = transient(
+        system, surface, Ball(MASS, 0.0, 0.0, 9.81), step=50e-9, stop=8e-6,
+        voltage=kick_pulse(Drive()), resting=True,
+    )  # fmt: skip
+    assert result.force[0] == pytest.approx(MASS * 9.81, rel=1e-9)
+    assert -1e-9 < result.height[0] < 0
+    assert result.velocity[-1] == pytest.approx(1.0202, rel=1e-3)
+    assert energy_error(result) < 2e-4
+
+
+def test_a_resting_sphere_stays():
+    system, surface = small(order=2)
+    result = transient(
+        system, surface, Ball(MASS, 0.0, 0.0, 9.81), step=1e-7, stop=2e-6, voltage=None,
+        resting=True,
+    )  # fmt: skip
+    np.testing.assert_allclose(result.force, MASS * 9.81, rtol=1e-6)
