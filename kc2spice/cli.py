@@ -6,6 +6,7 @@ Imports that take time stand inside the commands, so that ``--help`` answers at 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -55,6 +56,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tabl
 
 def main() -> None:
     """Entry point of the ``kc2spice`` script."""
+    # The matrices are sparse and small: threads of BLAS and of ngspice mostly wait for each other.
+    # It must be said before numpy is loaded; whoever set a number of threads keeps it.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
     app()
 
 
