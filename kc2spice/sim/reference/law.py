@@ -63,7 +63,7 @@ class ForceMap:
 
     def __call__(self, y: float, current: float) -> tuple[float, float, float]:
         """Force [N], dF/dy [N/m] and dF/di [N/A] at one position; the end cubics go on outside."""
-        j = int(np.clip(np.searchsorted(self.knots, y, side="right") - 1, 0, self.knots.size - 2))
+        j = min(max(int(self.knots.searchsorted(y, side="right")) - 1, 0), self.knots.size - 2)
         s = y - self.knots[j]
         c3, c2, c1, c0 = self.coefficients[:, j]
         value = ((c3 * s + c2) * s + c1) * s + c0
@@ -153,7 +153,7 @@ class Law:
         if not mode.enabled:
             return np.zeros(rest.shape[1:])
         limit = need(self.control, "control").current_limit
-        return np.clip(self.demand(rest), -limit, limit)
+        return np.maximum(-limit, np.minimum(limit, self.demand(rest)))
 
     def modal_energy(self, x: np.ndarray) -> float:
         """Strain and kinetic energy of the chip [J]."""

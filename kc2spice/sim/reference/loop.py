@@ -81,8 +81,8 @@ def kick_and_catch(
 ) -> Reference:
     """Integrate the closed loop from static equilibrium to ``scene.solver.stop`` (paper 2.4).
 
-    ``model`` is the whole device; ``times`` defaults to a 1 us grid that is 10 ns fine around the
-    kick. Radau with an analytic Jacobian between located events (contact, clamp, pulse edges);
+    ``model`` is the whole device; ``times`` defaults to a 1 us grid that is 10 ns fine after the
+    pulse's edges. Radau with an analytic Jacobian between located events (contact, clamp, pulse edges);
     far from contact the modes are propagated exactly. Raises SimulationError.
     """
     equations = law(model, scene, table, sectors)
@@ -202,9 +202,10 @@ def _grid(law: Law, stop: float) -> np.ndarray:
     if law.drive is None:
         return coarse
     d = law.drive
-    fine = np.arange(d.start - 1e-6, d.start + 2 * d.width + 50e-6, 10e-9)
-    corners = d.start + np.array([0.0, d.edge, d.width, d.width + d.edge])
-    both = np.union1d(np.union1d(coarse, fine), corners)
+    edges = d.start, d.start + d.width
+    fine = [np.arange(edge - 1e-6, edge + 75e-6, 10e-9) for edge in edges]
+    corners = [(edge, edge + d.edge) for edge in edges]
+    both = np.unique(np.concatenate((coarse, *fine, *corners)))
     return both[(both >= 0.0) & (both <= stop)]
 
 
