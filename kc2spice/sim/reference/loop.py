@@ -82,8 +82,8 @@ def kick_and_catch(
     """Integrate the closed loop from static equilibrium to ``scene.solver.stop`` (paper 2.4).
 
     ``model`` is the whole device; ``times`` defaults to a 1 us grid that is 10 ns fine after the
-    pulse's edges. Radau with an analytic Jacobian between located events (contact, clamp, pulse edges);
-    far from contact the modes are propagated exactly. Raises SimulationError.
+    pulse's edges. Radau with an analytic Jacobian between located events (contact, clamp, pulse
+    edges); far from contact the modes are propagated exactly. Raises SimulationError.
     """
     equations = law(model, scene, table, sectors)
     return _run(equations, rest(equations), scene.solver.stop, rtol, times)
