@@ -15,6 +15,7 @@ import typer
 
 from kc2spice import __version__
 from kc2spice.console import print_facts, print_table, reported_errors, shown_progress
+from kc2spice.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
     from kc2spice.scene.schema import Scene
@@ -128,6 +129,48 @@ def export(
 
 
 @app.command()
+def verify(
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="Gallery name or TOML file.")
+    ] = None,
+    all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
+    full: Annotated[
+        bool,
+        typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
+    ] = False,
+    out: Out = None,
+    set_: Set = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check SCENE three ways: full model, reduced model, ngspice on the emitted netlist.
+
+    Writes verify.json, verify.html and plots into DIR (default ./NAME_verify). Exit code 4 when a
+    gate of the scene is missed.
+    """
+    with reported_errors():
+        from kc2spice.scene.load import gallery, load_scene
+
+        if (scene is None) is not all_:
+            raise UsageError("give either a SCENE or --all", where="verify")
+        names = [scene] if scene is not None else list(gallery())
+        loaded = [load_scene(name, set_ or []) for name in names]
+        directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
+        from kc2spice.study.verify import verify as verify_scenes
+
+        with shown_progress(quiet) as progress:
+            found = verify_scenes(loaded, directory, full=full, progress=progress)
+        passed = all(record["passed"] for record in found.values())
+        if as_json:
+            record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
+            print(json.dumps({**record, "directory": str(directory.absolute())}))
+        elif not quiet:
+            _show_verdicts(found, directory)
+        if not passed:
+            raise typer.Exit(GateMissedError.exit_code)
+
+
+@app.command()
 def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None:
     """Say what is modelled for SCENE, what was left out, why, and at what error."""
     with reported_errors():
@@ -216,6 +259,27 @@ def _show_result(result: Mapping[str, Any], directory: Path) -> None:
     print_facts("metrics", result.get("metrics", {}))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def _show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
+    for name, record in found.items():
+        rows = [
+            (
+                "ok" if check["passed"] else "MISSED",
+                check["name"],
+                "-" if check["value"] is None else f"{check['value']:.3g}",
+                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
+            )
+            for check in record["checks"]
+        ]
+        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
+        roads = [
+            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
+        ]
+        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        for note in record["notes"]:
+            print(f"  {note}")
+    print(f"all of it, with errors and plots: {directory / 'verify.html'}")
 
 
 def _show_keys(as_json: bool) -> None:

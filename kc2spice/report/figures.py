@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from kc2spice.fem.emtable import EMTable
@@ -27,6 +28,21 @@ def run_figures(
     if scene.experiment == "loop":
         return loop_figures(directory, found, scene, table, reference)
     roads = {"ngspice": found} if reference is None else {"scipy": reference, "ngspice": found}
+    return verify_figures(directory, scene, roads, table)
+
+
+def verify_figures(
+    directory: Path,
+    scene: Scene,
+    roads: Mapping[str, Waveforms],
+    table: EMTable | None = None,
+) -> list[Picture]:
+    """Draw the roads of a verification over each other, the most exact one first."""
+    if scene.experiment == "em_force":
+        return [force_map(directory / "em_force.png", need(table, "catch"), scene)]
+    if scene.experiment == "loop":
+        (_, reference), (_, waves) = roads.items()
+        return loop_figures(directory, waves, scene, table, reference)
     if scene.experiment == "impact":
         return impact_figures(directory, roads, need(scene.sphere, "sphere").radius)
     draw = imprint_figures if scene.experiment == "imprint" else harmonic_figures

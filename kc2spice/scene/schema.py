@@ -250,7 +250,7 @@ class Gates(Section):
     trajectory: GateLength = Field(  # type: ignore[assignment]  # validated like a file's value
         default="1 um", gt=0, description="largest, ngspice against scipy"
     )
-    launch_full_model: Ratio = Field(5e-4, gt=0, description="relative, against the full model")
+    launch_full_model: Ratio = Field(1e-3, gt=0, description="relative, against the full model")
     position: Ratio = Field(1e-4, gt=0, description="of the travel in an impact, any two roads")
     rebound_velocity: Ratio = Field(1e-4, gt=0, description="relative, any two roads")
     separation_time: GateTime = Field(  # type: ignore[assignment]
@@ -263,6 +263,9 @@ class Gates(Section):
     harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
     harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
     superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
+    lookup_slope: Ratio = Field(
+        0.05, gt=0, description="jump of the EM lookup's slope, of the largest"
+    )
     lookup: Ratio = Field(1e-4, gt=0, description="EM force, ngspice lookup to largest FE force")
 
 

@@ -33,10 +33,10 @@ def _unit(name: str) -> str:
     return _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0], "")
 
 
-def write_record(record: Mapping[str, Any], directory: Path) -> None:
-    """``result.json``; a number that is not finite would not be JSON, so it becomes null."""
+def write_record(record: Mapping[str, Any], directory: Path, name: str = "result.json") -> None:
+    """One JSON file; a number that is not finite would not be JSON, so it becomes null."""
     text = json.dumps(_finite(record), indent=2)
-    (directory / "result.json").write_text(text + "\n", encoding="utf-8")
+    (directory / name).write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

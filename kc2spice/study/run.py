@@ -14,7 +14,7 @@ from kc2spice.errors import SimulationError
 from kc2spice.fem import emtable
 from kc2spice.netlist.circuit import Deck
 from kc2spice.output import staged
-from kc2spice.report.loop_figures import loop_figures
+from kc2spice.report.figures import run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
 from kc2spice.rom.model import ResonatorModel
@@ -51,7 +51,7 @@ def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
             if models.table is not None:
                 emtable.save(models.table, work / "em_table.npz")
                 files.append("em_table.npz")
-            pictures = loop_figures(work, waves, scene, models.table)
+            pictures = run_figures(work, scene, waves, models.table)
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
         write_run(work / "report.html", record, scene, pictures)
