@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from kc2spice.report.plots import Picture
 from kc2spice.sim.waveforms import Waveforms
 
 
@@ -39,7 +40,8 @@ class Findings:
 
     ``errors`` holds ``rom_vs_fom``, ``ngspice_vs_rom`` and ``ngspice_vs_fom`` (largest relative),
     ``speedup`` the ratios ``refactor`` and ``low_rank`` of a full-model baseline's time to the
-    netlist's, where the scene has them; ``curves`` the waveforms of each road.
+    netlist's, where the scene has them; ``curves`` the waveforms of each road, the
+    most exact one first.
     """
 
     checks: tuple[Check, ...]
@@ -49,6 +51,7 @@ class Findings:
     metrics: dict[str, Any]
     notes: tuple[str, ...] = ()
     curves: dict[str, Waveforms] = field(default_factory=dict)
+    pictures: tuple[Picture, ...] = ()
 
     @property
     def passed(self) -> bool:
