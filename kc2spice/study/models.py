@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from kc2spice.cache import cached
 from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
 from kc2spice.fem.magnetics import catch_table
-from kc2spice.fem.mesh import kick_mesh
+from kc2spice.fem.mesh import KickMesh, kick_mesh
 from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.system import Port
+from kc2spice.fem.system import PiezoSystem, Port
 from kc2spice.rom.facts import condensed_facts
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.model import Certificate, ResonatorModel
 from kc2spice.rom.reduce import reduce_condensed
-from kc2spice.rom.schur import condense
+from kc2spice.rom.schur import CondensedSystem, condense
 from kc2spice.scene.need import need
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.schema import Drive, Kick, Scene
 from kc2spice.study.progress import Clock
 
 
@@ -52,28 +54,56 @@ def build_models(scene: Scene, clock: Clock) -> Models:
     )
 
 
+def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
+    """What the chip's matrices, their reduction and the catch's field depend on, where present.
+
+    Scenes with equal entries share that model. The drive pulse and the electrical boundary act on
+    the circuit, and the field is linear in the remanence: neither is part of a model.
+    """
+    keys: dict[str, dict[str, Any]] = {}
+    if scene.kick is not None:
+        keys["chip"] = scene.kick.model_dump(mode="json", exclude={"drive", "electrical"})
+        keys["reduction"] = {"kick": keys["chip"], "rom": scene.rom.model_dump(mode="json")}
+    if scene.catch is not None:
+        catch = scene.catch.model_dump(mode="json", exclude={"remanence"})
+        keys["field"] = {"catch": catch, "radius": need(scene.sphere, "sphere").radius}
+    return keys
+
+
+# The last chip stays in memory: the next scene often asks for another reduction of the same one.
+@lru_cache(maxsize=1)
+def _mesh(chip: Kick) -> KickMesh:
+    return kick_mesh(chip)
+
+
+@lru_cache(maxsize=1)
+def _assembled(chip: Kick) -> PiezoSystem:
+    return assemble_kick(chip, _mesh(chip))
+
+
+@lru_cache(maxsize=1)
+def _condensed(chip: Kick) -> tuple[CondensedSystem, dict[str, float]]:
+    condensed = condense(_assembled(chip))
+    return condensed, condensed_facts(condensed)
+
+
 def _kick(scene: Scene, clock: Clock) -> KickModel:
-    kick = need(scene.kick, "kick")
+    chip = need(scene.kick, "kick").model_copy(update={"drive": Drive(), "electrical": "driven"})
 
     def build() -> KickModel:
         with clock.stage("mesh", "chip mesh"):
-            mesh = kick_mesh(kick)
+            _mesh(chip)
         with clock.stage("assemble", "piezoelectric matrices"):
-            system = assemble_kick(kick, mesh)
+            system = _assembled(chip)
         with clock.stage("reduce", "factorisation and Krylov basis"):
-            condensed = condense(system)
+            condensed, facts = _condensed(chip)
             modal = resonators(reduce_condensed(condensed, scene.rom))
-            facts = condensed_facts(condensed)
         whole = whole_device(modal, system.sectors)
         return KickModel(whole, system.ring_radii, system.sectors, facts)
 
-    # The drive pulse and the electrical boundary act on the circuit, not on the chip's model.
-    key = {
-        "kick": kick.model_dump(exclude={"drive", "electrical"}),
-        "rom": scene.rom,
-    }
     model, _ = cached(
-        "kick", key, build, classes=(KickModel, ResonatorModel, Certificate, Port),
+        "kick", model_keys(scene)["reduction"], build,
+        classes=(KickModel, ResonatorModel, Certificate, Port),
         sources=("kc2spice.fem", "kc2spice.rom"),
     )  # fmt: skip
     return model
@@ -81,14 +111,30 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
 
 def _table(scene: Scene, clock: Clock) -> EMTable:
     catch, sphere = need(scene.catch, "catch"), need(scene.sphere, "sphere")
+    unit = catch.model_copy(update={"remanence": 1.0})
 
     def build() -> EMTable:
         with clock.stage("magnetics", "field of the catch actuator") as share:
-            return catch_table(catch, sphere, lambda done, total: share(done / total))
+            return catch_table(unit, sphere, lambda done, total: share(done / total))
 
-    key = {"catch": catch, "radius": sphere.radius}
+    key = model_keys(scene)["field"]
     table, _ = cached("catch", key, build, classes=(EMTable,), sources=("kc2spice.fem",))
-    return table
+    return magnetised(table, catch.remanence)
+
+
+def magnetised(table: EMTable, factor: float) -> EMTable:
+    """The table for ``factor`` times the remanence of ring and sphere, exact in linear materials.
+
+    The pull between the magnets grows with the square, what a current adds in proportion, and
+    what currents do alone not at all.
+    """
+    return replace(
+        table,
+        c0=factor**2 * table.c0,
+        c1=factor * table.c1,
+        c2=factor * table.c2,
+        flux0=factor * table.flux0,
+    )
 
 
 def model_facts(models: Models) -> dict[str, dict[str, float]]:
