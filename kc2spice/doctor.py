@@ -138,7 +138,7 @@ def _libngspice() -> Finding:
 def _cache() -> Finding:
     folder = cache_dir()
     fix = "set KC2SPICE_CACHE to a directory that you can write to"
-    existing = next(path for path in (folder, *folder.parents) if path.exists())
-    ok = existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+    existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+    ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
     found = str(folder) if ok else f"{folder} cannot be written"
     return Finding("cache", ok, found, fix, needed=False)

@@ -28,10 +28,9 @@ def staged(out: Path | str) -> Iterator[Path]:
     """
     out = Path(out).absolute()
     parent = _nearest_directory(out.parent)
-    if out.exists() and not out.is_dir():
-        raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
-    if out.is_dir() and not os.access(out, os.W_OK | os.X_OK):
-        raise UsageError("cannot be written to", where=str(out), hint="choose another --out")
+    _nearest_directory(out)
+    if os.path.isdir(out) and not os.access(out, os.W_OK | os.X_OK):
+        raise UsageError("cannot be written", where=str(out), hint="choose another --out")
     try:
         work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=parent))
     except OSError as error:
@@ -48,14 +47,12 @@ def staged(out: Path | str) -> Iterator[Path]:
 
 def _nearest_directory(path: Path) -> Path:
     """``path`` or its first ancestor that exists: results are made on the same file system."""
-    for candidate in (path, *path.parents):
-        if candidate.is_dir():
-            return candidate
-        if candidate.exists():
-            raise UsageError(
-                "is a file, not a directory", where=str(candidate), hint="choose another --out"
-            )
-    raise UsageError("no such directory", where=str(path))
+    # os.path answers False where pathlib raises, below directories that may not be entered.
+    nearest = next(item for item in (path, *path.parents) if os.path.exists(item))
+    if not os.path.isdir(nearest):
+        where = str(nearest)
+        raise UsageError("is a file, not a directory", where=where, hint="choose another --out")
+    return nearest
 
 
 def _unwritable(path: Path, error: OSError) -> UsageError:

@@ -98,8 +98,10 @@ def test_out_is_a_file(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_out_is_read_only(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(UsageError, match="cannot be written"), staged(tmp_path / "out"):
+@pytest.mark.parametrize("mode", [0o500, 0o400, 0o000])
+@pytest.mark.parametrize("name", ["locked", "locked/out", "locked/a/b"])
+def test_out_cannot_be_written(tmp_path, name, mode):
+    (tmp_path / "locked").mkdir(mode=mode)
+    with pytest.raises(UsageError, match="cannot be written"), staged(tmp_path / name):
         pass
-    tmp_path.chmod(0o700)
+    (tmp_path / "locked").chmod(0o700)
