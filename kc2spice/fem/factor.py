@@ -92,4 +92,4 @@ def _superlu(matrix: sparse.csc_array) -> Callable[[np.ndarray], np.ndarray]:
         diag_pivot_thresh=0.0,
         options=options,
     )
-    return lambda rhs: lu.solve(np.asarray(rhs, dtype=matrix.dtype))
+    return lambda rhs: lu.solve(rhs.astype(matrix.dtype, casting="safe"))

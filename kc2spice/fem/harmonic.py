@@ -24,7 +24,7 @@ def harmonic(
     for k, f in enumerate(frequency):
         s = 2j * np.pi * f
         solver = ShiftedSolver(system, s * (s + system.alpha), 1 + s * system.beta)
-        response[k] = B.T @ solver.solve(B.astype(complex))
+        response[k] = B.T @ solver.solve(B)
         response[k, -1, -1] += capacitance
         if progress:
             progress((k + 1) / len(frequency))

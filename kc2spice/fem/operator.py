@@ -46,7 +46,9 @@ class ShiftedSolver:
     """
 
     def __init__(self, system: PiezoSystem, a: complex, c: complex) -> None:
-        definite = bool(np.isreal(a) and np.isreal(c) and np.real(a) >= 0 and np.real(c) > 0)
+        if np.isreal(a) and np.isreal(c):
+            a, c = float(np.real(a)), float(np.real(c))
+        definite = not isinstance(a, complex) and a >= 0 and c > 0
         matrix = c * system.K_uu + a * system.M if a else c * system.K_uu
         self._potentials = system.K_pp.shape[0]
         if self._potentials:

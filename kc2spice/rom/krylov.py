@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -22,33 +22,33 @@ def block_arnoldi(
     static answers to all ports; a one-sided projection on it matches 2 moments per block.
     Fewer than ``order`` columns return when the Krylov space is exhausted.
     """
-    basis = np.empty((B.shape[0], 0))
-    images = np.empty((B.shape[0], 0))  # K V: makes every inner product an ordinary one
+    basis = images = np.empty((B.shape[0], 0))
     candidates = solve(B)
-    while basis.shape[1] < order and candidates.shape[1]:
-        block = list(_orthonormal(candidates, stiffness, basis, images))
-        if not block:
+    while basis.shape[1] < order:
+        columns, column_images = extend(basis, images, candidates, stiffness)
+        if not columns.shape[1]:
             break
-        columns, column_images = (np.column_stack(part) for part in zip(*block, strict=True))
         basis = np.hstack([basis, columns])
         images = np.hstack([images, column_images])
         candidates = solve(mass(columns))
     return basis[:, :order]
 
 
-def _orthonormal(
-    candidates: np.ndarray, stiffness: Operator, basis: np.ndarray, images: np.ndarray
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield (v, K v), K-orthonormal to the basis and to one another; deflate what is dependent."""
+def extend(
+    basis: np.ndarray, images: np.ndarray, candidates: np.ndarray, stiffness: Operator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (v, K v) that the candidates add to a K-orthonormal basis with images K V.
+
+    The images make every inner product an ordinary one. Dependent candidates are deflated.
+    """
+    old = basis.shape[1]
     for vector in candidates.T:
         length = np.sqrt(vector @ stiffness(vector))
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             vector = vector - basis @ (images.T @ vector)
         image = stiffness(vector)
         remaining = np.sqrt(max(vector @ image, 0.0))
-        if remaining <= DEFLATION * length:
-            continue
-        vector, image = vector / remaining, image / remaining
-        basis = np.column_stack([basis, vector])
-        images = np.column_stack([images, image])
-        yield vector, image
+        if remaining > DEFLATION * length:
+            basis = np.column_stack([basis, vector / remaining])
+            images = np.column_stack([images, image / remaining])
+    return basis[:, old:], images[:, old:]

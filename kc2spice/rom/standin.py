@@ -8,7 +8,7 @@ from kc2spice.errors import SimulationError
 from kc2spice.fem.harmonic import harmonic
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.reduce import project
+from kc2spice.rom.project import project
 from kc2spice.rom.response import frequency_response, relative_error
 from kc2spice.rom.schur import CondensedSystem
 
