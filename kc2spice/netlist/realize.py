@@ -15,7 +15,6 @@ from kc2spice.rom.model import ResonatorModel
 
 MICRO = 1e-6  # 1 V on a mechanical pin is 1 um
 STATE = 1e-6  # farad of every state: one chgtol is then one tolerance of displacement
-LINK = 1e9  # N/um between a ring pin and the modal sum; far above any ring's stiffness
 LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 
 
@@ -37,8 +36,7 @@ class _Mode:
     shape: np.ndarray
     force: np.ndarray
     voltage: float
-    current: float
-    leak: float
+    charge: float
 
 
 def realize(
@@ -54,6 +52,9 @@ def realize(
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um::
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k,    C = 1 uF
+
+    A ring pin is conservative: its displacement equals the modal sum, and the force that holds
+    it there drives the modes. Both are exact, so port laws and passivity are those of the model.
 
     Parameters
     ----------
@@ -89,10 +90,9 @@ def realize(
         name=checked_name(name),
         pins=[pin.name for pin in pins],
         rings=rings,
-        modes=_modes(model, anode, clamped),
+        modes=_modes(model, anode),
         electrical=electrical,
         clamped=clamped,
-        link=LINK,
         leak=LEAK,
     )
     return Subcircuit(name, pins, (), text)
@@ -103,15 +103,14 @@ def _pins(rings: tuple[_Ring, ...], electrical: bool) -> tuple[Pin, ...]:
     return (*terminals, *(Pin(ring.pin, "um", "N") for ring in rings), Pin("base", "um", "N"))
 
 
-def _modes(model: ResonatorModel, anode: int | None, clamped: float) -> list[_Mode]:
+def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
     """Card values of every mode, from low to high frequency."""
     mechanical = [p.kind == "mechanical" for p in model.ports]
-    modes = []
+    modes: list[_Mode] = []
     for j in np.argsort(model.omega):
         omega, damp, gain = model.omega[j], model.damp[j], model.gain[j]
         scale = np.max(np.abs(gain[mechanical]), initial=0.0) or 1.0
         drive = STATE * scale * gain / (omega * MICRO)  # A into p per newton or volt
-        charge = gain[anode] * MICRO / scale if anode is not None else 0.0  # C per um
         modes.append(
             _Mode(
                 index=len(modes) + 1,
@@ -122,8 +121,7 @@ def _modes(model: ResonatorModel, anode: int | None, clamped: float) -> list[_Mo
                 shape=gain / scale,
                 force=drive,
                 voltage=drive[anode] if anode is not None else 0.0,
-                current=charge * omega,
-                leak=LEAK * charge / clamped if clamped else 0.0,
+                charge=gain[anode] / scale if anode is not None else 0.0,  # uC per um
             )
         )
     return modes

@@ -184,7 +184,8 @@ def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     scale = names[0] if names[0] in ("time", "frequency") else "sweep"
     data = {scale: vectors[names[0]].real.copy()}
     for key, (expression, factor) in deck.vectors.items():
-        data[key] = factor * sum(_vector(deck, vectors, v) for v in expression.split("+"))
+        parts = [_vector(deck, vectors, v) for v in expression.split("+")]
+        data[key] = factor * np.sum(parts, axis=0)
     return data
 
 
