@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kc2spice import __version__
-from kc2spice.console import print_facts, print_table, reported_errors, shown_progress
+from kc2spice.cli_tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.console import print_table, reported_errors, shown_progress
 from kc2spice.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def run(
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
-            _show_result(result, directory)
+            show_result(result, directory)
 
 
 @app.command()
@@ -165,7 +165,7 @@ def verify(
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
             print(json.dumps({**record, "directory": str(directory.absolute())}))
         elif not quiet:
-            _show_verdicts(found, directory)
+            show_verdicts(found, directory)
         if not passed:
             raise typer.Exit(GateMissedError.exit_code)
 
@@ -186,12 +186,7 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
             print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
             return
         print(f"{loaded.name}: {loaded.title}\nscene hash {scene_hash(loaded)}\n")
-        rows = [(part.part, part.source, part.detail) for part in found.parts]
-        print_table("modelled", rows, header=("part", "model", "detail"))
-        if found.ports:
-            print(f"\nports of the reduced chip: {', '.join(found.ports)}\n")
-        left = [(item.effect, item.why, item.error) for item in found.left_out]
-        print_table("left out", left, header=("effect", "why", "size"))
+        show_plan(found)
 
 
 @app.command()
@@ -203,11 +198,17 @@ def scenes(
 ) -> None:
     """List the built-in scenes, or all scene keys."""
     with reported_errors():
-        if keys:
-            _show_keys(as_json)
-            return
+        from dataclasses import asdict
+
+        from kc2spice.scene.keys import scene_keys
         from kc2spice.scene.load import gallery, load_scene
 
+        if keys and as_json:
+            print(json.dumps([asdict(key) for key in scene_keys()]))
+            return
+        if keys:
+            show_keys(scene_keys())
+            return
         found = {name: load_scene(name).title for name in gallery()}
         if as_json:
             print(json.dumps(found))
@@ -227,12 +228,7 @@ def doctor(as_json: AsJson = False) -> None:
         if as_json:
             print(json.dumps({"findings": [asdict(finding) for finding in findings]}))
         else:
-            marks = {(True, True): "ok", (True, False): "ok", (False, True): "MISSING"}
-            rows = [
-                (marks.get((f.ok, f.needed), "absent"), f.name, f.found, "" if f.ok else f.fix)
-                for f in findings
-            ]
-            print_table("doctor", rows, header=("", "what", "found", "fix"))
+            show_findings(findings)
         if any(finding.needed and not finding.ok for finding in findings):
             raise typer.Exit(3)
 
@@ -242,62 +238,3 @@ def _load(name: str, overrides: list[str] | None, out: Path | None) -> tuple[Sce
 
     loaded = load_scene(name, overrides or [])
     return loaded, out if out is not None else Path(loaded.name)
-
-
-def _show_result(result: Mapping[str, Any], directory: Path) -> None:
-    for part, facts in result.get("model", {}).items():
-        print_facts(f"model: {part}", facts)
-    if "rom" in result:
-        rom = result["rom"]
-        low, high = rom["band_hz"]
-        rows = [
-            ("order", str(rom["order"])),
-            ("band", f"{low:g} … {high:g} Hz"),
-            ("error estimate", f"{rom['error_estimate']:.3g}"),
-        ]
-        print_table("reduced model", rows)
-    print_facts("metrics", result.get("metrics", {}))
-    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
-    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
-
-
-def _show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
-    for name, record in found.items():
-        rows = [
-            (
-                "ok" if check["passed"] else "MISSED",
-                check["name"],
-                "-" if check["value"] is None else f"{check['value']:.3g}",
-                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
-            )
-            for check in record["checks"]
-        ]
-        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
-        roads = [
-            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
-        ]
-        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
-        for note in record["notes"]:
-            print(f"  {note}")
-    print(f"all of it, with errors and plots: {directory / 'verify.html'}")
-
-
-def _show_keys(as_json: bool) -> None:
-    from dataclasses import asdict
-
-    from kc2spice.scene.keys import scene_keys
-
-    found = list(scene_keys())
-    if as_json:
-        print(json.dumps([asdict(key) for key in found]))
-        return
-    rows = [
-        (
-            key.name,
-            key.unit or "",
-            "" if key.default is None else str(key.default),
-            " | ".join(key.choices) or key.doc,
-        )
-        for key in found
-    ]
-    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))

@@ -1,0 +1,88 @@
+"""What the commands print for a person: results, verdicts, plans, keys and findings as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kc2spice.console import print_facts, print_table
+
+if TYPE_CHECKING:
+    from kc2spice.doctor import Finding
+    from kc2spice.scene.keys import Key
+    from kc2spice.scene.plan import Plan
+
+
+def show_result(result: Mapping[str, Any], directory: Path) -> None:
+    """What ``run`` found."""
+    for part, facts in result.get("model", {}).items():
+        print_facts(f"model: {part}", facts)
+    if "rom" in result:
+        rom = result["rom"]
+        low, high = rom["band_hz"]
+        rows = [
+            ("order", str(rom["order"])),
+            ("band", f"{low:g} … {high:g} Hz"),
+            ("error estimate", f"{rom['error_estimate']:.3g}"),
+        ]
+        print_table("reduced model", rows)
+    print_facts("metrics", result.get("metrics", {}))
+    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
+    """What ``verify`` found."""
+    for name, record in found.items():
+        rows = [
+            (
+                "ok" if check["passed"] else "MISSED",
+                check["name"],
+                "-" if check["value"] is None else f"{check['value']:.3g}",
+                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
+            )
+            for check in record["checks"]
+        ]
+        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
+        roads = [
+            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
+        ]
+        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        for note in record["notes"]:
+            print(f"  {note}")
+    print(f"all of it, with errors and plots: {directory / 'verify.html'}")
+
+
+def show_plan(plan: Plan) -> None:
+    """What ``explain`` says after the scene's name."""
+    rows = [(part.part, part.source, part.detail) for part in plan.parts]
+    print_table("modelled", rows, header=("part", "model", "detail"))
+    if plan.ports:
+        print(f"\nports of the reduced chip: {', '.join(plan.ports)}\n")
+    left = [(item.effect, item.why, item.error) for item in plan.left_out]
+    print_table("left out", left, header=("effect", "why", "size"))
+
+
+def show_keys(keys: Iterable[Key]) -> None:
+    """What ``scenes --keys`` lists."""
+    rows = [
+        (
+            key.name,
+            key.unit or "",
+            "" if key.default is None else str(key.default),
+            " | ".join(key.choices) or key.doc,
+        )
+        for key in keys
+    ]
+    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """What ``doctor`` found."""
+    marks = {(True, True): "ok", (True, False): "ok", (False, True): "MISSING"}
+    rows = [
+        (marks.get((f.ok, f.needed), "absent"), f.name, f.found, "" if f.ok else f.fix)
+        for f in findings
+    ]
+    print_table("doctor", rows, header=("", "what", "found", "fix"))
