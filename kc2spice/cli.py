@@ -14,6 +14,7 @@ import typer
 
 from kc2spice import __version__
 from kc2spice.cli_tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.commands_sweep import sweep
 from kc2spice.console import print_table, reported_errors, shown_progress
 from kc2spice.errors import GateMissedError, UsageError
 
@@ -231,6 +232,9 @@ def doctor(as_json: AsJson = False) -> None:
             show_findings(findings)
         if any(finding.needed and not finding.ok for finding in findings):
             raise typer.Exit(3)
+
+
+app.command()(sweep)
 
 
 def _load(name: str, overrides: list[str] | None, out: Path | None) -> tuple[Scene, Path]:

@@ -48,9 +48,18 @@ def write_run(
     return write_page(path, title, lead, kept)
 
 
+def unit_of(key: str) -> str:
+    """Unit that a key of result.json names by its suffix, empty where it names none."""
+    return _suffix(key)[1]
+
+
+def _suffix(key: str) -> tuple[str, str]:
+    return next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
+
+
 def fact(key: str, value: Any) -> tuple[str, str]:
     """A key of result.json and its value as words: the suffix of the key is the unit."""
-    suffix, unit = next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
+    suffix, unit = _suffix(key)
     name = key.removesuffix(suffix).replace("_", " ")
     if isinstance(value, (list, tuple)) and len(value) > 8:
         return name, f"{len(value)} values, in result.json"

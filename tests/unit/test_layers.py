@@ -12,7 +12,7 @@ ROOT = Path(kc2spice.__file__).parent
 BASE = ("__init__", "errors", "units", "cache", "output")
 LAYERS = ("scene", "fem", "rom", "netlist", "parts", "sim", "report", "study", "cli")
 # The terminal belongs to the command line.
-SAME_AS = {"console": "cli", "cli_tables": "cli", "doctor": "cli", "__main__": "cli"}
+SAME_AS = {name: "cli" for name in ("console", "cli_tables", "commands_sweep", "doctor", "__main__")}
 LAZY = ("gmsh", "PySpice", "matplotlib")
 MODULES = sorted(ROOT.rglob("*.py"))
 

@@ -1,0 +1,228 @@
+"""Pools of workers behind the interface of ``concurrent.futures``, and how they lose no point."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from kc2spice.errors import MissingToolError
+
+PATIENCE = 60.0  # s that a lost scheduler may take to come back
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
+
+
+class Engine(Protocol):
+    """A pool that can be opened again after it was lost."""
+
+    @property
+    def workers(self) -> int:
+        """Points that run at a time."""
+
+    def open(self) -> Executor:
+        """A new pool; MissingToolError where there is none to be had."""
+
+    def close(self) -> None:
+        """Let the workers finish what they run, start nothing else, end them."""
+
+
+@dataclass
+class LocalEngine:
+    """Processes of this machine, one thread each."""
+
+    workers: int
+    _pool: ProcessPoolExecutor | None = field(default=None, init=False)
+
+    def open(self) -> Executor:
+        """Start the processes anew."""
+        from multiprocessing import get_context
+
+        self.close()
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
+        self._pool = ProcessPoolExecutor(self.workers, get_context("spawn"), _worker_starts)
+        return self._pool
+
+    def close(self) -> None:
+        """End the processes after the points that they run."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+def _worker_starts() -> None:
+    """Leave Ctrl-C to the parent, and do not outlive it."""
+    from multiprocessing import connection, parent_process
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            connection.wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@dataclass
+class DaskEngine:
+    """Workers of a Dask scheduler, or of a cluster on this machine for the address ``local``."""
+
+    address: str
+    local_workers: int
+    workers: int = field(default=1, init=False)
+    _client: Any = field(default=None, init=False)
+    _cluster: Any = field(default=None, init=False)
+
+    def open(self) -> Executor:
+        """Connect; a scheduler that went away gets a minute to come back.
+
+        Raises
+        ------
+        MissingToolError : dask.distributed is not installed, or nobody answers at the address.
+        """
+        try:
+            from distributed import Client, LocalCluster
+        except ImportError:
+            raise MissingToolError(
+                "dask.distributed is not installed", where="--dask",
+                hint="pip install 'kc2spice[dask]'",
+            ) from None  # fmt: skip
+        patience = PATIENCE if self._client is not None else 10.0
+        self.close()
+        try:
+            if self.address == "local":
+                self._cluster = LocalCluster(
+                    n_workers=self.local_workers, threads_per_worker=1, dashboard_address=None
+                )
+            self._client = Client(self._cluster or self.address, timeout=patience)
+            self._client.wait_for_workers(1, timeout=patience)
+        except (OSError, TimeoutError, ValueError) as error:
+            self.close()
+            raise MissingToolError(
+                "no Dask scheduler with workers answers", where="--dask", got=self.address,
+                expected="an address such as tcp://host:8786, or local",
+                hint=f"{type(error).__name__}: {error}".splitlines()[0][:200],
+            ) from None  # fmt: skip
+        self.workers = sum(self._client.nthreads().values())
+        return self._client.get_executor(pure=False, retries=0)
+
+    def close(self) -> None:
+        """Disconnect; end the cluster if it is ours."""
+        for item in (self._client, self._cluster):
+            if item is not None:
+                with contextlib.suppress(Exception):  # it may be gone already
+                    item.close(timeout=5)
+        self._cluster = None
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function to run in a worker; ``name`` identifies it to whoever asked."""
+
+    name: Any
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+class Lost:
+    """Result of a call that ended its worker twice."""
+
+
+def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
+    """Results of ``calls`` as they come, with no more in flight than keeps the workers busy.
+
+    None among the calls holds back those behind it until those before it have ended.
+
+    Where a worker dies, its pool is opened again and every call that was in flight is run once
+    more, alone: only the one that ends its worker again is given up, and its result is ``Lost``.
+    Exceptions of the functions themselves are raised.
+    """
+    pending: dict[Future[Any], Call] = {}
+    executor = engine.open()
+    exhausted = held = False
+    try:
+        while True:
+            suspects: list[Call] = []
+            held = held and bool(pending)
+            while not (exhausted or held or suspects) and len(pending) <= 2 * engine.workers:
+                try:
+                    call = next(calls)
+                except StopIteration:
+                    exhausted = True
+                    break
+                if call is None:
+                    held = bool(pending)
+                elif not _submit(executor, call, pending):
+                    suspects.append(call)
+            if not pending and not suspects:
+                return
+            done, _ = wait(pending, return_when=FIRST_COMPLETED) if not suspects else (set(), None)
+            for future in done:
+                call = pending.pop(future)
+                try:
+                    result = future.result()
+                except Exception as error:
+                    if not _is_loss(error):
+                        raise
+                    suspects.append(call)
+                else:
+                    yield call, result
+            if suspects:
+                suspects += pending.values()
+                pending.clear()
+                executor = engine.open()
+                for call in suspects:
+                    result, executor = _alone(engine, executor, call)
+                    yield call, result
+    finally:
+        engine.close()
+
+
+def _submit(executor: Executor, call: Call, pending: dict[Future[Any], Call]) -> bool:
+    try:
+        pending[executor.submit(call.function, *call.arguments)] = call
+    except Exception as error:
+        if not _is_loss(error):
+            raise
+        return False
+    return True
+
+
+def _alone(engine: Engine, executor: Executor, call: Call) -> tuple[Any, Executor]:
+    try:
+        return executor.submit(call.function, *call.arguments).result(), executor
+    except Exception as error:
+        if not _is_loss(error):
+            raise
+        return Lost(), engine.open()
+
+
+def _is_loss(error: BaseException) -> bool:
+    """Whether a worker, a pool or a scheduler went away, told without importing Dask."""
+    if isinstance(error, (BrokenExecutor, CancelledError, OSError)):
+        return True
+    names = {kind.__name__ for kind in type(error).__mro__}
+    return bool(names & {"KilledWorker", "FutureCancelledError", "FuturesCancelledError",
+                         "CommClosedError", "FutureLostError"})  # fmt: skip
