@@ -10,6 +10,7 @@ from scipy.constants import epsilon_0
 from skfem import Basis, BilinearForm, ElementVector
 
 from kc2spice.errors import UsageError
+from kc2spice.fem.budget import require_memory
 from kc2spice.fem.mesh import KickMesh, kick_mesh
 from kc2spice.fem.system import PiezoSystem, Port
 from kc2spice.scene.schema import Kick, Material
@@ -80,8 +81,10 @@ def assemble_kick(kick: Kick, mesh: KickMesh | None = None) -> PiezoSystem:
 
     Raises
     ------
-    UsageError : rings beyond the chip, odd sector count, impossible material.
+    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
+        for the memory.
     """
+    require_memory(kick)
     mesh = kick_mesh(kick) if mesh is None else mesh
     M, K_uu, K_uphi, K_phi = assemble_matrices(mesh, piezo_material(kick.material))
     free = free_displacements(mesh)

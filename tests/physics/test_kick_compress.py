@@ -4,16 +4,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy import sparse
 
 from kc2spice.errors import SimulationError
-from kc2spice.fem.contact import ContactSurface, contact_surface
+from kc2spice.fem.contact import contact_surface
 from kc2spice.fem.harmonic import harmonic
 from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.system import PiezoSystem
 from kc2spice.fem.transient import Ball, kick_pulse, transient
 from kc2spice.rom.compress import krylov_model
 from kc2spice.rom.krylov import block_arnoldi
+from kc2spice.rom.meshstudy import as_system, on_reduced
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.project import project
 from kc2spice.rom.reduce import reduce_condensed
@@ -65,14 +64,7 @@ def test_twenty_states_launch_the_sphere_as_the_full_model_does(default):
     rom = reduce_condensed(default, Rom(tolerance=2e-7))
     surface = contact_surface(Kick(), Contact(), Sphere())
     full = default.system
-    none = sparse.csc_array((rom.order, 0))
-    reduced = PiezoSystem(
-        M=sparse.csc_array(rom.M), K_uu=sparse.csc_array(rom.K), K_up=none,
-        K_pp=sparse.csc_array((0, 0)), k_uV=-rom.B[:, -1], k_pV=np.zeros(0),
-        c_VV=rom.D[-1, -1], B=rom.B[:, :-1], ports=rom.ports, alpha=full.alpha, beta=full.beta,
-        sectors=4, ring_radii=full.ring_radii, mass=full.mass,
-    )  # fmt: skip
-    reduced_surface = ContactSurface(rom.B[:, :-1], surface.gap, surface.penalty, surface.ring)
+    reduced, reduced_surface = as_system(rom, full), on_reduced(surface, rom)
     launch = [
         transient(
             system, contact, Ball(MASS, 0.0, 0.0, 9.81), step=20e-9, stop=6.2e-6,
