@@ -38,12 +38,16 @@ class Element:
 
 @dataclass
 class Scope:
-    """A subcircuit or the top level (``name == ""``): what it defines, in lower case."""
+    """A subcircuit or the top level (``name == ""``): what it defines, in lower case.
+
+    ``defaults`` are the parameters that an instance may set, ``params`` those and its own.
+    """
 
     name: str
     statement: Statement | None
     parent: Scope | None = None
     pins: tuple[str, ...] = ()
+    defaults: dict[str, str] = field(default_factory=dict)
     params: dict[str, str] = field(default_factory=dict)
     elements: list[Element] = field(default_factory=list)
     models: dict[str, Statement] = field(default_factory=dict)
@@ -144,7 +148,8 @@ def _opened(s: Statement, parent: Scope) -> Scope:
             got=name,
             expected=f"one definition; the first is in {first.where if first else '?'}",
         )
-    scope = Scope(name, s, parent, pins, _assignments([w for w in rest if "=" in w], s))
+    defaults = _assignments([w for w in rest if "=" in w], s)
+    scope = Scope(name, s, parent, pins, defaults, dict(defaults))
     parent.subcircuits[name.lower()] = scope
     return scope
 
@@ -194,9 +199,11 @@ def element(s: Statement) -> Element:
         )
     if kind not in NODES:
         raise UsageError(
-            "unknown kind of element", where=s.where, got=words[0],
-            expected="a name that begins with " + ", ".join(sorted(k.upper() for k in NODES)) + ", X",
-        )  # fmt: skip
+            "unknown kind of element",
+            where=s.where,
+            got=words[0],
+            expected=f"a name that begins with one of {''.join(sorted(NODES)).upper()}X",
+        )
     count = NODES[kind]
     if kind in "eg" and len(rest) > 2 and (_BEHAVIOURAL.match(rest[2]) or "=" in rest[2]):
         count = 2

@@ -234,7 +234,7 @@ class _Parser:
             inside, self.at = self.text[self.at : end], end + 1
             if end < 0 or not inside.strip():
                 raise self.error("a node expected")
-            return Probe(name.lower(), tuple(n.strip().lower() for n in inside.split(",")))
+            return Probe(name.lower(), tuple(n.strip() for n in inside.split(",")))
         arguments: list[Tree] = []
         if self.accept(")") is None:
             arguments.append(self.choice())

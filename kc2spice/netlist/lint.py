@@ -163,12 +163,12 @@ def _instance(part: Element, scope: Scope) -> Iterator[Problem]:
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
         )
     for param in part.params:
-        if param not in called.params:
+        if param not in called.defaults:
             yield Problem(
                 part.statement.where,
                 f"{called.name} has no such parameter",
                 param,
-                _nearest(param, list(called.params)),
+                _nearest(param, called.defaults),
             )
 
 
@@ -205,7 +205,7 @@ def _unknown_names(card: Statement, text: str, scope: Scope) -> Iterator[Problem
                 )
         elif isinstance(leaf, Probe):
             what, present = ("node", nodes) if leaf.kind == "v" else ("source", sources)
-            for name in leaf.names:
+            for name in map(str.lower, leaf.names):
                 if name not in present:
                     yield Problem(card.where, f"no such {what}", name, _nearest(name, present))
 

@@ -16,19 +16,23 @@ from kc2spice.netlist.statements import Statement, statements
 
 LARGEST = 4_000_000  # bytes of one file
 MOST = 64  # files of one circuit
-COMMANDS = frozenset(
-    ".subckt .ends .model .param .params .func .global .ic .nodeset .temp .options .option .opt "
-    ".end .title .tran .ac .dc .op .tf .noise .four .meas .measure .save .print .plot .probe "
-    ".width".split()
-)
+# fmt: off
+COMMANDS = frozenset((
+    ".subckt", ".ends", ".model", ".param", ".params", ".func", ".global", ".ic", ".nodeset",
+    ".temp", ".options", ".option", ".opt", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf",
+    ".noise", ".four", ".meas", ".measure", ".save", ".print", ".plot", ".probe", ".width",
+))
 _ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
-_SHELL_WORDS = frozenset(
-    "shell system codemodel source load exec alias osdi write wrdata hardcopy cd set unset "
-    "pre_codemodel pre_osdi quit exit".split()
-)
-_FILES = re.compile(r"(?i)\b(\w*file|simulation|lib|library|process)\s*=|\b\w*file\s*\(|"
-                    r"\b(table|spline|fasttable)\s*\(\s*[\"']")  # fmt: skip
-_HIDDEN = re.compile(r"[^\S\n\r\t ]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
+_SHELL_WORDS = frozenset((
+    "shell", "system", "codemodel", "source", "load", "exec", "alias", "osdi", "write", "wrdata",
+    "hardcopy", "cd", "set", "unset", "pre_codemodel", "pre_osdi", "quit", "exit",
+))
+# fmt: on
+_FILES = re.compile(
+    r"(?i)\b(\w*file|simulation|lib|library|process)\s*=|\b\w*file\s*\(|"
+    r"\b(table|spline|fasttable)\s*\(\s*[\"']"
+)  # fmt: skip
+_HIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
 _DISGUISED = re.compile(r"(?i)^[\s+;$/#&]*\.(control|endc|exec|inc|lib|codemodel)")
 _COMMAND_COMMENT = re.compile(r"(?i)^\s*\*(#|ng_script)")
 _PROGRAMS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
@@ -132,9 +136,7 @@ def _card_threats(text: str, file: str) -> Iterator[Threat]:
         if _FILES.search(card.text):
             yield Threat(card.where, "reads or writes a file", card.text)
         if _PROGRAMS.search(card.text):
-            yield Threat(
-                card.where, "loads a code model that runs programs or reads files", card.text
-            )
+            yield Threat(card.where, "uses a code model that can run programs", card.text)
 
 
 def _target(card: Statement) -> str:
@@ -168,6 +170,14 @@ def _read(home: Path, name: str, where: str, trust: bool) -> str:
                 got=name,
                 expected=f"a text file of at most {LARGEST} bytes",
             )
-        return real.read_text(encoding="utf-8")
+        return _decoded(real.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError("cannot read the included circuit", where=where, got=str(error)) from None
+
+
+def _decoded(data: bytes) -> str:
+    """UTF-8, else the Windows code page in which many vendors write their micro signs."""
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")

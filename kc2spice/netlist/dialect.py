@@ -1,0 +1,85 @@
+"""The same netlist for other simulators: every construct is read and written anew, none by luck.
+
+ngspice is the reference; ``spelling`` knows what Xyce and LTspice say instead, ``veriloga`` writes
+the parts as modules.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck, Subcircuit
+from kc2spice.netlist.spelling import ANALYSES, Dialect, LTspice, Xyce
+from kc2spice.netlist.statements import Statement, statements
+from kc2spice.netlist.veriloga import library
+
+SPEAKERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": LTspice}
+DIALECTS = ("ngspice", *SPEAKERS, "verilog-a")
+_RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+)")
+
+
+def translate(deck: Deck, dialect: str) -> Deck:
+    """``deck`` with all its files in the words of ``dialect``; ``ngspice`` leaves it alone.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or a construct that it cannot say.
+    """
+    if dialect == "ngspice":
+        return deck
+    if dialect not in SPEAKERS:
+        raise UsageError(
+            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
+        )
+    speaker = SPEAKERS[dialect](_analysis(deck))
+    files = {
+        name: _translated(text, name, speaker, title=name == deck.main)
+        for name, text in deck.files.items()
+    }
+    vectors = {
+        key: ("+".join(map(speaker.vector, expression.split("+"))), factor)
+        for key, (expression, factor) in deck.vectors.items()
+    }
+    return replace(deck, files=files, vectors=vectors)
+
+
+def dialect_files(deck: Deck, subcircuits: Iterable[Subcircuit], dialect: str) -> dict[str, str]:
+    """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or a construct that it cannot say.
+    """
+    if dialect == "verilog-a":
+        return library(subcircuits)
+    return dict(translate(deck, dialect).files)
+
+
+def _analysis(deck: Deck) -> str:
+    found = {s.keyword for s in statements(deck.files[deck.main], deck.main)} & set(ANALYSES)
+    return min(found, default=".tran")
+
+
+def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:
+    lines: list[str] = []
+    for s in _merged(statements(text, name, title=title)):
+        lines += [_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments]
+        if s.text:
+            lines.append(speaker.card(s))
+    return "\n".join(lines) + "\n"
+
+
+def _merged(cards: list[Statement]) -> list[Statement]:
+    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``."""
+    merged: list[Statement] = []
+    for s in cards:
+        last = merged[-1] if merged else None
+        if last and s.keyword == last.keyword == ".save" and not s.comments:
+            more = s.text.partition(" ")[2]
+            merged[-1] = replace(last, text=f"{last.text} {more}")
+        else:
+            merged.append(s)
+    return merged
