@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kc2spice.fem.system import Port
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,11 @@ class Certificate:
 
 @dataclass(frozen=True)
 class ReducedModel:
-    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` of order q (paper eq. 7), dense."""
+    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` of order q (paper eq. 7), dense.
+
+    ``ports`` are those of the columns of B and rows of C at once; a model with signal ports lists
+    its inputs, then its outputs.
+    """
 
     M: np.ndarray
     E: np.ndarray
@@ -41,6 +49,48 @@ class ReducedModel:
     def order(self) -> int:
         """Number of second-order states."""
         return self.M.shape[0]
+
+    def to_statespace(self) -> StateSpace:
+        """First-order form; see :func:`kc2spice.rom.convert.to_statespace`."""
+        from kc2spice.rom.convert import to_statespace
+
+        return to_statespace(self)
+
+    def to_pymor(self) -> Any:
+        """pyMOR's ``SecondOrderModel``; see :func:`kc2spice.rom.convert.to_pymor`."""
+        from kc2spice.rom.convert import to_pymor
+
+        return to_pymor(self)
+
+
+@dataclass(frozen=True)
+class FirstOrderModel:
+    """``E x' = A x + B u``, ``y = C x + D u`` of order q, dense; ports as in ReducedModel."""
+
+    E: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]
+    certificate: Certificate
+
+    @property
+    def order(self) -> int:
+        """Number of first-order states."""
+        return self.A.shape[0]
+
+    def to_statespace(self) -> StateSpace:
+        """Form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
+        from kc2spice.rom.convert import to_statespace
+
+        return to_statespace(self)
+
+    def to_pymor(self) -> Any:
+        """pyMOR's ``LTIModel``; see :func:`kc2spice.rom.convert.to_pymor`."""
+        from kc2spice.rom.convert import to_pymor
+
+        return to_pymor(self)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,151 @@
+"""State space as decoupled real blocks: one per real pole, one 2 x 2 per complex pair.
+
+Poles that repeat, or lie so close that separating them would cost digits, stay together in one
+larger block; a defective pole does so by itself. Source: Bavely and Stewart, SIAM J. Numer. Anal.
+16 (1979) 359: real Schur form, clusters decoupled by Sylvester equations of bounded solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, lapack, schur
+
+from kc2spice.rom.convert import state_space
+from kc2spice.rom.model import FirstOrderModel, ReducedModel
+from kc2spice.rom.pencil import largest
+
+# A decoupling transformation beyond this would cost more than three digits.
+GROWTH = 1e3
+SAME = 1e-13
+
+
+@dataclass(frozen=True)
+class BlockModel:
+    """``z' = diag(blocks) z + B u``, ``y = C z + D u`` with real square blocks of any size."""
+
+    blocks: tuple[np.ndarray, ...]
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+
+    @property
+    def states(self) -> int:
+        """Number of first-order states."""
+        return int(self.B.shape[0])
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """``H(j 2 pi f)``, (frequencies, outputs, inputs) complex."""
+        total = np.broadcast_to(self.D.astype(complex), (len(frequency), *self.D.shape))
+        start = 0
+        for block in self.blocks:
+            rows = slice(start, start + len(block))
+            start += len(block)
+            s = 2j * np.pi * np.asarray(frequency)[:, None, None]
+            right = np.broadcast_to(self.B[rows], (len(s), len(block), self.B.shape[1]))
+            total = total + self.C[:, rows] @ np.linalg.solve(s * np.eye(len(block)) - block, right)
+        return np.asarray(total)
+
+
+def block_model(model: ReducedModel | FirstOrderModel, *, dense: bool = False) -> BlockModel:
+    """The reduced model in decoupled blocks, or as one block if ``dense``.
+
+    Raises
+    ------
+    UsageError : the model has no state-space form.
+    """
+    A, B, C, D = state_space(model)
+    if dense:
+        return BlockModel((A,), B, C, D)
+    blocks, X, inverse = _diagonalised(A)
+    return BlockModel(blocks, inverse @ B, C @ X, D)
+
+
+def _diagonalised(A: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
+    """``A = X diag(blocks) X^-1``; the forms of energy coordinates are kept exactly."""
+    one = np.eye(len(A))
+    if _in_pairs(A):
+        return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
+    if largest(A - A.T) <= SAME * largest(A):
+        values, X = eigh(0.5 * (A + A.T))
+        return tuple(np.array([[value]]) for value in values), X, X.T
+    T, Z = schur(A, output="real")
+    if largest(A + A.T) <= SAME * largest(A):  # lossless: the poles stay on the axis
+        T = 0.5 * (T - T.T)
+        sizes = _block_sizes(T)
+        ends = np.cumsum(sizes)
+        return tuple(T[e - k : e, e - k : e] for e, k in zip(ends, sizes, strict=True)), Z, Z.T
+    return _clustered(T, Z)
+
+
+def _in_pairs(A: np.ndarray) -> bool:
+    n = len(A)
+    if n % 2:
+        return False
+    pair = np.kron(np.eye(n // 2), np.ones((2, 2))) > 0
+    return not A[~pair].any()
+
+
+def _block_sizes(T: np.ndarray) -> list[int]:
+    sizes, i = [], 0
+    while i < len(T):
+        sizes.append(2 if i + 1 < len(T) and abs(T[i + 1, i]) > SAME * largest(T) else 1)
+        i += sizes[-1]
+    return sizes
+
+
+def _clustered(
+    T: np.ndarray, Z: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
+    """Split the real Schur form from the top, taking in the nearest pole where splitting costs."""
+    X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
+    start = 0
+    while start < n:
+        end = start + _first(T, start)
+        while end < n:
+            S, scale, info = lapack.dtrsyl(
+                T[start:end, start:end], T[end:, end:], -T[start:end, end:], isgn=-1
+            )
+            if info == 0 and np.linalg.norm(S) <= GROWTH * scale:
+                X[:, end:] += X[:, start:end] @ (S / scale)
+                inverse[start:end] -= (S / scale) @ inverse[end:]
+                break
+            Q, T22 = _nearest_first(T[end:, end:], _poles(T[start:end, start:end]))
+            T[:, end:] = T[:, end:] @ Q
+            T[end:, end:] = T22
+            X[:, end:] = X[:, end:] @ Q
+            inverse[end:] = Q.T @ inverse[end:]
+            end += _first(T, end)
+        blocks.append(T[start:end, start:end])
+        start = end
+    return tuple(blocks), X, inverse
+
+
+def _first(T: np.ndarray, i: int) -> int:
+    return 2 if i + 1 < len(T) and T[i + 1, i] != 0 else 1
+
+
+def _starts(T: np.ndarray) -> list[int]:
+    starts, i = [], 0
+    while i < len(T):
+        starts.append(i)
+        i += _first(T, i)
+    return starts
+
+
+def _poles(T: np.ndarray) -> np.ndarray:
+    """Eigenvalues in the upper half plane of a real Schur form, in the order of its blocks."""
+    found = []
+    for i in _starts(T):
+        product = T[i, i + 1] * T[i + 1, i] if _first(T, i) == 2 else 0.0
+        found.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
+    return np.array(found)
+
+
+def _nearest_first(T: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orthogonal Q that moves the pole nearest to the cluster's to the top of T."""
+    candidates = _poles(T)
+    nearest = int(np.argmin(np.abs(candidates[:, None] - cluster).min(axis=1)))
+    T22, Q, _ = lapack.dtrexc(T, np.eye(len(T)), _starts(T)[nearest] + 1, 1)
+    return Q, T22

@@ -1,0 +1,196 @@
+"""Reduced models as state-space matrices, and as models of other libraries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky, eigh, solve, solve_triangular, svd
+from scipy.signal import StateSpace
+
+from kc2spice.errors import MissingToolError, UsageError
+from kc2spice.rom.model import FirstOrderModel, ReducedModel
+from kc2spice.rom.pencil import largest
+from kc2spice.rom.structure import semidefinite
+
+ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+# Masses and algebraic parts this far below the largest are zero.
+MASSLESS = 1e-13
+# Off-diagonal modal damping below this is rounding of proportional damping.
+COUPLING = 1e-10
+
+
+def to_statespace(model: ReducedModel | FirstOrderModel) -> StateSpace:
+    """``x' = A x + B u``, ``y = C x + D u``; see :func:`state_space`."""
+    return StateSpace(*state_space(model))
+
+
+def to_pymor(model: ReducedModel | FirstOrderModel) -> Any:
+    """pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
+
+    Raises
+    ------
+    MissingToolError : pyMOR is not installed.
+    """
+    try:
+        from pymor.models.iosys import LTIModel, SecondOrderModel
+    except ImportError:
+        raise MissingToolError(
+            "pyMOR is not installed", where="to_pymor", hint="pip install 'kc2spice[pymor]'"
+        ) from None
+    if isinstance(model, FirstOrderModel):
+        return LTIModel.from_matrices(model.A, model.B, model.C, D=model.D, E=model.E)
+    return SecondOrderModel.from_matrices(
+        model.M, model.E, model.K, model.B, Cp=model.C, D=model.D
+    )  # fmt: skip
+
+
+def state_space(model: ReducedModel | FirstOrderModel) -> ABCD:
+    """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
+
+    States are energy coordinates where there is an energy, so ``A + A' <= 0`` for a dissipative
+    model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A decoupled
+    second-order model has one 2 x 2 block per mode.
+
+    Raises
+    ------
+    UsageError : the model answers to derivatives of its input, or its massless part is singular.
+    """
+    if isinstance(model, FirstOrderModel):
+        return _first_order(model.E, model.A, model.B, model.C, model.D)
+    M, E, K, B, C, D = model.M, model.E, model.K, model.B, model.C, model.D
+    omega = 2 * np.pi * model.certificate.band_hz[1]
+    if semidefinite(M):
+        mass = np.linalg.eigvalsh(M)
+        if mass[0] <= MASSLESS * mass[-1]:
+            return _massless(M, E, K, B, C, D, omega)
+        return _modal(M, E, K, B, C, D, omega)
+    q = len(M)
+    if np.linalg.cond(M) * MASSLESS > 1:
+        raise UsageError(
+            "the mass matrix is singular and not symmetric", where="state space",
+            expected="a regular or a symmetric positive semi-definite M",
+        )  # fmt: skip
+    inner = solve(M, np.hstack([K, E, B]))
+    zero = np.zeros((q, q))
+    A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
+    drive = np.vstack([0 * B, inner[:, 2 * q :]])
+    return A, drive, np.hstack([C / omega, 0 * C]), D
+
+
+def _modal(
+    M: np.ndarray, E: np.ndarray, K: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
+    omega: float,
+) -> ABCD:  # fmt: skip
+    """States ``w z`` and ``z'`` of mass-normalised coordinates; modes of a symmetric K."""
+    T, stiffness = _mass_normal(M, K, omega)
+    K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T
+    w = np.full(len(M), omega)
+    if stiffness is not None:
+        moving = np.abs(stiffness) > MASSLESS * omega**2
+        w[moving] = np.sqrt(np.abs(stiffness[moving]))
+        K = np.diag(np.where(moving, stiffness, 0.0))
+    damp = np.abs(np.diag(E))
+    scale = np.sqrt(np.outer(damp, damp)) + np.finfo(float).tiny
+    if (np.abs(E - np.diag(np.diag(E))) <= COUPLING * scale).all():
+        E = np.diag(np.diag(E))
+    zero = np.zeros_like(K)
+    A = np.block([[zero, np.diag(w)], [-K / w, -E]])
+    pairs = np.arange(2 * len(M)).reshape(2, -1).T.ravel()  # z1, z1', z2, z2', ...
+    drive, read = np.vstack([0 * B, B]), np.hstack([C / w, 0 * C])
+    return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], D
+
+
+def _mass_normal(
+    M: np.ndarray, K: np.ndarray, omega: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """``T'MT = 1``; for a symmetric K also its eigenvalues, which T then diagonalises.
+
+    A definite K takes the part of the better conditioned matrix, so that low modes are exact.
+    """
+    if largest(K - K.T) > COUPLING * largest(K):
+        return solve_triangular(cholesky(M), np.eye(len(M))), None
+    try:
+        inverse, T = eigh(M, K)
+    except LinAlgError:
+        stiffness, T = eigh(K, M)
+        return T, stiffness
+    return T / np.sqrt(inverse), 1 / inverse
+
+
+def _massless(
+    M: np.ndarray, E: np.ndarray, K: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
+    omega: float,
+) -> ABCD:  # fmt: skip
+    """Coordinates without mass: damped ones are first order, the others are eliminated."""
+    mass, V = eigh(M)
+    none = mass <= MASSLESS * mass[-1]
+    damping = V[:, none].T @ E @ V[:, none]
+    size, U = eigh(0.5 * (damping + damping.T))
+    free = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
+    heavy, light, rigid = V[:, ~none], V[:, none] @ U[:, ~free], V[:, none] @ U[:, free]
+    if rigid.size:
+        if max(largest(E @ rigid), largest(E.T @ rigid)) > COUPLING * largest(E):
+            raise _improper("massless coordinates are coupled by damping alone")
+        inner = rigid.T @ K @ rigid
+        if np.linalg.cond(inner) * MASSLESS > 1:
+            raise _improper("massless, undamped coordinates without stiffness")
+        held = solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
+        n = len(M)
+        D = D + (C @ rigid) @ held[:, n:]
+        B = B - (K @ rigid) @ held[:, n:]
+        C = C - (C @ rigid) @ held[:, :n]
+        K = K - (K @ rigid) @ held[:, :n]
+    T = np.hstack([heavy, light])
+    h = heavy.shape[1]
+    K, E, B, C, m = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T, mass[~none]
+    # x = [heavy * omega; heavy'; light]
+    left = np.block([
+        [np.eye(h), np.zeros((h, len(T.T)))],
+        [np.zeros((h, h)), np.diag(m), E[:h, h:]],
+        [np.zeros((len(K) - h, 2 * h)), E[h:, h:]],
+    ])  # fmt: skip
+    right = np.block([
+        [np.zeros((h, h)), omega * np.eye(h), np.zeros((h, len(K) - h))],
+        [-K[:h, :h] / omega, -E[:h, :h], -K[:h, h:]],
+        [-K[h:, :h] / omega, -E[h:, :h], -K[h:, h:]],
+    ])  # fmt: skip
+    drive = np.vstack([np.zeros((h, B.shape[1])), B])
+    read = np.hstack([C[:, :h] / omega, np.zeros((len(C), h)), C[:, h:]])
+    return _first_order(left, right, drive, read, D)
+
+
+def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> ABCD:
+    """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
+    if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
+        try:
+            upper = cholesky(E)
+        except LinAlgError:
+            raise _improper("E is singular") from None
+        T = solve_triangular(upper, np.eye(len(E)))
+        inner = T.T @ A @ T
+        if largest(A - A.T) <= COUPLING * largest(A):
+            inner = 0.5 * (inner + inner.T)
+        return inner, T.T @ B, C @ T, D
+    U, size, Vt = svd(E)
+    r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
+    A, B, C, E = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T, size[:r, None]
+    if r < len(A):
+        inner = A[r:, r:]
+        if np.linalg.cond(inner) * MASSLESS > 1:
+            raise _improper("algebraic equations that do not determine their unknowns")
+        held = solve(inner, np.hstack([A[r:, :r], B[r:]]))
+        D = D - C[:, r:] @ held[:, r:]
+        C = C[:, :r] - C[:, r:] @ held[:, :r]
+        B = B[:r] - A[:r, r:] @ held[:, r:]
+        A = A[:r, :r] - A[:r, r:] @ held[:, :r]
+    return A / E, B / E, C, D
+
+
+def _improper(why: str) -> UsageError:
+    return UsageError(
+        f"has no state-space form: {why}",
+        where="state space",
+        expected="a model whose outputs follow from inputs, not from their derivatives",
+        hint="give the coordinates in question a little mass, or fix them",
+    )
