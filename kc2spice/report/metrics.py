@@ -153,11 +153,25 @@ def harmonic_metrics(waves: Waveforms, scene: Scene) -> dict[str, object]:
     return {"frequency_hz": waves["frequency"].tolist(), "amplitude": amplitude}
 
 
+def em_force_metrics(waves: Waveforms, scene: Scene) -> dict[str, object]:
+    """Metrics of ``em_force``: the force over ``position_m`` for each pair of coil currents."""
+    currents = need(scene.em_force, "em_force").currents
+    pairs = [[lower, upper] for lower in currents for upper in currents]
+    forces = [waves[f"catch.force.{k}"] for k in range(len(pairs))]
+    return {
+        "force_max_n": max(float(np.abs(force).max()) for force in forces),
+        "position_m": waves["sphere.y"].tolist(),
+        "current_pairs_a": pairs,
+        "force_n": [force.tolist() for force in forces],
+    }
+
+
 _BY_EXPERIMENT: dict[str, Callable[[Waveforms, Scene], dict]] = {
     "loop": loop_metrics,
     "impact": impact_metrics,
     "imprint": imprint_metrics,
     "harmonic": harmonic_metrics,
+    "em_force": em_force_metrics,
 }
 
 

@@ -40,7 +40,7 @@ def verify_em_force(scene: Scene, models: Models, clock: Clock, work: Path, full
         start = time.perf_counter()
         brute = brute_force(catch, sphere, cases, lambda done, total: share(done / total))
         brute_time = time.perf_counter() - start
-    superposition = float(np.abs(em_cases(table, cases) - brute.T).max() / largest)
+    superposition = float(np.abs(em_cases(table, cases) - brute).max() / largest)
     dense_catch = catch.model_copy(update={"positions": FINER * (catch.positions - 1) + 1})
     with clock.stage("dense sweep", f"{dense_catch.positions} heights") as share:
         dense = catch_table(dense_catch, sphere, lambda done, total: share(done / total))
