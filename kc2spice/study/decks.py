@@ -5,7 +5,7 @@ from __future__ import annotations
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.header import Header
-from kc2spice.parts.bench import loop_deck
+from kc2spice.parts.experiments import scene_deck
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.schema import Scene
 from kc2spice.study.models import Models
@@ -26,7 +26,7 @@ def make_deck(scene: Scene, models: Models, dialect: str = "ngspice") -> Deck:
         )
     header = Header(scene.name, scene_hash(scene))
     kick = models.kick
-    return loop_deck(
+    return scene_deck(
         scene,
         header,
         model=None if kick is None else kick.resonators,
