@@ -76,14 +76,15 @@ def krylov_model(
     """
     solver, error = model.static, np.inf
     untried = np.ones(len(frequency), dtype=bool)
-    V = images = np.empty((model.B.shape[0], 0))
+    V = images = flexible = np.empty((model.B.shape[0], 0))
     candidates = model.solve(model.B)
     while V.shape[1] < STATES:
         columns, column_images = extend(V, images, candidates, model.stiffness)
         V, images = np.hstack([V, columns]), np.hstack([images, column_images])
+        flexible = np.hstack([flexible, model.solve(model.mass(columns))])
         before = error
         reduced = project(model, V)
-        estimate = ResidualEstimator(model, V).error(reduced, frequency)
+        estimate = ResidualEstimator(model, V, flexible).error(reduced, frequency)
         size = relative_size(estimate, frequency_response(reduced, frequency))
         error = float(size.max())
         if error <= tolerance:

@@ -20,10 +20,14 @@ class ResidualEstimator:
     Measured on the kick model: 0.7 to 1.0 of the true error within the band.
     """
 
-    def __init__(self, model: CondensedSystem, V: np.ndarray) -> None:
+    def __init__(
+        self, model: CondensedSystem, V: np.ndarray, flexible: np.ndarray | None = None
+    ) -> None:
+        """``flexible`` is ``K^-1 M V`` (n, q) where it is known already."""
+        if flexible is None:
+            flexible = model.solve(model.mass(V))
         span = np.hstack([model.B, model.mass(V), model.stiffness(V)])
-        count = model.B.shape[1]
-        answers = np.hstack([model.solve(span[:, : count + V.shape[1]]), V])
+        answers = np.hstack([model.solve(model.B), flexible, V])
         gram = span.T @ answers
         self._gram = 0.5 * (gram + gram.T)
         self._alpha, self._beta = model.system.alpha, model.system.beta
