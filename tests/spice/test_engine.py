@@ -1,0 +1,200 @@
+"""The engine's distrust: raw files, logs, early ends, time limits, a missing simulator."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from kc2spice.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.netlist.cards import comment, name, number
+from kc2spice.netlist.circuit import Deck
+from kc2spice.sim import ngspice
+from kc2spice.sim.log import classify, statistics
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.rawfile import last_scale_value, read_raw
+
+
+def raw_text(points, flags="real", names=("time", "v(a)")):
+    lines = [
+        "Title: t", "Date: d", "Plotname: Transient Analysis", f"Flags: {flags}",
+        f"No. Variables: {len(names)}", f"No. Points: {points}   ", "Variables:",
+        *(f"\t{i}\t{n}\tvoltage" for i, n in enumerate(names)), "Binary:", "",
+    ]  # fmt: skip
+    return "\n".join(lines).encode()
+
+
+def deck(cards, vectors=None, stop=None):
+    vectors = {"b": ("v(b)", 1.0)} if vectors is None else vectors
+    return Deck("d", "d.cir", {"d.cir": f"* d\n{cards}\n.end\n"}, vectors, stop)
+
+
+RC = "V1 a 0 PULSE(0 1 0 1n)\nR1 a b 1k\nC1 b 0 1u\n.options acct\n.tran 1u {}"
+
+
+# ---------------------------------------------------------------------------------- raw files
+
+
+def test_real_and_complex_files_are_read(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(raw_text(2) + struct.pack("<4d", 0.0, 1.0, 0.5, 2.0))
+    vectors = read_raw(path)
+    assert list(vectors) == ["time", "v(a)"]
+    np.testing.assert_array_equal(vectors["v(a)"], [1.0, 2.0])
+    path.write_bytes(raw_text(1, "complex") + struct.pack("<4d", 5.0, 0.0, 1.0, -2.0))
+    assert read_raw(path)["v(a)"][0] == 1 - 2j
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"Title: t\nBinary:\n",
+        raw_text(2)[:60],
+        raw_text(2) + struct.pack("<3d", 0.0, 1.0, 0.5),
+        raw_text(1) + struct.pack("<4d", 0.0, 1.0, 0.5, 2.0),
+        raw_text(0),
+        raw_text(1) + struct.pack("<2d", 0.0, float("nan")),
+        raw_text("many"),
+        raw_text(1).replace(b"No. Variables: 2", b"No. Variables: 9"),
+        raw_text(1).replace(b"No. Variables: 2", b"No. Variables: -1"),
+    ],
+)
+def test_incomplete_files_are_refused(content, tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(content)
+    with pytest.raises(SimulationError, match="not complete"):
+        read_raw(path)
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(SimulationError, match="no raw file"):
+        read_raw(tmp_path / "a.raw")
+
+
+def test_time_of_a_growing_file(tmp_path):
+    path = tmp_path / "a.raw"
+    assert last_scale_value(path) is None
+    path.write_bytes(raw_text(0) + struct.pack("<5d", 0.0, 1.0, 0.5, 2.0, 0.7))
+    assert last_scale_value(path) == 0.5
+
+
+# ---------------------------------------------------------------------------------------- log
+
+
+def test_failure_is_found_with_node_and_time():
+    report = classify(
+        "Note: One successful gmin step\nWarning: singular matrix:  check node x1.q\n"
+        "doAnalyses: TRAN:  Timestep too small; time = 0.000504942, timestep = 1.25e-17: "
+        'trouble with node "xkick.fr0"\n\nrun simulation(s) aborted\n'
+    )
+    assert report.cause is not None
+    assert "Timestep too small" in report.cause
+    assert (report.node, report.time) == ("xkick.fr0", 0.000504942)
+    assert len(report.struggles) == 2
+
+
+def test_harmless_lines_are_no_failure():
+    report = classify(
+        "\nNote: No compatibility mode selected!\n\nCircuit: * d\nDoing analysis at TEMP = 27\n"
+        " Reference value :  1.0e-04\rNo. of Data Rows : 5\nWarning: v1: no DC value\n"
+    )
+    assert not report.errors
+    assert not report.struggles
+    assert len(report.warnings) == 1
+    assert report.cause is None
+
+
+def test_statistics_are_read():
+    text = "Total iterations = 12\nAccepted timepoints = 5\nRejected timepoints = 2\n"
+    assert statistics(text) == {"iterations": 12, "accepted": 5, "rejected": 2}
+
+
+# ------------------------------------------------------------------------------------- engine
+
+
+def test_a_good_run(tmp_path):
+    waves = run_deck(deck(RC.format("1m"), stop=1e-3), tmp_path)
+    exact = 1 - np.exp(-waves["time"] / 1e-3)
+    assert np.abs(waves["b"] - exact).max() < 1e-3
+    assert waves.stats["accepted"] == waves["time"].size
+
+
+@pytest.mark.parametrize(
+    ("cards", "message"),
+    [
+        ("R1 a 0 1\nX1 a b nosub\n.tran 1u 1m", "unknown subckt"),
+        ("V1 b 0 1\nV2 b 0 2\n.tran 1u 1m", "ngspice failed|stopped"),
+        ("B1 0 b I=(v(b)>0.5) ? -1e6 : 1e6\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m", "too small"),
+        ("V1 b 0 1\nR1 b 0 {nothing}\n.tran 1u 1m", "ngspice failed"),
+        ("V1 b 0 1\nR1 b 0 1\n.include nowhere.lib\n.tran 1u 1m", "ngspice failed"),
+    ],
+)
+def test_a_failed_run_is_told_and_leaves_no_raw_file(cards, message, tmp_path):
+    (tmp_path / "d.raw").write_bytes(b"the result of another day")
+    with pytest.raises(SimulationError, match=message) as caught:
+        run_deck(deck(cards, stop=1e-3), tmp_path)
+    assert str(tmp_path) in str(caught.value)
+    assert not list(tmp_path.glob("*.raw*"))
+    assert (tmp_path / "d.log").is_file()
+
+
+def test_an_early_end_is_noticed(tmp_path):
+    with pytest.raises(SimulationError, match="before the end"):
+        run_deck(deck(RC.format("1m"), stop=2e-3), tmp_path)
+
+
+def test_a_vector_that_was_not_saved_is_named(tmp_path):
+    with pytest.raises(SimulationError, match="did not save"):
+        run_deck(deck(RC.format("1m"), {"x": ("v(nowhere)", 1.0)}, 1e-3), tmp_path)
+
+
+def test_time_limit(tmp_path):
+    with pytest.raises(SimulationError, match="did not finish"):
+        run_deck(deck(RC.format("1000").replace("1u 1000", "1u 1000 0 1u"), stop=1e3), tmp_path,
+                 timeout=0.3)  # fmt: skip
+    assert not list(tmp_path.glob("*.raw*"))
+
+
+def test_users_start_up_file_is_ignored(tmp_path, monkeypatch):
+    (tmp_path / ".spiceinit").write_text("quit 3\n")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SPICE_ASCIIRAWFILE", "1")
+    assert run_deck(deck(RC.format("1m"), stop=1e-3), tmp_path)["time"].size > 50
+
+
+def test_missing_simulator_is_named_with_its_cure(tmp_path, monkeypatch):
+    ngspice.find_ngspice.cache_clear()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingToolError, match="apt-get install ngspice") as caught:
+        run_deck(deck(RC.format("1m"), stop=1e-3), tmp_path / "out")
+    assert caught.value.exit_code == 3
+    assert not (tmp_path / "out").exists()
+    ngspice.find_ngspice.cache_clear()
+
+
+# -------------------------------------------------------------------------------------- cards
+
+
+def test_numbers_read_back_exactly():
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(size=50) * 10.0 ** rng.integers(-20, 20, 50), [0.1, 1e-6]])
+    for value in values:
+        text = number(value)  # a numpy scalar, whose own text is np.float64(...)
+        assert float(text) == value
+        assert set(text) <= set("0123456789.e+-")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_are_none_are_refused(value):
+    with pytest.raises(UsageError, match="cannot hold"):
+        number(value)
+
+
+@pytest.mark.parametrize("text", ["", "1a", "a b", "a\n.control", "gnd", "m", "a;b", "é", "a" * 65])
+def test_names_that_could_be_programs_are_refused(text):
+    with pytest.raises(UsageError, match="netlist name"):
+        name(text)
+
+
+def test_comments_stay_on_their_line():
+    assert comment("a\n.control\r\nshell x\t\x0b") == "a .control shell x"

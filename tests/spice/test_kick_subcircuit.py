@@ -1,0 +1,125 @@
+"""The emitted kick against the model that it was made from, solved in numpy."""
+
+import re
+
+import numpy as np
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.realize import realize
+from kc2spice.scene.schema import Harmonic, Kick, Scene
+from kc2spice.sim.log import classify
+from kc2spice.sim.ngspice import run_deck
+
+RINGS = ["R0", "R1", "R2", "R3", "R4", "R5"]
+
+
+def response(model, frequency):
+    """Textbook sum over modes, (frequency, output, input)."""
+    s = 2j * np.pi * frequency[:, None]
+    poles = 1 / (s**2 + model.damp * s + model.omega**2)
+    return np.einsum("jk,fj,jl->fkl", model.gain, poles, model.gain) + model.D
+
+
+def bench(part, cards, vectors, stop=None):
+    text = f"* bench\n.include {part.filename}\n{cards}\n"
+    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
+    return Deck("bench", "bench.cir", {"bench.cir": text, part.filename: part.text}, vectors, stop)
+
+
+def test_ac_of_all_port_pairs(model, header, tmp_path):
+    from kc2spice.parts.experiments import harmonic_deck
+
+    scene = Scene(name="h", experiment="harmonic", kick=Kick(), harmonic=Harmonic(steps=60))
+    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    exact = response(model, waves["frequency"])
+    names = [p.name for p in model.ports]
+    for i, source in enumerate(names):
+        for k, sink in enumerate(names):
+            error = np.abs(waves[f"{source}>{sink}"] - exact[:, k, i]) / np.abs(exact[:, k, i])
+            # the leak of a picosiemens shows in the charge: 4e-9 at the lowest frequency
+            assert error.max() < 1e-8, (source, sink)
+
+
+def test_open_anode_is_the_partial_inverse(model, header, tmp_path):
+    from kc2spice.parts.experiments import harmonic_deck
+
+    scene = Scene(
+        name="h", experiment="harmonic", kick=Kick(electrical="open"), harmonic=Harmonic(steps=20)
+    )
+    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    full = response(model, waves["frequency"])
+    for k, source in enumerate(RINGS):  # Q = 0 fixes the voltage of each load case
+        voltage = -full[:, 6, k] / full[:, 6, 6]
+        np.testing.assert_allclose(waves[f"{source}>anode"], voltage, rtol=1e-8)
+        np.testing.assert_allclose(
+            waves[f"{source}>R0"], full[:, 0, k] + full[:, 0, 6] * voltage, rtol=1e-8
+        )
+
+
+def test_transient_of_a_force_step_is_the_exact_one(model, header, tmp_path):
+    part = realize(model, header)
+    cards = """Vanode anode 0 0
+Istep 0 R0 PULSE(0 1 1e-09 1e-12 1e-12 1)
+Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
+.options reltol=1e-6 trtol=1 chgtol=1e-13
+.tran 1e-08 1e-05 0 1e-07"""
+    vectors = {r: (f"v({r.lower()})", 1e-6) for r in ("R0", "R5")}
+    waves = run_deck(bench(part, cards, vectors, 1e-5), tmp_path)
+    t = np.maximum(waves["time"] - 1e-9, 0.0)[:, None]
+    sigma, root = model.damp / 2, np.emath.sqrt(model.damp**2 / 4 - model.omega**2)
+    one, two = root - sigma, -root - sigma  # poles of each mode
+    step = 1 - (two * np.exp(one * t) - one * np.exp(two * t)) / (two - one)
+    for ring, column in (("R0", 0), ("R5", 5)):
+        exact = (step.real / model.omega**2) @ (model.gain[:, 0] * model.gain[:, column])
+        # reltol 1e-6 a step, accumulated over the ringing of 30 modes
+        assert np.abs(waves[ring] - exact).max() < 3e-4 * np.abs(exact).max()
+
+
+def test_floating_anode_holds_no_charge_and_is_found_in_silence(model, header, tmp_path):
+    part = realize(model, header)
+    cards = """Iload 0 R0 1
+Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
+.dc Iload 1 1 1"""
+    waves = run_deck(bench(part, cards, {"V": ("v(anode)", 1.0)}), tmp_path)
+    static = response(model, np.array([0.0]))[0].real
+    assert waves["V"][0] == pytest.approx(-static[6, 0] / static[6, 6], rel=1e-9)
+    assert not classify((tmp_path / "bench.log").read_text()).struggles
+
+
+def test_only_the_ports_asked_for(model, header, tmp_path):
+    part = realize(model, header, ports=("anode", "R2"))
+    assert [pin.name for pin in part.pins] == ["anode", "cathode", "R2", "base"]
+    assert "R0" not in part.text.split(".subckt", 1)[1]
+    cards = "Va anode 0 AC 1\nXkick anode 0 R2 0 kick\n.ac lin 5 1e5 5e5"
+    waves = run_deck(bench(part, cards, {"u": ("v(r2)", 1e-6)}), tmp_path)
+    np.testing.assert_allclose(waves["u"], response(model, waves["frequency"])[:, 2, 6], rtol=1e-10)
+
+
+def test_unknown_port_is_refused(model, header):
+    with pytest.raises(UsageError, match="no such port"):
+        realize(model, header, ports=("R9",))
+
+
+def test_header_agrees_with_the_card(model, header):
+    part = realize(model, header)
+    pins = re.findall(r"^\* @pin (\d+) (\S+) unit=\S+ flow=\S+$", part.text, re.M)
+    card = re.search(r"^\.subckt kick (.*)$", part.text, re.M)
+    assert card is not None
+    assert [name for _, name in pins] == card.group(1).split() == [p.name for p in part.pins]
+    assert [int(i) for i, _ in pins] == list(range(1, len(pins) + 1))
+    assert "error=0.001" in part.text
+    assert "order=30" in part.text
+    assert not re.search(r"\bnp\.|\bnan\b|\binf\b", part.text)
+
+
+def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
+    from dataclasses import replace
+
+    part = realize(replace(model, damp=np.zeros_like(model.damp)), header)
+    assert "Gd1 " not in part.text
+    cards = "Va anode 0 AC 1\nXkick anode 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 3 1e5 2e5"
+    waves = run_deck(bench(part, cards, {"u": ("v(r0)", 1e-6)}), tmp_path)
+    exact = response(replace(model, damp=0 * model.damp), waves["frequency"])[:, 0, 6]
+    np.testing.assert_allclose(waves["u"], exact, rtol=1e-9)

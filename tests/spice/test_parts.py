@@ -1,0 +1,227 @@
+"""Contact, sphere, catch and controller in ngspice against their laws."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.parts.contact import contact_force, contact_subcircuit, ring_gaps
+from kc2spice.parts.electromagnet import catch_subcircuit
+from kc2spice.parts.experiments import current_cases, em_force_deck
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.pid import pid_components, pid_current, pid_subcircuit
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.schema import Catch, Control, EmForce, Scene, Sphere
+from kc2spice.sim.log import classify
+from kc2spice.sim.ngspice import run_deck
+
+MASS = Sphere().mass
+
+
+def bench(parts, cards, vectors, stop=None):
+    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
+    text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"
+    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
+    return Deck("bench", "bench.cir", files, vectors, stop)
+
+
+# ---------------------------------------------------------------------------------- contact
+
+
+def test_gaps_are_those_of_the_circle():
+    r = np.array([0.0, 50e-6, 250e-6])
+    np.testing.assert_allclose(ring_gaps(r, 1e-3), 1e-3 - np.sqrt(1e-6 - r**2), atol=1e-18)
+
+
+def test_contact_law_and_reaction(header, radii, tmp_path):
+    gaps = ring_gaps(radii[:3], 1e-3)
+    part = contact_subcircuit(header, ("R0", "R1", "R2"), gaps, 4e8)
+    cards = """V0 R0 0 0.3
+V1 R1 0 0.2
+V2 R2 0 0
+Vv v 0 0
+Vbottom bottom 0 0
+Xcontact R0 R1 R2 v bottom contact
+.dc Vbottom -6 1 0.05"""
+    vectors = {
+        "bottom": ("v(bottom)", 1e-6),
+        **{f"F{k}": (f"@b.xcontact.br{k}[i]", 1.0) for k in range(3)},
+        **{f"ring{k}": (f"i(v{k})", 1.0) for k in range(3)},
+        "sphere": ("i(vv)", 1.0),
+    }
+    waves = run_deck(bench([part], cards, vectors), tmp_path)
+    law = contact_force(np.array([0.3e-6, 0.2e-6, 0.0]), waves["bottom"], gaps, 4e8)
+    assert law.max() > 400.0
+    for k in range(3):
+        np.testing.assert_allclose(waves[f"F{k}"], law[:, k], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(waves[f"ring{k}"], -law[:, k], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(waves["sphere"], law.sum(axis=1), rtol=1e-9, atol=1e-9)
+
+
+# ----------------------------------------------------------------------------------- sphere
+
+
+def flight(header, gravity, stop, velocity, height, options, extra="", parts=()):
+    sphere = sphere_subcircuit(header, MASS, 1e-3, gravity, velocity=velocity, height=height)
+    cards = f"""Xsphere v bottom y 0 sphere
+{extra}
+.options {options}
+.tran {stop / 100} {stop} 0 {stop / 500} uic"""
+    vectors = {"y": ("v(y)", 1e-6), "v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
+    return bench([sphere, *parts], cards, vectors, stop)
+
+
+def test_free_flight_does_not_drift(header, tmp_path):
+    waves = run_deck(flight(header, 0.0, 50e-3, 0.02, 1e-6, "reltol=1e-4 trtol=1"), tmp_path)
+    # rounding alone: 1 mm of travel on nodes of 1000 V
+    assert np.abs(waves["y"] - (1e-3 + 1e-6 + 0.02 * waves["time"])).max() < 1e-13
+    assert np.abs(waves["v"] - 0.02).max() < 1e-14
+
+
+def test_free_fall_is_a_parabola(header, tmp_path):
+    waves = run_deck(flight(header, 9.81, 5e-3, 1.0, 0.0, "reltol=1e-4 trtol=1"), tmp_path)
+    t = waves["time"]
+    # the trapezoidal rule is exact on it but for the first step, backward Euler of 0.5 us
+    assert np.abs(waves["bottom"] - (t - 9.81 * t**2 / 2)).max() < 1e-11
+
+
+def test_elastic_bounce_keeps_its_energy(header, tmp_path):
+    ground = contact_subcircuit(header, ("R0",), np.zeros(1), 4e8)
+    deck = flight(
+        header, 0.0, 4e-6, -1.0, 1e-6, "reltol=1e-5 trtol=1 chgtol=1e-10",
+        "Vground R0 0 0\nXcontact R0 v bottom contact", [ground],
+    )  # fmt: skip
+    waves = run_deck(deck, tmp_path)
+    energy = MASS * waves["v"] ** 2 / 2 + 4e8 * np.minimum(0.0, waves["bottom"]) ** 2 / 2
+    assert waves["v"][-1] > 0
+    # deepest point sqrt(m/k) and energy to the tolerance of the steps
+    assert waves["bottom"].min() == pytest.approx(-np.sqrt(MASS / 4e8), rel=2e-4)
+    assert np.abs(energy / energy[0] - 1).max() < 2e-3
+    assert energy[-1] / energy[0] == pytest.approx(1.0, abs=2e-4)
+
+
+def test_resting_contact_rests(header, tmp_path):
+    ground = contact_subcircuit(header, ("R0",), np.zeros(1), 4e8)
+    sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81)
+    cards = """Xsphere v bottom y 0 sphere
+Vground R0 0 0
+Xcontact R0 v bottom contact
+.options reltol=1e-4 trtol=1
+.tran 1e-05 0.005 0 1e-05"""
+    vectors = {"bottom": ("v(bottom)", 1e-6), "v": ("v(v)", 1.0)}
+    waves = run_deck(bench([sphere, ground], cards, vectors, 5e-3), tmp_path)
+    # less than a picometre deep, and ngspice must resolve it
+    np.testing.assert_allclose(waves["bottom"], -MASS * 9.81 / 4e8, rtol=1e-6)
+    assert np.abs(waves["v"]).max() < 1e-12
+    assert not classify((tmp_path / "bench.log").read_text()).struggles
+
+
+# ------------------------------------------------------------------------------------ catch
+
+
+def test_lookup_follows_the_spline(header, table, tmp_path):
+    scene = Scene(name="em", experiment="em_force", em_force=EmForce(), catch=Catch())
+    waves = run_deck(em_force_deck(scene, header, table), tmp_path)
+    splines = {n: CubicSpline(table.y, getattr(table, n)) for n in ("c0", "c1", "c2", "c11", "c22")}
+    c = {name: spline(waves["sphere.y"]) for name, spline in splines.items()}
+    for k, case in enumerate(current_cases(scene)):
+        i1, i2 = case.lower, case.upper
+        law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
+        # 401 straight pieces through a smooth curve; measured 7e-5 on the paper's system
+        assert np.abs(waves[f"catch.force.{k}"] - law).max() < 1e-4 * 0.065
+
+
+def test_force_is_flat_beyond_the_table(header, table, tmp_path):
+    part = catch_subcircuit(header, table, 0.1)
+    cards = """Xcatch lp 0 up 0 y f 0 catch
+Ilp 0 lp 0
+Iup 0 up 0.1
+Rf f 0 1
+Vy y 0 0
+.dc Vy 7400 9000 100"""
+    waves = run_deck(
+        bench([part], cards, {"y": ("v(y)", 1e-6), "f": ("v(f)", 1.0), "v": ("v(up)", 1.0)}),
+        tmp_path,
+    )
+    beyond = waves["f"][waves["y"] > 7.45e-3]
+    np.testing.assert_allclose(beyond, beyond[0], rtol=1e-12)
+    np.testing.assert_allclose(waves["v"], 159.6, rtol=1e-9)
+
+
+def test_coefficients_that_do_not_matter_leave_no_trace(header, table):
+    text = catch_subcircuit(header, table, 0.1).text
+    assert "Bc12" not in text
+    assert "c12 is left out" in text
+    assert "Bc22" in text
+
+
+# --------------------------------------------------------------------------------------- pid
+
+
+def controller(header, control, position, stop, enable=1e-6):
+    """The controller on two resistors as coils, looking at a prescribed height [um]."""
+    cards = f"""Vy y 0 PWL({position})
+Venable enable 0 PULSE(0 1 {enable} 1e-08 1e-08 1)
+Xpid y enable drive ret 0 pid
+Rcoils drive ret 3192
+.options reltol=1e-5 trtol=1
+.tran 1e-07 {stop} 0 1e-06"""
+    vectors = {
+        "y": ("v(y)", 1e-6),
+        "i": ("@rcoils[i]", 1.0),
+        "error": ("v(xpid.e)", 1 / 2e3),
+        "integral": ("v(xpid.i)", -10.0 / 2e3),
+    }
+    return bench([opamp_subcircuit(header), pid_subcircuit(header, control)], cards, vectors, stop)
+
+
+def test_controller_follows_the_law(header, tmp_path):
+    control = Control()
+    # a ramp of 2 mm/s through the set point: P and D both inside the clamp
+    deck = controller(header, control, "0 2499 1e-03 2501", 1e-3)
+    waves = run_deck(deck, tmp_path)
+    late = waves["time"] > 20e-6  # after the enable and the roll-off have died away
+    error = control.setpoint - waves["y"]
+    law = pid_current(error, 0.0, -2e-3, control)
+    # the sensor's milliohm makes an offset of a tenth of a nanometre, thus of 6 uA
+    assert np.abs(waves["i"] - law)[late].max() < 2e-4 * control.current_limit
+    assert np.abs(waves["error"] - error)[late].max() < 1e-5 * 1e-3
+
+
+def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header, tmp_path):
+    control = Control()
+    # 3 ms far below the set point, then just above it
+    position = "0 1000 3e-03 1000 3.01e-03 2501 4e-03 2501"
+    waves = run_deck(controller(header, control, position, 4e-3, 1e-3), tmp_path)
+    t, current = waves["time"], waves["i"]
+    assert np.abs(current[t < 0.999e-3]).max() < 1e-5 * control.current_limit
+    saturated = (t > 1.01e-3) & (t < 2.99e-3)
+    np.testing.assert_allclose(current[saturated], control.current_limit, rtol=2e-5)
+    held = waves["integral"][(t > 2.9e-3) & (t < 2.99e-3)]
+    assert np.abs(held).max() < 0.01 * 1.5e-3 * 2e-3  # against 1.5 mm for 2 ms, had it run on
+    assert current[-1] == pytest.approx(-control.kp * 1e-6, rel=1e-3)
+    assert not classify((tmp_path / "bench.log").read_text()).struggles
+
+
+@pytest.mark.parametrize("gains", [(5e4, 0.0, 0.0), (5e4, 10.0, 0.0), (0.0, 0.0, 20.0)])
+def test_stages_without_gain_are_left_out(header, gains, tmp_path):
+    control = Control(kp=gains[0], ki=gains[1], kd=gains[2])
+    text = pid_subcircuit(header, control).text
+    stages = ("Xproportional", "Xintegral", "Xderivative")
+    assert [stage in text for stage in stages] == [gain > 0 for gain in gains]
+
+
+def test_components_realise_the_gains():
+    control = Control(kp=3e4, ki=50.0, kd=12.0, rolloff=2e-7)
+    c = pid_components(control)
+    output = c.post**2 / c.sense * c.sensor
+    assert c.sum / c.sum_p * output == pytest.approx(control.kp, rel=1e-12)
+    assert c.sum / c.sum_i / (c.r_i * c.c_i) * output == pytest.approx(control.ki, rel=1e-12)
+    assert c.sum / c.sum_d * c.rf_d * c.c_d * output == pytest.approx(control.kd, rel=1e-12)
+    assert c.r_d * c.c_d == pytest.approx(control.rolloff, rel=1e-12)
+
+
+def test_negative_gain_is_refused():
+    with pytest.raises(UsageError, match="one sign"):
+        pid_components(Control(kp=-1.0))
