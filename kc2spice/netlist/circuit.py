@@ -44,7 +44,8 @@ class Deck:
     """A testbench with its libraries: ``{file name: text}``; ``main`` is the file ngspice reads.
 
     ``vectors`` maps result names of ``waveforms.npz`` to ngspice vectors and the factor to SI.
-    ``stop`` is the last time point [s] of a transient, None otherwise.
+    ``stop`` is the last time point [s] of a transient, None otherwise. ``parts`` are the
+    subcircuits whose texts the library files are.
     """
 
     name: str
@@ -52,3 +53,4 @@ class Deck:
     files: dict[str, str]
     vectors: dict[str, tuple[str, float]]
     stop: float | None
+    parts: tuple[Subcircuit, ...] = ()

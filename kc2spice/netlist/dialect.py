@@ -46,6 +46,16 @@ def translate(deck: Deck, dialect: str) -> Deck:
     return replace(deck, files=files, vectors=vectors)
 
 
+def translate_text(text: str, name: str, dialect: str) -> str:
+    """One library file in the words of ``dialect``.
+
+    Raises
+    ------
+    UsageError : a construct that the dialect cannot say.
+    """
+    return _translated(text, name, SPEAKERS[dialect](".tran"), title=False)
+
+
 def dialect_files(deck: Deck, subcircuits: Iterable[Subcircuit], dialect: str) -> dict[str, str]:
     """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
 
