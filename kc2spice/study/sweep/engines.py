@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import signal
 import threading
@@ -109,6 +110,8 @@ class DaskEngine:
                 "dask.distributed is not installed", where="--dask",
                 hint="pip install 'kc2spice[dask]'",
             ) from None  # fmt: skip
+        # A scheduler that comes back is no reason for the tracebacks that Dask would print.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         patience = PATIENCE if self._client is not None else 10.0
         self.close()
         try:
@@ -151,22 +154,37 @@ class Lost:
 
 
 def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
-    """Results of ``calls`` as they come, with no more in flight than keeps the workers busy.
+    """Results of ``calls`` on a pool that is opened for them and closed after them."""
+    crew = Crew(engine)
+    try:
+        yield from crew.run(calls)
+    finally:
+        engine.close()
 
-    None among the calls holds back those behind it until those before it have ended.
+
+class Crew:
+    """The workers of an engine, opened once for any number of calls; the owner closes the engine.
 
     Where a worker dies, its pool is opened again and every call that was in flight is run once
     more, alone: only the one that ends its worker again is given up, and its result is ``Lost``.
     Exceptions of the functions themselves are raised.
     """
-    pending: dict[Future[Any], Call] = {}
-    executor = engine.open()
-    exhausted = held = False
-    try:
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._executor = engine.open()
+
+    def run(self, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
+        """Results of ``calls`` as they come, with no more in flight than keeps all workers busy.
+
+        None among the calls holds back those behind it until those before it have ended.
+        """
+        pending: dict[Future[Any], Call] = {}
+        exhausted = held = False
         while True:
             suspects: list[Call] = []
             held = held and bool(pending)
-            while not (exhausted or held or suspects) and len(pending) <= 2 * engine.workers:
+            while not (exhausted or held or suspects) and len(pending) <= 2 * self._engine.workers:
                 try:
                     call = next(calls)
                 except StopIteration:
@@ -174,7 +192,7 @@ def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Ca
                     break
                 if call is None:
                     held = bool(pending)
-                elif not _submit(executor, call, pending):
+                elif not self._submit(call, pending):
                     suspects.append(call)
             if not pending and not suspects:
                 return
@@ -192,31 +210,27 @@ def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Ca
             if suspects:
                 suspects += pending.values()
                 pending.clear()
-                executor = engine.open()
+                self._executor = self._engine.open()
                 for call in suspects:
-                    result, executor = _alone(engine, executor, call)
-                    yield call, result
-    finally:
-        engine.close()
+                    yield call, self._alone(call)
 
+    def _submit(self, call: Call, pending: dict[Future[Any], Call]) -> bool:
+        try:
+            pending[self._executor.submit(call.function, *call.arguments)] = call
+        except Exception as error:
+            if not _is_loss(error):
+                raise
+            return False
+        return True
 
-def _submit(executor: Executor, call: Call, pending: dict[Future[Any], Call]) -> bool:
-    try:
-        pending[executor.submit(call.function, *call.arguments)] = call
-    except Exception as error:
-        if not _is_loss(error):
-            raise
-        return False
-    return True
-
-
-def _alone(engine: Engine, executor: Executor, call: Call) -> tuple[Any, Executor]:
-    try:
-        return executor.submit(call.function, *call.arguments).result(), executor
-    except Exception as error:
-        if not _is_loss(error):
-            raise
-        return Lost(), engine.open()
+    def _alone(self, call: Call) -> Any:
+        try:
+            return self._executor.submit(call.function, *call.arguments).result()
+        except Exception as error:
+            if not _is_loss(error):
+                raise
+            self._executor = self._engine.open()
+            return Lost()
 
 
 def _is_loss(error: BaseException) -> bool:

@@ -191,6 +191,7 @@ def _fill(
     for call, result in completed(engine, _calls(study, journal, mine, missing, engine)):
         if not isinstance(call.name, int):
             progress("models", None, f"models of the {call.name}")
+            meter.restart()
             continue
         outcome = result
         if isinstance(result, Lost):
@@ -229,7 +230,12 @@ class _Meter:
         self._progress, self._total, self._done = progress, total, 0
         self._start = start
 
+    def restart(self) -> None:
+        """Models took the time so far; it says nothing about the points to come."""
+        self._start = time.monotonic()
+
     def count(self, failed: int) -> None:
+        """One more point is recorded."""
         self._done += 1
         rate = self._done / max(time.monotonic() - self._start, 1e-9)
         left = (self._total - self._done) / rate

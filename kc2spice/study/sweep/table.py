@@ -38,7 +38,7 @@ class Journal:
 
     def record(self, index: int, cells: Iterable[Any], failure: str | None) -> None:
         """Append one row; it survives the end of this process."""
-        status = OK if failure is None else FAILED + failure
+        status = OK if failure is None else FAILED + " ".join(failure.split())
         self._file.write(_line([index, *map(_cell, cells), status]))
         self._file.flush()
         self.done[index] = True
@@ -89,7 +89,7 @@ def _cell(value: Any) -> str:
         return ""
     if isinstance(value, bool):
         return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value).replace("\n", " ")
+    return repr(value) if isinstance(value, float) else str(value)
 
 
 def _entries(path: Path) -> Iterator[tuple[int, bool]]:

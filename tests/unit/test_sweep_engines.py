@@ -1,0 +1,47 @@
+"""Pools that lose workers: every call has its result, and only a killer of workers is given up."""
+
+import math
+import os
+
+from kc2spice.study.sweep.engines import Call, LocalEngine, Lost, completed
+
+
+def results(calls, workers=2):
+    return {call.name: result for call, result in completed(LocalEngine(workers), iter(calls))}
+
+
+def test_a_call_that_ends_its_worker_twice_is_given_up_and_no_other():
+    calls = [Call(n, math.sqrt, (float(n),)) for n in range(6)]
+    calls.insert(2, Call("killer", os._exit, (1,)))
+    found = results(calls)
+    assert isinstance(found.pop("killer"), Lost)
+    assert found == {n: math.sqrt(n) for n in range(6)}
+
+
+def test_a_call_whose_worker_dies_once_is_run_again(tmp_path):
+    flag = tmp_path / "died"
+    once = f"test -e {flag} || {{ touch {flag}; kill -9 $PPID; }}"
+    found = results([Call("once", os.system, (once,)), Call("other", math.sqrt, (4.0,))])
+    assert found == {"once": 0, "other": 2.0}
+    assert flag.exists()
+
+
+def test_none_holds_back_what_follows(tmp_path):
+    flag = tmp_path / "first"
+    first = Call("first", os.system, (f"sleep 0.3; touch {flag}",))
+    second = Call("second", os.path.exists, (str(flag),))
+    assert results([first, None, second]) == {"first": 0, "second": True}
+
+
+def test_calls_are_taken_no_faster_than_they_end():
+    taken = []
+
+    def calls():
+        for n in range(40):
+            taken.append(n)
+            yield Call(n, math.sqrt, (float(n),))
+
+    ahead = [
+        len(taken) - ended for ended, _ in enumerate(completed(LocalEngine(2), calls()), start=1)
+    ]
+    assert max(ahead) <= 5  # two running, three waiting, whatever the length of the sweep

@@ -1,0 +1,173 @@
+"""Points: crossed, zipped, drawn; which models they share; a million cost no memory."""
+
+import itertools
+import tracemalloc
+
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.study.sweep.definition import request_of, studies
+from kc2spice.study.sweep.plan import make_plan
+from kc2spice.study.sweep.point import SceneText
+from kc2spice.study.sweep.ranges import parse
+from kc2spice.study.sweep.stages import shared_models, slow_blocks
+from kc2spice.study.sweep.study import Request, make_study, read_plan, write_plan
+
+SCENE = SceneText("kick_and_catch", None)
+
+
+def study(*sets, **options):
+    return make_study(Request(SCENE, sets, **options))
+
+
+def points(plan):
+    return [plan.values(i) for i in range(plan.size)]
+
+
+def test_crossing_is_the_product_with_the_last_key_fastest():
+    plan = make_plan([parse("control.kp=1,2"), parse("control.kd=1,2,3")])
+    assert points(plan) == list(itertools.product((1.0, 2.0), (1.0, 2.0, 3.0)))
+
+
+def test_zipping_steps_together():
+    ranges = [parse("control.kp=1,2,3"), parse("control.kd=4:6:3")]
+    assert points(make_plan(ranges, zipped=True)) == [(1.0, 4.0), (2.0, 5.0), (3.0, 6.0)]
+
+
+def test_zipping_needs_equal_lengths():
+    with pytest.raises(UsageError, match="unequal"):
+        make_plan([parse("control.kp=1,2,3"), parse("control.kd=4,5")], zipped=True)
+
+
+def test_draws_are_joint_and_crossed_with_grids():
+    names = ("control.kp=normal(5e4,1e3,10)", "control.ki=1,2", "control.kd=uniform(1,2,10)")
+    plan = make_plan([parse(name) for name in names])
+    assert plan.size == 20
+    first, second = points(plan)[:10], points(plan)[10:]
+    assert [p[::2] for p in first] == [p[::2] for p in second]
+    assert {p[1] for p in first} == {1.0}
+
+
+def test_any_order_visits_every_point_once():
+    plan = make_plan([parse(t) for t in ("control.kp=1,2", "control.kd=1,2,3", "control.ki=1,2")])
+    for slow in ([], [1], [2, 0], [0, 1, 2]):
+        assert sorted(plan.order(slow)) == list(range(12))
+    kd = [plan.values(i)[1] for i in plan.order([1])]
+    assert kd == sorted(kd)
+
+
+def test_gains_need_one_model_of_each_kind():
+    runs = study("control.kp=4e4:6e4:3", "control.kd=10:30:5").stages.runs
+    assert runs == {"chip_fe": 1, "catch_fe": 1, "rom": 1, "netlists": 15, "ngspice": 15}
+
+
+@pytest.mark.parametrize(
+    ("sets", "chip", "catch", "rom", "netlists"),
+    [
+        (("kick.drive.voltage=80,100", "kick.drive.width=20e-6,25e-6"), 1, 1, 1, 4),
+        (("rom.order=20,30", "control.kd=10,20"), 1, 1, 2, 4),
+        (("kick.damping.ratio=0.01,0.02", "rom.order=20,30"), 2, 1, 4, 4),
+        (("catch.remanence=0.1:0.3:5",), 1, 1, 1, 5),  # the field is linear in it
+        (("sphere.density=7000,7850",), 1, 1, 1, 2),
+        (("sphere.radius=0.9 mm,1 mm", "control.kd=10,20"), 1, 2, 1, 4),
+        (("catch.turns=4000,4074", "kick.layers=31,33"), 2, 2, 2, 4),
+        (("param.pid.rail=12,15", "control.kd=10,20"), 1, 1, 1, 2),
+    ],
+)
+def test_runs_are_counted_by_what_the_keys_reach(sets, chip, catch, rom, netlists):
+    runs = study(*sets).stages.runs
+    assert (runs["chip_fe"], runs["catch_fe"], runs["rom"]) == (chip, catch, rom)
+    assert (runs["netlists"], runs["ngspice"]) == (netlists, study(*sets).plan.size)
+
+
+def test_models_are_prepared_once_each_with_one_group_for_each_chip():
+    found = study("control.kd=10,20,30", "rom.order=20,30", "kick.damping.ratio=0.01,0.02")
+    groups = list(shared_models(found.plan, found.stages))
+    kick = [group for part, group in groups if part == "kick"]
+    assert [len(group) for group in kick] == [2, 2]  # two chips, two orders of each
+    assert [part for part, _ in groups].count("catch") == 1
+    ratios = [{o for point in group for o in point if "ratio" in o} for group in kick]
+    assert [len(r) for r in ratios] == [1, 1]
+    assert ratios[0] != ratios[1]
+
+
+def test_points_that_share_a_chip_run_one_after_the_other():
+    found = study("control.kd=10,20,30", "kick.damping.ratio=0.01,0.02")
+    order = found.plan.order(slow_blocks(found.plan, found.stages))
+    ratios = [found.plan.values(i)[1] for i in order]
+    assert ratios == sorted(ratios)
+
+
+def test_a_million_points_are_not_held_in_memory():
+    plan = make_plan(
+        [parse(f"{key}=1:2:100") for key in ("control.kp", "control.ki", "control.kd")]
+    )
+    assert plan.size == 1_000_000
+    tracemalloc.start()
+    last = 0
+    for index in plan.order([2]):
+        last = index
+        if index > 50_000:
+            break
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert last > 0
+    assert peak < 1_000_000  # bytes
+
+
+@pytest.mark.parametrize(
+    ("sets", "options", "word"),
+    [
+        (("control.kd=10",), {}, "nothing to sweep"),
+        (("control.kd=10,20", "control.kd=30,40"), {}, "twice"),
+        (("control.kd=10,20",), {"metrics": ("settling",)}, "metric"),
+        (("control.kd=10,20",), {"format": "xlsx"}, "format"),
+        (("control.kd=10,20", "control.setpoint=50 mm"), {}, "force table"),
+        (("sphere.density=-1:1:3",), {}, "out of range"),
+        (("control.kp=normal(1,1,5)", "control.kd=normal(1,1,6)"), {}, "unequal"),
+        (tuple(f"{k}=1:2:1000" for k in ("control.kp", "control.kd", "control.ki")), {}, "many"),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_run(sets, options, word):
+    with pytest.raises(UsageError, match=word):
+        study(*sets, **options)
+
+
+def test_a_plan_is_read_back_and_names_the_same_table(tmp_path):
+    found = study("control.kd=10:20:3", "control.kp=normal(5e4,1e3,4)", seed=5, latin=True)
+    write_plan(found, tmp_path)
+    request, digest = read_plan(tmp_path)
+    assert request == found.request
+    assert make_study(request).digest == digest
+
+
+def test_whatever_decides_the_table_decides_the_digest():
+    base = study("control.kd=10:20:3")
+    others = [
+        study("control.kd=10:20:4"),
+        study("control.kd=10:20:3", "control.kp=4e4"),
+        study("control.kd=10:20:3", "param.pid.rail=12"),
+        study("control.kd=10:20:3", metrics=("caught",)),
+        study("control.kd=10:20:3", format="parquet"),
+    ]
+    digests = {base.digest, *(other.digest for other in others)}
+    assert len(digests) == 6
+    assert study("control.kd=10:20:3", timeout=5.0).digest == base.digest
+
+
+@pytest.mark.parametrize("name", studies())
+def test_built_in_studies_are_sound(name):
+    request = request_of(name, (), False, False, 0, (), None, "csv")
+    found = make_study(request)
+    assert found.plan.size > 10
+    smaller = request_of(name, ("solver.stop=7 ms",), False, False, 0, (), None, "csv")
+    assert make_study(smaller).digest != found.digest
+
+
+def test_a_study_of_your_own_is_a_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('scene = "kick_and_catch"\n[set]\n"control.kd" = "10:20:3"\n')
+    assert make_study(request_of(str(path), (), False, False, 0, (), None, "csv")).plan.size == 3
+    path.write_text('scene = "kick_and_catch"\nsets = 3\n')
+    with pytest.raises(UsageError, match="not a key"):
+        request_of(str(path), (), False, False, 0, (), None, "csv")
