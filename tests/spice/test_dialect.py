@@ -1,0 +1,306 @@
+"""Xyce and LTspice texts against their published grammars, and against what ngspice computes."""
+
+import re
+
+import numpy as np
+import pyparsing as pp
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate
+from kc2spice.netlist.lint import problems
+from kc2spice.parts.bench import loop_deck
+from kc2spice.parts.experiments import scene_deck
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.ngspice import run_deck
+
+pp.ParserElement.set_default_whitespace_chars(" \t\n")
+
+
+@pytest.fixture(scope="module")
+def loop(scene, header, model, radii, table):
+    return loop_deck(scene, header, model, radii, table)
+
+
+# -------------------------------------------------------------------- the published grammars
+#
+# Xyce Reference Guide: chapter "Expressions" (operators, arithmetic functions), devices B, C, E,
+# F, G, H, I, K, L, R, S, V, X, commands .SUBCKT, .PARAM, .MODEL, .PRINT, .OPTIONS, .TRAN, .AC,
+# .DC, .INCLUDE. LTspice Help: "B. Arbitrary behavioral sources", "S. Voltage controlled switch",
+# ".param", ".subckt", ".save", ".options", ".tran", ".ac", ".dc".
+
+NUMBER = pp.Regex(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?![\w.])")
+WORD = pp.Regex(r"[A-Za-z_]\w*")
+NODE = pp.Regex(r"(?i)(?!params:)\w[\w:]*")
+XYCE_FUNCTIONS = {
+    "abs": 1, "acos": 1, "asin": 1, "atan": 1, "cos": 1, "cosh": 1, "exp": 1, "floor": 1, "ln": 1,
+    "max": 2, "min": 2, "sgn": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "uramp": 1,
+    "if": 3, "table": None,
+}  # fmt: skip
+LTSPICE_FUNCTIONS = XYCE_FUNCTIONS
+
+
+def expression(functions, *, braces):
+    """Sums of products; ``braces``: parameters stand in braces of their own (LTspice)."""
+    whole = pp.Forward()
+    probe = pp.Regex(r"[VI]\(\w+(,\w+)?\)")
+    calls = [
+        pp.CaselessKeyword(name)
+        + "("
+        + (pp.DelimitedList(whole) if n is None else pp.DelimitedList(whole, min=n, max=n))
+        + ")"
+        for name, n in functions.items()
+    ]
+    name = "{" + WORD + "}" if braces else WORD
+    plain = pp.CaselessKeyword("time") | pp.CaselessKeyword("pi")
+    atom = NUMBER | probe | pp.MatchFirst(calls) | plain | name | "(" + whole + ")"
+    unary = pp.ZeroOrMore(pp.one_of("+ -")) + atom
+    product = unary + pp.ZeroOrMore(pp.one_of("* /") + unary)
+    total = product + pp.ZeroOrMore(pp.one_of("+ -") + product)
+    whole <<= total + pp.Optional(pp.one_of("< > <= >=") + total)
+    return whole
+
+
+def grammar(dialect):
+    """One card; the braces of values hold parameter expressions without voltages in both."""
+    inner = expression(XYCE_FUNCTIONS, braces=False)
+    value = NUMBER | "{" + inner + "}"
+    pairs = pp.OneOrMore(WORD + "=" + value)
+    named = pp.CaselessKeyword("IC") + "=" + value
+    wave = pp.one_of("PULSE PWL SIN EXP", caseless=True) + "(" + pp.OneOrMore(value) + ")"
+    source = pp.Optional(pp.CaselessKeyword("DC")) + pp.Optional(value)
+    source += pp.Optional(pp.CaselessKeyword("AC") + pp.OneOrMore(NUMBER)) + pp.Optional(wave)
+    two, four = NODE + NODE, NODE + NODE + NODE + NODE
+    law = {
+        "xyce": "{" + expression(XYCE_FUNCTIONS, braces=False) + "}",
+        "ltspice": expression(LTSPICE_FUNCTIONS, braces=True),
+    }[dialect]
+    keyword = pp.CaselessLiteral("PARAMS:")
+    result = pp.Regex(r"[VI]\([\w:]+\)")
+    model = {
+        "xyce": pp.CaselessKeyword("VSWITCH")
+        + "(VON=" + NUMBER + "VOFF=" + NUMBER + "RON=" + NUMBER + "ROFF=" + NUMBER + ")",
+        "ltspice": pp.CaselessKeyword("SW")
+        + "(VT=" + NUMBER + "VH=" + NUMBER + "RON=" + NUMBER + "ROFF=" + NUMBER + ")",
+    }[dialect]  # fmt: skip
+    output = {
+        "xyce": ".print" + pp.one_of("TRAN AC DC") + "format=raw" + pp.OneOrMore(result),
+        "ltspice": ".save" + pp.OneOrMore(result),
+    }[dialect]
+    option = {
+        "xyce": ".options timeint" + pp.OneOrMore(pp.Regex(r"(reltol|abstol|method)=\S+")),
+        "ltspice": ".options"
+        + pp.OneOrMore(pp.Regex(r"(reltol|abstol|vntol|chgtol|trtol|method|gmin)=\S+")),
+    }[dialect]
+    coil_tail = pp.Literal("Rser=0") if dialect == "ltspice" else pp.Empty()
+
+    def device(letters):
+        return pp.Regex(rf"[{letters}{letters.upper()}]\w*")
+
+    return pp.StringStart() + pp.MatchFirst([
+        device("r") + two + value,
+        device("c") + two + value + pp.Optional(named),
+        device("l") + two + value + pp.Optional(named) + coil_tail,
+        device("k") + NODE + NODE + value,
+        device("vi") + two + source,
+        device("ge") + four + value,
+        device("fh") + two + NODE + value,
+        device("b") + two + pp.one_of("V= I=") + law,
+        device("s") + four + WORD,
+        device("x") + pp.OneOrMore(NODE + ~pp.FollowedBy("=")) + pp.Optional(keyword + pairs),
+        ".subckt" + pp.OneOrMore(NODE + ~pp.FollowedBy("=")) + pp.Optional(keyword + pairs),
+        ".ends" + pp.Optional(WORD),
+        ".param" + pairs,
+        ".model" + WORD + model,
+        ".include" + pp.Regex(r"\S+"),
+        ".tran" + pp.OneOrMore(value) + pp.Optional(pp.CaselessKeyword("UIC")),
+        ".ac" + pp.one_of("lin dec oct", caseless=True) + value + value + value,
+        ".dc" + pp.OneOrMore(WORD + value + value + value),
+        option, output, pp.Keyword(".op"), pp.Keyword(".end"),
+    ]) + pp.StringEnd()  # fmt: skip
+
+
+def cards(text):
+    """Logical lines of a netlist, read without the product's reader."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
+    joined = "\n".join(lines).replace("\n+", " ")
+    return joined.splitlines()
+
+
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
+    card = grammar(dialect)
+    translated = dialect_files(loop, (), dialect)
+    assert set(translated) == set(loop.files)
+    for name, text in translated.items():
+        before, after = len(cards(loop.files[name])), len(cards(text))
+        if name != loop.main:  # .save cards are merged and options dropped there
+            assert before == after
+        for line in cards(text):
+            card.parse_string(line)
+
+
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_the_grammar_refuses_ngspice(loop, dialect):
+    """Otherwise the test above could not fail."""
+    card = grammar(dialect)
+    refused = 0
+    for text in loop.files.values():
+        for line in cards(text):
+            try:
+                card.parse_string(line)
+            except pp.ParseException:
+                refused += 1
+    assert refused > 20
+
+
+# ------------------------------------------------------------------------------- constructs
+
+CONSTRUCTS = [
+    (".subckt a b c r=1 k=2\nR1 b c {r*k}\n.ends", ".subckt a b c PARAMS: r=1 k=2", "params: r=1"),
+    ("X1 in 0 part r=2", "X1 in 0 part PARAMS: r=2", "X1 in 0 part params: r=2"),
+    ("B1 a 0 I={k*max(0, V(b)-V(c))}", "I={k*max(0, V(b)-V(c))}", "I=({k})*max(0, V(b)-V(c))"),
+    ("B1 a 0 I=V(b)*pwl(V(c), 0, 1, 1, 1, 2, 3, 4, 3)", "table(V(c),\n+ 0,1,", "table(V(c),\n+ 0"),
+    ("B1 a 0 V=log(V(b))", "V={ln(V(b))}", "V=ln(V(b))"),
+    ("B1 a 0 V=V(b) > 1 ? 2 : 3", "V={if(V(b)>1, 2, 3)}", "V=if(V(b)>1, 2, 3)"),
+    ("B1 a 0 V=a-(b-c)", "V={a-(b-c)}", "V=({a})-(({b})-({c}))"),
+    ("B1 a 0 V=-(a+b)*-2", "V={(-(a+b))*(-2)}", "V=(-(({a})+({b})))*(-2)"),
+    ("B1 a 0 V=2k*V(b)", "V={2000.0*V(b)}", "V=2000.0*V(b)"),
+    (".model m SW(VT=0.5 VH=0)", "VSWITCH(VON=0.501 VOFF=0.499 RON=1 ROFF=1e12)", "SW(VT=0.5 VH=0"),
+    ("L1 a 0 1e-3", "L1 a 0 1e-3\n", "L1 a 0 1e-3 Rser=0"),
+    (".options reltol=1e-4 trtol=1", ".options timeint reltol=1e-4\n* Xyce has no option trtol=1",
+     ".options reltol=1e-4 trtol=1"),
+    (".save v(a)\n.save i(v1)", ".print TRAN format=raw\n+ V(a)\n+ I(v1)",
+     ".save\n+ V(a)\n+ I(v1)"),
+    (".save @b.xc.br0[i]", "I(xc:br0)", "I(b:c:r0)"),
+    (".save v(xa.xb.n)", "V(xa:xb:n)", "V(a:b:n)"),
+    ("C1 a 0 1u IC=2", "C1 a 0 1u IC=2", "C1 a 0 1u IC=2"),
+]  # fmt: skip
+
+
+def one(cards_):
+    text = f"* title\n{cards_}\n.tran 1 1\n.end\n"
+    return Deck("one", "one.cir", {"one.cir": text}, {}, None)
+
+
+@pytest.mark.parametrize(("source", "xyce", "ltspice"), CONSTRUCTS)
+def test_constructs(source, xyce, ltspice):
+    assert xyce in translate(one(source), "xyce").files["one.cir"]
+    assert ltspice in translate(one(source), "ltspice").files["one.cir"]
+
+
+REFUSED = [
+    "B1 a 0 I=pwl(V(c), 0, 0, 1, 1)",  # ngspice goes on with the slope, a table stays flat
+    "B1 a 0 I=limit(V(c), 0, 1)",
+    "B1 a 0 I=V(b)^2",
+    "B1 a 0 I=V(b)*temper",
+    "B1 a 0 I=V(b)==1 ? 1 : 2",
+    "E1 a 0 POLY(1) b 0 1 2 3",
+    "E1 a 0 vol='V(b)'",
+    ".model d D(IS=1e-14)",
+    ".control\n.endc",
+    ".func f(x) {x}",
+    "D1 a 0 d",
+    ".save @m1[gm]",
+    "V1 a 0 PWL(file=x)",
+]
+
+
+@pytest.mark.parametrize("source", REFUSED)
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_what_a_dialect_cannot_say_is_refused(source, dialect):
+    with pytest.raises(UsageError) as caught:
+        translate(one(source), dialect)
+    assert "one.cir:2" in str(caught.value)
+
+
+def test_hysteresis_is_refused_where_switches_have_none():
+    deck = one(".model m SW(VT=0.5 VH=0.1)")
+    with pytest.raises(UsageError, match="hysteresis"):
+        translate(deck, "xyce")
+    assert "VH=0.1" in translate(deck, "ltspice").files["one.cir"]
+
+
+def test_unknown_dialects_are_refused(loop):
+    with pytest.raises(UsageError, match="unknown dialect") as caught:
+        translate(loop, "hspice")
+    assert caught.value.expected == ", ".join(DIALECTS)
+
+
+def test_ngspice_is_left_alone(loop):
+    assert translate(loop, "ngspice") == loop
+
+
+def test_result_names_follow(loop):
+    assert translate(loop, "xyce").vectors["contact.force.R1"] == ("I(xcontact:br1)", 1.0)
+    assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i1)", 1.0)
+    whole, _ = translate(loop, "xyce").vectors["contact.force"]
+    assert whole.count("+") == 5
+
+
+# ---------------------------------------------------------------------------------- meaning
+
+
+def value(law, volts, params, *, table):
+    """A law evaluated by Python, without the product's parser."""
+    text = re.sub(r"\b[Vv]\((\w+)\)", lambda m: f"V['{m[1].lower()}']", law)
+    text = text.replace("{", "(").replace("}", ")")
+    return eval(text, {"V": volts, "max": max, "pwl": table, "table": table, **params})
+
+
+def flat(x, *points):
+    return float(np.interp(x, points[::2], points[1::2]))
+
+
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_laws_keep_their_values(loop, dialect):
+    rng = np.random.default_rng(3)
+    translated = translate(loop, dialect)
+    params = {"newton_per_um": 400.0, "clip": 1e3} | {f"um_R{i}": 0.3 * i for i in range(6)}
+    compared = 0
+    for name in ("contact.lib", "catch.lib", "opamp.lib"):
+        pairs = zip(cards(loop.files[name]), cards(translated.files[name]), strict=True)
+        for before, after in pairs:
+            if not before.startswith("B"):
+                continue
+            for _ in range(5):
+                volts = {n: float(v) for n, v in zip(
+                    ("r0", "r1", "r2", "r3", "r4", "r5", "bottom", "c", "vcc", "vee", "i1", "i2"),
+                    rng.normal(size=12), strict=True)}  # fmt: skip
+                volts["y"] = float(rng.uniform(-4000, 9000))
+                laws = (re.split(r"[IV]=", line, maxsplit=1)[1] for line in (before, after))
+                first, second = (value(law, volts, params, table=flat) for law in laws)
+                assert first == second
+                compared += 1
+    assert compared >= 55
+
+
+def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
+    """ngspice reads all of LTspice's spellings but ``table``, so it can judge the rest."""
+    spoken = translate(loop, "ltspice").files
+    files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main}
+    short = loop.files[loop.main].replace(" 0.005 0 ", " 0.0007 0 ")
+    twin = Deck("twin", loop.main, {loop.main: short, **files}, loop.vectors, 0.0007)
+    own = Deck("own", loop.main, {**loop.files, loop.main: short}, loop.vectors, 0.0007)
+    first, second = run_deck(own, tmp_path / "own"), run_deck(twin, tmp_path / "twin")
+    assert first["contact.force"].max() > 1.0
+    # the same equations, rounded differently where braces become numbers: contact multiplies it
+    at = np.linspace(0, 0.0007, 701)
+    for key in ("sphere.y", "kick.u.R0", "coil.upper.current"):
+        one_, two = (np.interp(at, w["time"], w[key]) for w in (first, second))
+        np.testing.assert_allclose(two, one_, rtol=0, atol=2e-4 * np.ptp(one_))
+
+
+# ---------------------------------------------------------------------------- lint on our own
+
+
+def test_our_own_decks_are_sound(scene, header, model, radii, table):
+    experiments = [
+        scene,
+        Scene.model_validate(
+            {"name": "harmonic", "kick": {}, "harmonic": {}, "experiment": "harmonic"}
+        ),
+    ]
+    for each in experiments:
+        assert problems(scene_deck(each, header, model, radii, table)) == []

@@ -1,0 +1,123 @@
+"""Wrong wiring is named, with file and line, before any simulator runs."""
+
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.lint import lint, problems, read_deck
+
+LIBRARY = """* divider: a part
+* @pin 1 top unit=V flow=A
+* @pin 2 mid unit=V flow=-
+* @pin 3 bottom unit=V flow=A
+.subckt divider top mid bottom ratio=0.5 total=1e3
+.param upper={total*(1-ratio)}
+R1 top mid {upper}
+R2 mid bottom {total*ratio}
+.ends divider
+"""
+
+
+def deck(cards, library=LIBRARY):
+    text = f"* title\n.include divider.lib\n{cards}\n.end\n"
+    return Deck("test", "test.cir", {"test.cir": text, "divider.lib": library}, {}, None)
+
+
+def complaints(cards, library=LIBRARY):
+    return [(p.where, p.message, p.got) for p in problems(deck(cards, library))]
+
+
+GOOD = [
+    "V1 in 0 1\nX1 in out 0 divider\nR9 out 0 1k\n.op",
+    "V1 in 0 1\nX1 in out 0 divider ratio=0.1\n+ total=5\nR9 out 0 1k",
+    "V1 in 0 DC 1 AC 1\nX1 in nc1 0 divider\nX2 in nc2 0 divider",
+    "V1 in 0 1\nX1 in out 0 divider\nBx out 0 I={max(0, V(in)-V(out))*1e-3}",
+    "V1 in 0 1\nX1 in free 0 divider",  # a signal pin may hang
+    "V1 in 0 1\nR1 in lonely 1\n.save v(lonely)",
+    "V1 in 0 1\nR1 in lonely 1\n.save v(in) v(lonely)",
+    ".param gain=3\nV1 in 0 {gain}\nE1 out 0 in 0 {2*gain}\nR1 out 0 1",
+    "V1 in 0 PULSE(0 1 0 1n 1n 1)\nR2 in 0 1\nF1 0 out V1 2\nR1 out 0 1",
+    "V1 in 0 SIN(0 1 1k)\nS1 in out in 0 fast\n.model fast SW(VT=0.5)\nR1 out 0 1",
+    "L1 in 0 1m\nL2 out 0 1m\nK1 L1 L2 0.9\nI1 0 in 1\nR1 out 0 1",
+    "B1 in 0 V=sin(6.28*time) ; comment V(nowhere)\nR1 in 0 1 $ other V(nowhere)",
+]
+
+
+@pytest.mark.parametrize("cards", GOOD)
+def test_sound_decks_pass(cards):
+    assert complaints(cards) == []
+    lint(deck(cards))
+
+
+BAD = [
+    ("V1 in 0 1\nX1 in out divider", "missing pins of divider: bottom", "test.cir:4"),
+    ("V1 in 0 1\nX1 in out 0 0 divider", "too many pins of divider: 0", "test.cir:4"),
+    ("V1 in 0 1\nX1 in out 0 dividr", "no such subcircuit", "test.cir:4"),
+    ("V1 in 0 1\nX1 in out 0 divider rato=2", "no such parameter", "test.cir:4"),
+    ("V1 in 0 1\nX1 in out 0 divider upper=2", "no such parameter", "test.cir:4"),
+    ("V1 in 0 1\nR1 in 0 1\nR1 in 0 2", "two parts have one name", "test.cir:5"),
+    ("V1 in 0 1\nR1 in 0 1\nr1 in 0 2", "two parts have one name", "test.cir:5"),
+    ("V1 in 0 1\nR1 imn 0 1", "floating port: nothing else is wired to node imn", "test.cir:4"),
+    ("V1 in 0 1\nX1 in out bot divider\nR1 out 0 1", "wired to node bot", "test.cir:4"),
+    ("V1 in 0 1\nR1 in 0 {gane}", "no such parameter", "test.cir:4"),
+    ("V1 in 0 1\nB1 in 0 I={V(imn)}", "no such node", "test.cir:4"),
+    ("V1 in 0 1\nB1 in 0 I={I(V9)}", "no such source", "test.cir:4"),
+    ("V1 in 0 1\nF1 in 0 V9 2", "no such controlling part", "test.cir:4"),
+    ("V1 in 0 1\nS1 in 0 in 0 quick", "no such model", "test.cir:4"),
+    ("V1 in 0 1\nB1 in 0 I=V(in)^3", "a power operator", "test.cir:4"),
+    ("V1 in 0 1\n+ \nB1 in 0 I={V(in)*(2}", "not an expression", "test.cir:5"),
+    (".param a={b*2}\nV1 in 0 {a}\nR1 in 0 1", "no such parameter", "test.cir:3"),
+]
+
+
+@pytest.mark.parametrize(("cards", "message", "where"), BAD)
+def test_wrong_wiring_is_named(cards, message, where):
+    found = [(w, m) for w, m, _ in complaints(cards)]
+    assert any(w == where and message in m for w, m in found), found
+    with pytest.raises(UsageError) as caught:
+        lint(deck(cards))
+    assert caught.value.exit_code == 2
+    assert "test.cir:" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("cards", "message"),
+    [
+        (".include other.lib", "included file is not there"),
+        ("V1 in 0 1\nR1 in", "element is not complete"),
+        ("Yo in 0 1", "unknown kind of element"),
+        (".subckt open a b\nR1 a b 1", "subcircuit is not closed"),
+        (".subckt divider a b\nR1 a b 1\n.ends", "two subcircuits have one name"),
+        (".subckt twice a a\nR1 a 0 1\n.ends", "a pin name stands twice"),
+        (".ends", ".ends without .subckt"),
+        (".include divider.lib\n.include test.cir", "two subcircuits have one name"),
+        (".include test.cir", "include goes in a circle"),
+    ],
+)
+def test_unreadable_decks_are_named(cards, message):
+    with pytest.raises(UsageError, match=message) as caught:
+        lint(deck(cards))
+    assert caught.value.where is not None
+    assert caught.value.where.startswith(("test.cir:", "divider.lib:"))
+
+
+def test_suggestions_help():
+    (problem,) = problems(deck("V1 in 0 1\nX1 in nc 0 divider rato=1"))
+    assert problem.expected == "ratio, perhaps"
+
+
+def test_mistakes_inside_a_library_are_found():
+    broken = LIBRARY.replace("R2 mid bottom", "R2 midd bottom")
+    assert [m for _, m, _ in complaints("V1 in 0 1\nX1 in nc 0 divider", broken)] == [
+        "floating port: nothing else is wired to node midd"
+    ]
+
+
+def test_decks_are_read_from_disk(tmp_path):
+    for name, text in deck("V1 in 0 1\nX1 in out divider").files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(UsageError, match="missing pins of divider: bottom"):
+        lint(read_deck(tmp_path / "test.cir"))
+    (tmp_path / "divider.lib").unlink()
+    with pytest.raises(UsageError, match="included file is not there"):
+        lint(read_deck(tmp_path / "test.cir"))

@@ -1,0 +1,189 @@
+"""A third-party circuit that could act on the machine is refused; an honest one is not."""
+
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.scan import scan, third_party
+
+AMPLIFIER = """* a vendor's amplifier
+.subckt amp inp inn out
+R1 inp inn 1Meg
+E1 out 0 inp inn 1e5
+.ends amp
+"""
+
+HOSTILE = {
+    "control block": ".control\nshell touch pwned\n.endc",
+    "control in capitals": ".CONTROL\necho\n.ENDC",
+    "control in mixed case": ".CoNtRoL\necho\n.EnDc",
+    "control behind blanks": "   \t.control\necho",
+    "control behind a plus": "R1 a b 1\n+.control\n+ shell id",
+    "control on a continuation": "R1 a b 1\n+ 2\n  +  .control",
+    "control behind a semicolon": ";.control\nshell id",
+    "control behind a dollar": "$ .control\nshell id",
+    "control behind a form feed": "* text\x0c.control\nshell id",
+    "control behind a vertical tab": "* text\x0b.control",
+    "control behind a line separator": "* text\u2028.control",
+    "control behind a carriage return": "* text\r.control\rshell id",
+    "bare shell": "shell rm -rf ~",
+    "bare Shell in capitals": "SHELL id",
+    "comment that is a command": "*#shell id",
+    "comment that makes a script": "*ng_script\nshell id",
+    "command comment behind blanks": "  *# shell id",
+    "code model": "codemodel ./evil.cm",
+    "code model command": ".codemodel evil.cm",
+    "pre_codemodel": "pre_codemodel evil.cm",
+    "loads OSDI": "pre_osdi evil.osdi",
+    "absolute include": ".include /etc/passwd",
+    "absolute include in quotes": '.include "/etc/passwd"',
+    "parent include": ".include ../secret.lib",
+    "hidden parent include": ".include models/../../secret.lib",
+    "include with continuation": ".include\n+ /etc/passwd",
+    "short include": ".inc /etc/passwd",
+    "include in capitals": ".INCLUDE /etc/passwd",
+    "home include": ".include ~/.ssh/id_rsa",
+    "variable include": ".include $HOME/x.lib",
+    "drive include": ".include C:\\x.lib",
+    "backslash parent include": ".include ..\\x.lib",
+    "share include": ".include \\\\server\\x.lib",
+    "address include": ".include http://example.org/x.lib",
+    "lib chain": ".lib models.lib typical",
+    "lib section": ".lib typical\nR1 a b 1\n.endl",
+    "lib in capitals": ".LIB '/etc/passwd' x",
+    "back quotes": "R1 a b `id`",
+    "file source": "A1 %v[a] src\n.model src filesource(file=\"/etc/passwd\")",
+    "process model": ".model p d_process(process_file=\"/bin/sh\")",
+    "co-simulation": ".model p d_cosim(simulation=\"./evil.so\")",
+    "waveform file": "V1 a 0 PWL(file=/etc/passwd)",
+    "wave file": "V1 a 0 wavefile=../x.wav chan=0",
+    "table file": "B1 a 0 V=tablefile(\"/etc/passwd\")",
+    "table from a file": "B1 a 0 V={table(\"/etc/passwd\")}",
+    "output bias file": ".savebias /tmp/x",
+    "unknown command": ".exec id",
+    "script machinery": "set filetype=ascii",
+    "write": "write /tmp/x v(a)",
+}  # fmt: skip
+
+BENIGN = {
+    "amplifier": AMPLIFIER,
+    "capitals": AMPLIFIER.upper(),
+    "Windows line ends": AMPLIFIER.replace("\n", "\r\n"),
+    "old Mac line ends": AMPLIFIER.replace("\n", "\r"),
+    "comment about control": "* the .control block of the data sheet\n" + AMPLIFIER,
+    "comment about shell": "* shell-type core, see /usr/share\n" + AMPLIFIER,
+    "comment with back quote": "* the part's `A' grade\n" + AMPLIFIER,
+    "comment with a path": "* .include ../old.lib was here\n" + AMPLIFIER,
+    "inline comment": "R1 a b 1k ; shell and .control are words\n",
+    "dollar comment": "R1 a b 1k $ source of noise\n",
+    "micro sign": "C1 a b 1u ; µF, 25 °C\n",
+    "non-breaking space": "* 10\u00a0µF\nC1 a b 10u\n",
+    "diode model": "D1 a b DX\n.model DX D(IS=1e-14 RS=1)\n",
+    "bipolar model": ".model QN NPN(BF=100\n+ VAF=50)\nQ1 c b e QN\n",
+    "field effect model": "M1 d g s b MN W=1u L=1u\n.model MN NMOS(VTO=1)\n",
+    "switch": "S1 a b c d SW1\n.model SW1 SW(VT=1 VH=0.1)\n",
+    "behaviour": "B1 a 0 V={V(b)*2+max(V(c),0)}\n",
+    "table": "B1 a 0 V={table(V(b),0,0,1,1)}\n",
+    "pwl source": "V1 a 0 PWL(0 0 1m 1)\n",
+    "params": ".subckt x a b PARAMS: r=1k\nR1 a b {r}\n.ends\n",
+    "nested": ".subckt o a\n.subckt i b\nR1 b 0 1\n.ends\nX1 a i\n.ends\n",
+    "function": ".func sq(x) {x*x}\n.param a={sq(2)}\n",
+    "options and temperature": ".options reltol=1e-4\n.temp 27\n",
+    "initial conditions": ".ic V(a)=1\n.nodeset V(b)=2\nC1 a b 1u\n",
+    "analysis and end": "V1 a 0 1\nR1 a 0 1\n.tran 1u 1m\n.save v(a)\n.end\n",
+    "measure": ".meas tran peak MAX V(a)\n",
+    "transmission line": "T1 a 0 b 0 Z0=50 TD=1n\n",
+    "coupled coils": "L1 a 0 1m\nL2 b 0 1m\nK1 L1 L2 0.9\n",
+    "controlled sources": "V1 a 0 0\nF1 b 0 V1 2\nH1 c 0 V1 3\nG1 d 0 a b 1\nE1 e 0 a b 1\n",
+    "part called like a command": "Rshell a b 1\nCsource a b 1u\nXcontrol a b amp\n",
+    "node called like a command": "R1 shell control 1\n",
+    "empty": "",
+    "only comments": "* nothing\n* at all\n",
+}
+
+
+def test_there_are_thirty_of_each():
+    assert len(HOSTILE) >= 30
+    assert len(BENIGN) >= 30
+
+
+@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+def test_hostile_circuits_are_refused(text, tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_bytes((AMPLIFIER + text + "\n").encode())
+    with pytest.raises(UsageError) as caught:
+        third_party(path)
+    assert caught.value.exit_code == 2
+    assert "user.lib" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", BENIGN.values(), ids=BENIGN)
+def test_benign_circuits_pass(text, tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_bytes(text.encode())
+    files = third_party(path)
+    assert list(files) == ["user.lib"]
+    assert "\r" not in files["user.lib"]
+    assert scan(files["user.lib"], "user.lib") == []
+
+
+def test_the_line_is_named(tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_text(AMPLIFIER + "* one more\n.control\n.endc\n")
+    with pytest.raises(UsageError, match=r"user\.lib:7") as caught:
+        third_party(path)
+    assert caught.value.got == ".control"
+    assert "--trust" in str(caught.value.hint)
+
+
+def test_trust_takes_the_circuit_as_it_is(tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_text(AMPLIFIER + ".control\n.endc\n")
+    assert ".control" in third_party(path, trust=True)["user.lib"]
+
+
+def test_included_files_come_along_and_are_scanned(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER)
+    main = tmp_path / "user.cir"
+    main.write_text(".include models/amp.lib\nX1 a b c amp\n")
+    assert list(third_party(main)) == ["user.cir", "models/amp.lib"]
+    (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER + ".control\n")
+    with pytest.raises(UsageError, match=r"amp\.lib:6"):
+        third_party(main)
+
+
+def test_includes_in_a_circle_end(tmp_path):
+    (tmp_path / "a.lib").write_text(".include b.lib\n")
+    (tmp_path / "b.lib").write_text(".include a.lib\n")
+    assert list(third_party(tmp_path / "a.lib")) == ["a.lib", "b.lib"]
+
+
+def test_links_do_not_lead_out(tmp_path):
+    secret = tmp_path / "secret.lib"
+    secret.write_text("R1 a b 1\n")
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "link.lib").symlink_to(secret)
+    (home / "user.cir").write_text(".include link.lib\n")
+    with pytest.raises(UsageError, match="leads out"):
+        third_party(home / "user.cir")
+
+
+@pytest.mark.parametrize("name", ["missing.lib", "."])
+def test_unreadable_circuits_are_named(name, tmp_path):
+    (tmp_path / "user.cir").write_text(f".include {name}\n")
+    with pytest.raises(UsageError, match="cannot include this"):
+        third_party(tmp_path / "user.cir")
+
+
+def test_vendors_code_page_is_read(tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_bytes("* 10 µF\nC1 a b 10u\n".encode("cp1252"))
+    assert "µ" in third_party(path)["user.lib"]
+
+
+def test_large_files_are_refused(tmp_path):
+    path = tmp_path / "user.lib"
+    path.write_text("* x\n" * 1_100_000)
+    with pytest.raises(UsageError, match="cannot include this"):
+        third_party(path)
