@@ -75,14 +75,14 @@ def catch_subcircuit(
         left_out=[name for name in TERMS if name not in kept],
         negligible=NEGLIGIBLE,
         coefficients=[
-            _Coefficient(n, "".join(f"V({i})*" for i in TERMS[n]), _lookup(height, splines[n]))
+            _Coefficient(n, "".join(f"V({i})*" for i in TERMS[n]), lookup(height, splines[n]))
             for n in kept
         ],
     )
     return Subcircuit(name, pins, params, text)
 
 
-def _lookup(height: np.ndarray, values: np.ndarray) -> list[str]:
+def lookup(height: np.ndarray, values: np.ndarray) -> list[str]:
     """Lines of a ``pwl()`` table over um, flat beyond both ends.
 
     ngspice extrapolates the outer segments, so each end gets a second point of equal value.

@@ -1,0 +1,79 @@
+"""The catch actuator with real coils: inductance and back-EMF from the table of the force.
+
+Use :mod:`kc2spice.parts.electromagnet` where ideal sources drive the coils.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.fem.emtable import EMTable, inductances
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.header import Header, parameter_list, part_header
+from kc2spice.netlist.render import render
+from kc2spice.parts.electromagnet import POINTS, TERMS, lookup
+
+_MEANING = {
+    "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
+    "c11": "N/A^2", "c12": "N/A^2", "c22": "N/A^2",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Coil:
+    k: int
+    name: str
+    plus: str
+    minus: str
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function of the height on its own node, so that force and back-EMF share it."""
+
+    name: str
+    doc: str
+    table: list[str]
+
+
+def coil_subcircuit(
+    header: Header, table: EMTable, *, points: int = POINTS, name: str = "coil"
+) -> Subcircuit:
+    """Two coils ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt`` and the sphere's force.
+
+    The state of coil k is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor;
+    the magnets' part of the flux enters as ``c_k(y) v`` with the force's own coefficient, which
+    closes the energy balance whatever the lookup's error. Pins as those of the ideal catch.
+    """
+    pins = (
+        Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"),
+        Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"),
+    )  # fmt: skip
+    params = (
+        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+    )
+    height = np.linspace(table.y[0], table.y[-1], points)
+    henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
+    inverse = henry * np.linalg.inv(inductances(table, height))
+    splines = dict(zip(TERMS, table.splines(height).T, strict=True))
+    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", lookup(height, splines[n])) for n in TERMS]
+    functions += [
+        _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L",
+                  lookup(height, inverse[:, k - 1, l - 1]))
+        for k, l in ((1, 1), (1, 2), (2, 2))
+    ]  # fmt: skip
+    text = render(
+        "coil.j2",
+        header=part_header(header, f"{name}: catch actuator with real coils", pins, params),
+        name=name,
+        pins=[pin.name for pin in pins],
+        parameters=parameter_list(params),
+        points=points,
+        henry=henry,
+        coils=[_Coil(1, "lower", "lp", "ln"), _Coil(2, "upper", "up", "un")],
+        functions=functions,
+    )
+    return Subcircuit(name, pins, params, text)

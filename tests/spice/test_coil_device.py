@@ -1,0 +1,173 @@
+"""The catch with real coils, in decks that only include its library, against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from kc2spice.fem.emtable import EMTable, force, inductances
+from kc2spice.netlist.circuit import Deck
+from kc2spice.parts.coil import coil_subcircuit
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.schema import Sphere
+from kc2spice.sim.ngspice import run_deck
+
+L0, M0, R0 = 43.8e-3, 7.3e-3, 1596.0
+MASS = Sphere().mass
+
+
+@pytest.fixture(scope="module")
+def coils() -> EMTable:
+    """Coils whose inductances vary by 5 %, ten times the catch's, with the force that follows."""
+    y = np.linspace(-2.5e-3, 7.5e-3, 41)
+
+    def bell(at, width):
+        u = (y - at) / width
+        return np.exp(-(u**2)), -2 * u / width * np.exp(-(u**2))
+
+    (a1, d1), (a2, d2), (am, dm) = bell(1e-3, 2e-3), bell(4e-3, 2e-3), bell(2.5e-3, 3e-3)
+    change = 0.05 * L0
+    flux = 0.7e-3 * np.column_stack([a1, a2])
+    inductance = np.empty((41, 2, 2))
+    inductance[:, 0, 0], inductance[:, 1, 1] = L0 + change * a1, L0 + change * a2
+    inductance[:, 0, 1] = inductance[:, 1, 0] = M0 + 0.3 * change * am
+    return EMTable(
+        y=y, c0=1e-3 * dm * 1e-3, c1=0.7e-3 * d1, c2=0.7e-3 * d2,
+        c11=change * d1 / 2, c12=0.3 * change * dm, c22=change * d2 / 2,
+        flux0=flux, inductance=inductance, resistance=np.array([R0, R0]), unknowns=0,
+    )  # fmt: skip
+
+
+def bench(parts, cards, vectors, stop=None):
+    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
+    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
+    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
+    return Deck("bench", "bench.cir", files, vectors, stop)
+
+
+def test_step_response_is_that_of_coupled_coils(header, coils, tmp_path):
+    """Sphere held at 2.5 mm; one coil stepped, the other one shorted."""
+    cards = """Vy y 0 2500
+Vv v 0 0
+Vlower lp 0 PULSE(0 10 1e-6 1e-9 1e-9 1)
+Vupper up 0 0
+Xcoil lp 0 up 0 y v 0 coil
+.options reltol=1e-6 trtol=1 chgtol=1e-12
+.tran 1e-6 3e-4 0 5e-7"""
+    vectors = {"lower": ("i(vlower)", -1.0), "upper": ("i(vupper)", -1.0)}
+    waves = run_deck(bench([coil_subcircuit(header, coils)], cards, vectors, 3e-4), tmp_path)
+    inductance = inductances(coils, 2.5e-3)
+    rates, modes = np.linalg.eigh(inductance)  # both resistances are equal
+    t = np.maximum(waves["time"] - 1.0005e-6, 0.0)
+    grown = 1 - np.exp(-t[:, None] * R0 / rates)
+    exact = 10 / R0 * (grown * modes[0]) @ modes.T
+    scale = 10 / R0
+    # the lookup's 401 points cost 1e-5 in L, reltol 1e-6 a step the rest
+    assert np.abs(waves["lower"] - exact[:, 0]).max() < 5e-5 * scale
+    assert np.abs(waves["upper"] - exact[:, 1]).max() < 5e-5 * scale
+    assert np.abs(exact[:, 1]).max() > 0.02 * scale
+
+
+def test_impedance_is_resistance_and_inductance(header, coils, tmp_path):
+    cards = """Vy y 0 2500
+Vv v 0 0
+Ilower 0 lp AC 1
+Xcoil lp 0 up 0 y v 0 coil
+.ac dec 5 1 1e6"""
+    vectors = {"lower": ("v(lp)", 1.0), "upper": ("v(up)", 1.0)}
+    waves = run_deck(bench([coil_subcircuit(header, coils)], cards, vectors), tmp_path)
+    s, inductance = 2j * np.pi * waves["frequency"], inductances(coils, 2.5e-3)
+    np.testing.assert_allclose(waves["lower"], R0 + s * inductance[0, 0], rtol=2e-5)
+    np.testing.assert_allclose(waves["upper"], s * inductance[1, 0], rtol=2e-5)
+
+
+# Thick wire of 50 Ohm, so that heat does not hide the work on the sphere.
+FLIGHT = """Vlower lp 0 PULSE(0 6 2e-4 1e-6 1e-6 3e-4 6e-4)
+Vupper up 0 PULSE(0 -4 1e-4 1e-6 1e-6 4e-4 7e-4)
+Xcoil lp 0 up 0 y v 0 coil resistance_lower=50 resistance_upper=50
+Xsphere v bottom y 0 sphere
+.options reltol=1e-5 trtol=1 chgtol=1e-10
+.tran 1e-6 2e-3 0 4e-7 uic"""
+VECTORS = {
+    "y": ("v(y)", 1e-6), "v": ("v(v)", 1.0),
+    "v1": ("v(lp)", 1.0), "v2": ("v(up)", 1.0),
+    "i1": ("v(xcoil.i1)", 1.0), "i2": ("v(xcoil.i2)", 1.0),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flight(header, coils, tmp_path_factory):
+    sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81, velocity=1.0, height=0.3e-3)
+    deck = bench([coil_subcircuit(header, coils), sphere], FLIGHT, VECTORS, 2e-3)
+    return run_deck(deck, tmp_path_factory.mktemp("flight"))
+
+
+def test_energy_books_of_driven_coils_with_a_flying_sphere_close(flight, coils):
+    """Electrical power in = heat + stored in the coils + work on the sphere, to 1e-4."""
+    t, y, v = flight["time"], flight["y"], flight["v"]
+    i = np.column_stack([flight["i1"], flight["i2"]])
+    volts = np.column_stack([flight["v1"], flight["v2"]])
+
+    def middle(values):
+        return (values[1:] + values[:-1]) / 2
+
+    # Products of means: with the trapezoidal rule C dv = h mean(i), so these sums have no error of
+    # their own, where the trapezoids of power would add (step / 23 us)^2.
+    step = np.diff(t)
+    supplied = step @ (middle(volts) * middle(i)).sum(axis=1)
+    heat = step @ (50.0 * middle(i) ** 2).sum(axis=1)
+
+    def stored(k):
+        return 0.5 * i[k] @ inductances(coils, y[k]) @ i[k]
+
+    kinetic = MASS / 2 * (v[-1] ** 2 - v[0] ** 2) + MASS * 9.81 * (y[-1] - y[0])
+    magnets = coils.potentials(y[-1])[0] - coils.potentials(y[0])[0]  # U0, whose slope is c0
+    gap = supplied - heat - (stored(-1) - stored(0)) - (kinetic - magnets)
+    work = np.trapezoid(np.abs(force(coils, y, *i.T) * v), t)
+    assert work > 1e-5  # J; the sphere's 16 uJ of kinetic energy are turned over
+    assert abs(gap) < 1e-4 * work
+
+
+def test_flight_is_that_of_lagranges_equations(flight, coils):
+    """Flux linkages integrated in scipy with the table's own splines."""
+    resistance = np.array([50.0, 50.0])
+
+    def volts(t):
+        lower = 6.0 * np.interp((t - 2e-4) % 6e-4, [0, 1e-6, 3.01e-4, 3.02e-4], [0, 1, 1, 0])
+        upper = -4.0 * np.interp((t - 1e-4) % 7e-4, [0, 1e-6, 4.01e-4, 4.02e-4], [0, 1, 1, 0])
+        return np.array([lower * (t > 2e-4), upper * (t > 1e-4)])
+
+    def rates(t, state):
+        y, v, flux = state[0], state[1], state[2:]
+        own = np.array([coils.potentials(y)[1], coils.potentials(y)[2]])
+        i = np.linalg.solve(inductances(coils, y), flux - own)
+        pull = force(coils, y, *i) / MASS - 9.81
+        return np.concatenate([[v, pull], volts(t) - resistance * i])
+
+    y0 = 1.3e-3
+    start = np.concatenate([[y0, 1.0], coils.potentials(y0)[1:3]])
+    exact = solve_ivp(rates, (0, 2e-3), start, "LSODA", rtol=1e-9, atol=1e-13, max_step=1e-6,
+                      t_eval=np.linspace(0, 2e-3, 201))  # fmt: skip
+    ours = np.interp(exact.t, flight["time"], flight["y"])
+    assert np.abs(ours - exact.y[0]).max() < 0.1e-6  # of millimetres, through an unstable field
+    speed = np.interp(exact.t, flight["time"], flight["v"])
+    assert np.abs(speed - exact.y[1]).max() < 2e-4 * np.abs(exact.y[1]).max()
+
+
+def test_short_circuit_brakes_and_open_circuit_does_not(header, coils, tmp_path):
+    """Back-EMF takes energy where a current can flow (Lenz)."""
+    lost = {}
+    for name, ohm in (("short", 1e-3), ("open", 1e12)):
+        sphere = sphere_subcircuit(header, MASS, 1e-3, 0.0, velocity=1.0, height=0.0)
+        cards = f"""R1 lp 0 {ohm}
+R2 up 0 {ohm}
+Xcoil lp 0 up 0 y v 0 coil
+Xsphere v bottom y 0 sphere
+.options reltol=1e-5 trtol=1 chgtol=1e-10
+.tran 1e-6 2e-3 0 4e-7 uic"""
+        deck = bench([coil_subcircuit(header, coils), sphere], cards, VECTORS, 2e-3)
+        waves = run_deck(deck, tmp_path / name)
+        magnets = np.diff(coils.potentials(waves["y"][[0, -1]])[:, 0])[0]
+        lost[name] = MASS / 2 * (1 - waves["v"][-1] ** 2) + magnets
+    scale = MASS / 2
+    assert lost["short"] > 1e-3 * scale
+    assert abs(lost["open"]) < 1e-5 * scale
