@@ -15,7 +15,7 @@ from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
 
-POINTS = 401  # of each lookup: 7e-5 of the largest force between them
+POINTS = 801  # of each lookup: 2e-5 of the largest force between them
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 # The force is the sum of these coefficients, each times its currents.
 TERMS: dict[str, tuple[str, ...]] = {
