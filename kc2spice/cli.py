@@ -14,6 +14,7 @@ import typer
 
 from kc2spice import __version__
 from kc2spice.cli_tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.commands_reduce import export_rom, reduce
 from kc2spice.commands_sweep import sweep
 from kc2spice.console import print_table, reported_errors, shown_progress
 from kc2spice.errors import GateMissedError, UsageError
@@ -103,18 +104,35 @@ def run(
 
 @app.command()
 def export(
-    scene: SceneName,
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="Gallery name or path of a TOML file.")
+    ] = None,
     out: Out = None,
     set_: Set = None,
     dialect: Annotated[str, typer.Option(help="Simulator to write for: ngspice.")] = "ngspice",
     tolerance: Annotated[
         float | None, typer.Option(help="Short for --set rom.tolerance=X.", metavar="X")
     ] = None,
+    rom: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Reduced model of 'reduce' instead of a scene."),
+    ] = None,
+    dense: Annotated[
+        bool, typer.Option("--dense", help="With --rom: couple all states instead of blocks.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the netlists of SCENE without simulating."""
+    """Write the netlists of SCENE, or of a reduced model, without simulating."""
     with reported_errors():
+        if rom is not None:
+            if scene is not None or set_ or tolerance is not None:
+                raise UsageError(
+                    "a reduced model is final", where="--rom", expected="no scene and no scene keys"
+                )
+            return export_rom(rom, out, dialect, dense, as_json, quiet)
+        if scene is None:
+            raise UsageError("nothing to export", expected="SCENE or --rom FILE")
         overrides = [*(set_ or []), *([] if tolerance is None else [f"rom.tolerance={tolerance}"])]
         study_scene, directory = _load(scene, overrides, out)
         from kc2spice import study
@@ -234,6 +252,7 @@ def doctor(as_json: AsJson = False) -> None:
             raise typer.Exit(3)
 
 
+app.command()(reduce)
 app.command()(sweep)
 
 

@@ -6,15 +6,18 @@ limits and with the file's own length before memory is taken.
 
 from __future__ import annotations
 
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy import io, sparse
+from scipy import sparse
 
 from kc2spice.errors import UsageError
+from kc2spice.rom.matlab import unpack
+from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.pencil import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
@@ -53,20 +56,12 @@ def read_mat(path: Path) -> dict[str, Matrix]:
     UsageError : missing, damaged, of version 7.3, or one of the matrices is not numeric.
     """
     _existing(path)
-    listed = _guarded(path, "a MATLAB file of version 5 to 7.2", lambda: io.whosmat(str(path)))
-    wanted = {}
-    for letter, shape, kind in listed:
-        if letter in LETTERS:
-            if kind in ("cell", "struct", "object", "char", "function", "opaque"):
-                raise _refused(path, f"variable {letter} is a {kind}", "a numeric matrix")
-            _bounded(path, letter, shape, None if kind == "sparse" else int(np.prod(shape)))
-            wanted[letter] = kind
-    loaded = _guarded(
-        path,
-        "a MATLAB file of version 5 to 7.2",
-        lambda: io.loadmat(str(path), variable_names=list(wanted)) if wanted else {},
-    )
-    return {letter: _checked(loaded.get(letter), letter, path) for letter in wanted}
+    expected = "a MATLAB file of version 5 to 7.2 with numeric matrices"
+    with tempfile.TemporaryDirectory() as place:
+        archive = Path(place) / "matrices.npz"
+        absolute = path.absolute()
+        _guarded(path, expected, lambda: unpack(absolute, archive, LETTERS, MAX_DENSE))
+        return _from_archive(archive, path)
 
 
 def read_npz(path: Path) -> dict[str, Matrix]:
@@ -77,17 +72,21 @@ def read_npz(path: Path) -> dict[str, Matrix]:
     UsageError : missing, damaged, with Python objects, or parts that make no matrix.
     """
     _existing(path)
-    expected = "a numpy archive without Python objects"
+    return _from_archive(path, path)
+
+
+def _from_archive(archive: Path, path: Path) -> dict[str, Matrix]:
+    """Matrices of ``archive``; ``path`` is the file that the user knows."""
 
     def load() -> dict[str, np.ndarray]:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(item.file_size for item in archive.infolist())
+        with zipfile.ZipFile(archive) as members:
+            unpacked = sum(item.file_size for item in members.infolist())
         if unpacked > MAX_BYTES:
             raise _refused(path, f"{unpacked:.3g} bytes unpacked", f"at most {MAX_BYTES:.3g}")
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files if key.split(".")[0] in LETTERS}
+        with np.load(archive, allow_pickle=False) as data:
+            return {key: data[key] for key in data.files if key.split(".")[0] in LETTERS}
 
-    arrays = _guarded(path, expected, load)
+    arrays = _guarded(path, "a numpy archive without Python objects", load)
     found = {}
     for letter in LETTERS:
         parts = {
@@ -101,14 +100,12 @@ def read_npz(path: Path) -> dict[str, Matrix]:
 
 def _matrix_market(path: Path, letter: str) -> Matrix:
     expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
-    rows, columns, entries, form, field, _ = _guarded(path, expected, lambda: io.mminfo(str(path)))
-    if field not in ("real", "double", "integer", "unsigned-integer"):
-        raise _refused(path, f"a {field} matrix", "a real one")
-    _bounded(path, letter, (rows, columns), entries if form == "coordinate" else rows * columns)
-    stored = entries if form == "coordinate" else rows * columns // 2
-    if path.suffix == f".{letter}" and 2 * stored > path.stat().st_size:
-        raise _refused(path, f"{path.stat().st_size} bytes", f"{stored} entries: it is cut off")
-    return _checked(_guarded(path, expected, lambda: io.mmread(str(path))), letter, path)
+    header = _guarded(path, expected, lambda: read_header(path))
+    _bounded(path, letter, (header.rows, header.columns), header.entries)
+    if 2 * header.numbers > path.stat().st_size + 2:
+        got = f"{path.stat().st_size} bytes"
+        raise _refused(path, got, f"{header.entries} entries: it is cut off")
+    return _checked(_guarded(path, expected, lambda: read_body(path, header)), letter, path)
 
 
 def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc_array:
@@ -131,6 +128,8 @@ def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc
 def _checked(matrix: Any, letter: str, path: Path) -> Matrix:
     """``matrix`` as float64, two-dimensional, real and finite; csc unless few columns."""
     if sparse.issparse(matrix):
+        if matrix.format in ("csc", "csr"):  # indices out of range would be followed unseen
+            _guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
         data = matrix.data
     elif isinstance(matrix, np.ndarray):
         data = matrix

@@ -13,6 +13,7 @@ from scipy import io
 
 from kc2spice.errors import UsageError
 from kc2spice.fem.system import Port
+from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel
 
 Reduced = ReducedModel | FirstOrderModel
@@ -51,13 +52,11 @@ def read_rom(path: Path | str) -> Reduced:
     UsageError : no such file, damaged, not a reduced model, or not finite.
     """
     path = Path(path)
+    if not path.is_file():
+        raise UsageError("no such file", where=str(path), expected="a reduced model")
     try:
         matrices, record = _read_npz(path) if path.suffix == ".npz" else _read_family(path)
         return _model(matrices, json.loads(record))
-    except FileNotFoundError as error:
-        raise UsageError(
-            "no such file", where=str(error.filename or path), expected="a reduced model"
-        ) from None
     except UsageError:
         raise
     except Exception as error:  # damaged bytes make the parsers raise nearly anything
@@ -88,7 +87,7 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
         if file.is_file():
             if file.stat().st_size > MAX_BYTES:
                 raise UsageError("too large", where=str(file), expected=f"{MAX_BYTES} bytes")
-            matrices[letter] = np.asarray(io.mmread(str(file)))
+            matrices[letter] = read_body(file, read_header(file))
     return matrices, record.read_text(encoding="utf-8")
 
 

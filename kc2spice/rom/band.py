@@ -1,0 +1,55 @@
+"""The band to reduce for when nobody names one: up to the fifth lowest natural frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
+
+from kc2spice.errors import SimulationError, UsageError
+from kc2spice.rom.pencil import Pencil, factorise_at, poles
+
+MODES = 5
+SMALL = 200  # equations up to which all poles are computed
+BEYOND = 1.1  # the band ends a little past the mode, not on it
+
+
+def natural_band(pencil: Pencil) -> tuple[float, float]:
+    """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
+    or corner frequency (first order) of the full model.
+
+    Raises
+    ------
+    UsageError : the model is free to move or has no such frequency; a band must be given.
+    """
+    try:
+        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+    except (SimulationError, ArpackError):
+        rates = np.empty(0)
+    rates = np.sort(rates[rates > 0])[:MODES]
+    if not rates.size:
+        raise UsageError(
+            "no natural frequency suggests a band",
+            where="band",
+            hint="name the frequencies of interest: --band 0 2e4",
+        )
+    return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
+
+
+def _small(pencil: Pencil) -> np.ndarray:
+    rest, inertia = (P.toarray() for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    top = np.abs(rest).max() / np.abs(inertia).max()
+    first_order = Pencil((rest, inertia), pencil.B, pencil.C, pencil.D)
+    rates = np.abs(poles(first_order, top))
+    rates = rates[rates > 1e-12 * rates.max(initial=0.0)]
+    return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
+
+
+def _lowest(pencil: Pencil) -> np.ndarray:
+    """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
+    solve = factorise_at(pencil, 0.0)[0].solve
+    inertia = pencil.coefficients[-1]
+    n = pencil.size
+    inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)
+    values = np.abs(eigs(inverse, MODES + 1, v0=solve(pencil.B[:, 0]), return_eigenvectors=False))
+    rates = 1 / values[values > 0]
+    return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
