@@ -63,6 +63,18 @@ def sweep(
     table_format: Annotated[
         str, typer.Option("--format", metavar="csv|parquet", help="Of the table.")
     ] = "csv",
+    tune: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=a:b",
+            help="Search KEY between two positive values for the least --minimise over all points, "
+            "at none of them worse than the scene as it is. Repeatable.",
+        ),
+    ] = None,
+    minimise: Annotated[
+        str | None, typer.Option(metavar="METRIC", help="What --tune makes small.")
+    ] = None,
+    generations: Annotated[int, typer.Option(min=1, help="Of the search of --tune.")] = 12,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Points at a time; default: all cores.")
     ] = None,
@@ -110,8 +122,9 @@ def sweep(
             elif shard is not None:
                 result = run.sweep_shard(_needed(out, "--out"), _shard(shard), engine, shown)
             else:
-                request = _request(scene, set_, zipped, latin, seed, metric, timeout, table_format)
-                study = make_study(request)
+                study = make_study(
+                    _request(scene, set_, zipped, latin, seed, metric, timeout, table_format)
+                )
                 if not quiet:
                     print(study.describe(), file=sys.stderr)
                 out = out or Path(f"{study.base.name}_sweep")
@@ -119,6 +132,9 @@ def sweep(
                     result = run.outlook(study, out)
                 elif slurm is not None:
                     result = run.write_array(study, slurm, shards)
+                elif tune:
+                    search = (tune, _needed(minimise, "--minimise"), generations)
+                    result = _interruptible(study, out, engine, shown, search)
                 else:
                     result = _interruptible(study, out, engine, shown)
         if as_json:
@@ -164,10 +180,17 @@ def _engine(dask: str | None, workers: int | None) -> Engine:
     return LocalEngine(count) if dask is None else DaskEngine(dask, count)
 
 
-def _interruptible(study: Study, out: Path, engine: Engine, progress: ProgressCallback) -> Any:
-    from kc2spice.study.sweep import run
+def _interruptible(
+    study: Study, out: Path, engine: Engine, progress: ProgressCallback,
+    search: tuple[list[str], str, int] | None = None,
+) -> Any:  # fmt: skip
+    from kc2spice.study.sweep import run, tune, tuned
 
     try:
+        if search is not None:
+            texts, metric, generations = search
+            bounds = [tune.bound(text) for text in texts]
+            return tuned.run_tuning(study, bounds, metric, generations, out, engine, progress)
         return run.sweep(study, out, engine, progress)
     except KeyboardInterrupt:
         print(f"kc2spice: interrupted; the points run so far are kept in {out}, the same command "
@@ -194,6 +217,9 @@ def _show(result: dict[str, Any]) -> None:
     for name, share in result.get("yield", {}).items():
         low, high = share["low"], share["high"]
         rows.append((f"{name}: yield", f"{share['share']:.4g} (95 %: {low:.4g} … {high:.4g})"))
+    for name in ("best", "mean_ratio", "worst_ratio"):
+        if name in result:
+            rows.append((name.replace("_", " "), str(result[name])))
     if result.get("files"):
         rows.append(("files", ", ".join(result["files"])))
     print_table("sweep", rows)

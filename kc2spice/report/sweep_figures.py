@@ -198,6 +198,28 @@ def _scatter(
     return Picture(path, "Scatter matrix", f"Every metric over every swept key.{rest}")
 
 
+def tuning_figure(
+    path: Path, key: str, values: np.ndarray, metric: str, rows: np.ndarray,
+    best: Mapping[str, float],
+) -> Picture:  # fmt: skip
+    """``metric`` over one swept key, before and after; ``rows`` (4, n): ngspice, then scipy."""
+    label, unit = fact(metric, 0)[0], unit_of(metric)
+    scaled = _axis(label, rows, unit)
+    before, after, *proof = scaled.values
+    order = np.argsort(values)
+    words = ", ".join(f"{name.rpartition('.')[2]} {value:g}" for name, value in best.items())
+    with sheet(path, size=(6.0, 3.8)) as axes:
+        axes.plot(values[order], before[order], color=GREY, label="as the scene is")
+        axes.plot(values[order], after[order], color=BLUE, label=f"tuned: {words}")
+        for row, colour in zip(proof, (GREY, BLUE), strict=True):
+            axes.plot(values, row, "o", color=colour, ms=4.5, mfc="none")
+        axes.plot([], [], "o", color="black", ms=4.5, mfc="none", label="scipy reference")
+        axes.set_ylim(bottom=0)
+        name_axes(axes, key, scaled.label)
+        legend_above(axes, 3)
+    return Picture(path, "Tuning", f"{label} before and after tuning; circles: scipy.")
+
+
 def share_text(found: Mapping[str, float]) -> str:
     """A yield with its confidence interval, in words."""
     low, high = (100 * found[end] for end in ("low", "high"))

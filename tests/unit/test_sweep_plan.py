@@ -135,7 +135,7 @@ def test_mistakes_are_found_before_anything_is_run(sets, options, word):
 
 def test_a_plan_is_read_back_and_names_the_same_table(tmp_path):
     found = study("control.kd=10:20:3", "control.kp=normal(5e4,1e3,4)", seed=5, latin=True)
-    write_plan(found, tmp_path)
+    write_plan(found, tmp_path, found.digest)
     request, digest = read_plan(tmp_path)
     assert request == found.request
     assert make_study(request).digest == digest

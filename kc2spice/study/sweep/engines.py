@@ -92,6 +92,7 @@ class DaskEngine:
 
     address: str
     local_workers: int
+    patience: float = 10.0  # s for the first answer
     workers: int = field(default=1, init=False)
     _client: Any = field(default=None, init=False)
     _cluster: Any = field(default=None, init=False)
@@ -112,7 +113,7 @@ class DaskEngine:
             ) from None  # fmt: skip
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        patience = PATIENCE if self._client is not None else 10.0
+        patience = PATIENCE if self._client is not None else self.patience
         self.close()
         try:
             if self.address == "local":

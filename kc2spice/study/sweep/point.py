@@ -18,6 +18,7 @@ from kc2spice.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.netlist.circuit import Deck
 from kc2spice.report.metrics import metrics
 from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.waveforms import Waveforms
@@ -114,6 +115,21 @@ def run_point(job: Job, task: Task) -> Outcome:
         return Outcome(task.index, failure=_diagnosis(error))
     except Exception as error:
         return Outcome(task.index, failure=f"{type(error).__name__}: {error}")
+
+
+def run_reference(job: Job, task: Task) -> Outcome:
+    """The same point integrated by scipy, which shares neither netlist nor simulator."""
+    from kc2spice.sim import reference
+
+    try:
+        scene = job.scene.load((*job.fixed, *task.overrides))
+        models = _STORE.models(scene)
+        model = need(models.kick, "kick").resonators
+        waves = reference.kick_and_catch(model, scene, models.table, rtol=1e-8).waves
+        found = metrics(waves, scene)
+    except Kc2spiceError as error:
+        return Outcome(task.index, failure=_diagnosis(error))
+    return Outcome(task.index, tuple(_plain(found[name]) for name in job.metrics))
 
 
 def prepare(job: Job, part: str, points: Sequence[tuple[str, ...]]) -> None:

@@ -74,7 +74,7 @@ def parse(override: str) -> Grid | Random | None:
 def parameter(override: str) -> tuple[str, float]:
     """``("PART.NAME", value)`` of ``param.PART.NAME=value``."""
     name, _, text = (part.strip() for part in override.partition("="))
-    return name.removeprefix(PARAMETER), _number(override, find_key(name), text)
+    return name.removeprefix(PARAMETER), number(override, find_key(name), text)
 
 
 def find_key(name: str) -> Key:
@@ -120,10 +120,10 @@ def _value(override: str, key: Key, text: str) -> Value:
             return int(text)
         except ValueError:
             raise _bad(override, "not a whole number", repr(text), "whole numbers") from None
-    return _number(override, key, text)
+    return number(override, key, text)
 
 
-def _number(override: str, key: Key, text: str) -> float:
+def number(override: str, key: Key, text: str) -> float:
     try:
         plain: object = float(text)
     except ValueError:
@@ -142,7 +142,7 @@ def _random(override: str, key: Key, kind: str, arguments: Sequence[str]) -> Ran
         raise _bad(override, "only numbers with a unit or ratios can be drawn", key.name)
     if len(arguments) != 3:
         raise _bad(override, f"{kind} takes three values", ", ".join(arguments))
-    a, b = (_number(override, key, text) for text in arguments[:2])
+    a, b = (number(override, key, text) for text in arguments[:2])
     if kind == "normal" and b < 0:
         raise _bad(override, "a standard deviation is not negative", f"{b:g}")
     if kind == "uniform" and b < a:

@@ -50,7 +50,7 @@ def sweep(study: Study, out: Path, engine: Engine, progress: Progress = silent) 
     UsageError : ``out`` holds another sweep, or another process writes there.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    _claim(study, out)
+    claim(study, out)
     table = _table(study, out)
     if table.exists():
         resumed, wall = study.plan.size, 0.0
@@ -128,7 +128,7 @@ def outlook(study: Study, out: Path) -> dict[str, Any]:
 
 def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
     """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
-    _claim(study, directory)
+    claim(study, directory)
     script = write_script(study, directory, min(shards, study.plan.size))
     return {**outlook(study, directory), "script": str(script.absolute()),
             "files": [PLAN, script.name]}  # fmt: skip
@@ -149,19 +149,25 @@ def planned(directory: Path) -> Study:
     return study
 
 
-def _claim(study: Study, out: Path) -> None:
-    """Make ``out`` the directory of this sweep, unless it is already that of another one."""
+def claim(study: Study, out: Path, purpose: object = None) -> None:
+    """Make ``out`` the directory of this sweep, done for ``purpose``.
+
+    Raises
+    ------
+    UsageError : it is already that of another one, or cannot be written.
+    """
+    own = study.digest if purpose is None else study.plan.digest([study.digest, purpose])
     if study.request.format == "parquet":
         need_parquet()
     if out.exists() and not out.is_dir():
         raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
     if (out / PLAN).exists():
         _, digest = read_plan(out)
-        if digest == study.digest:
+        if digest == own:
             return
         raise UsageError(
             "holds another sweep", where=str(out), got=f"plan {digest}",
-            expected=f"plan {study.digest}", hint="choose another --out, or remove the old one",
+            expected=f"plan {own}", hint="choose another --out, or remove the old one",
         )  # fmt: skip
     for name in (JOURNAL, _table(study, out).name):
         if (out / name).exists():
@@ -169,7 +175,7 @@ def _claim(study: Study, out: Path) -> None:
                              hint="choose another --out, or remove it")  # fmt: skip
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_plan(study, out)
+        write_plan(study, out, own)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
 
@@ -261,7 +267,7 @@ def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
     data = columns(table, study.kinds)
     failed = [text for text in data["status"] if text != "ok"]
     flags = [name for name in study.job.metrics if study.kinds[name] is bool]
-    found = yields(data, flags)
+    found = yields(data, flags) if study.plan.random else {}
     files = write_sweep(
         out, study.base, data, study.plan.keys, study.job.metrics, study.plan.random,
         study.describe(), found,

@@ -127,9 +127,9 @@ def check_parameters(study: Study) -> None:
         with_parameters(bench(study.job, first.overrides)[1], changed)
 
 
-def write_plan(study: Study, directory: Path) -> None:
+def write_plan(study: Study, directory: Path, digest: str) -> None:
     """``plan.json``: the request and the hash by which a later sweep knows its own table."""
-    content = {"digest": study.digest, "points": study.plan.size, **asdict(study.request)}
+    content = {"digest": digest, "points": study.plan.size, **asdict(study.request)}
     partial = directory / f"{PLAN}.part"
     partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     partial.replace(directory / PLAN)
