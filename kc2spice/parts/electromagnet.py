@@ -15,7 +15,7 @@ from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
 
-POINTS = 801  # of each lookup: 2e-5 of the largest force between them
+POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 # The force is the sum of these coefficients, each times its currents.
 TERMS: dict[str, tuple[str, ...]] = {
@@ -26,11 +26,12 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class _Coefficient:
-    """One B source: its name, the currents in front of the lookup, the lines of the lookup."""
+    """One B source: its name, the currents in front of it, the lines of its two lookups."""
 
     name: str
     factor: str
-    table: list[str]
+    values: list[str]
+    bends: list[str]
 
 
 def significant(table: EMTable, current: float) -> list[str]:
@@ -71,15 +72,33 @@ def catch_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         points=points,
+        lowest=1e6 * height[0],
+        spacing=1e6 * (height[1] - height[0]),
         law=" + ".join(" ".join((f"{name}(y)", *i)) for name, i in TERMS.items()),
         left_out=[name for name in TERMS if name not in kept],
         negligible=NEGLIGIBLE,
         coefficients=[
-            _Coefficient(n, "".join(f"V({i})*" for i in TERMS[n]), lookup(height, splines[n]))
+            _Coefficient(n, "".join(f"V({i})*" for i in TERMS[n]), *smooth(height, splines[n]))
             for n in kept
         ],
     )
     return Subcircuit(name, pins, params, text)
+
+
+def smooth(height: np.ndarray, values: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines of the lookups ``f`` and ``b`` whose ``f(y) - w(y) b(y)`` has a continuous slope.
+
+    ``b`` are the second differences of the values and ``w = t (1 - t) / 2`` with t the place
+    within a cell, 0 to 1: the blend of the parabolas through three neighbours (Overhauser 1968),
+    exact to third order, where a polyline's slope jumps at every height. One more cubic value on
+    either side keeps that up to both ends; beyond, the function runs level.
+    """
+    step = height[1] - height[0]
+    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
+    f = np.concatenate([[first], values, [last]])
+    x = np.concatenate([[height[0] - step], height, [height[-1] + step]])
+    bends = np.diff(f[[0, *range(f.size), -1]], 2)
+    return lookup(x, f), lookup(x, bends)
 
 
 def lookup(height: np.ndarray, values: np.ndarray) -> list[str]:

@@ -128,8 +128,8 @@ def test_lookup_follows_the_spline(header, table, tmp_path):
     for k, case in enumerate(current_cases(scene)):
         i1, i2 = case.lower, case.upper
         law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
-        # 401 straight pieces through a smooth curve; measured 7e-5 on the paper's system
-        assert np.abs(waves[f"catch.force.{k}"] - law).max() < 1e-4 * 0.065
+        # 201 cubic pieces through a smooth curve; measured 6e-6 on the paper's system
+        assert np.abs(waves[f"catch.force.{k}"] - law).max() < 2e-5 * 0.065
 
 
 def test_force_is_flat_beyond_the_table(header, table, tmp_path):
@@ -144,7 +144,8 @@ Vy y 0 0
         bench([part], cards, {"y": ("v(y)", 1e-6), "f": ("v(f)", 1.0), "v": ("v(up)", 1.0)}),
         tmp_path,
     )
-    beyond = waves["f"][waves["y"] > 7.45e-3]
+    # the smooth lookup levels out over two cells of 50 um
+    beyond = waves["f"][waves["y"] > 7.7e-3]
     np.testing.assert_allclose(beyond, beyond[0], rtol=1e-12)
     np.testing.assert_allclose(waves["v"], 159.6, rtol=1e-9)
 
