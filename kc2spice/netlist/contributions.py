@@ -59,7 +59,7 @@ class Names(Writer):
 
     def value(self, text: str) -> str:
         """A literal or ``{expression}`` of a card."""
-        return self.write(parse(text, where=self.where), 4)
+        return self.write(parse(text, where=self.where), 5)
 
     def branch(self, source: str) -> str:
         """The named branch of a voltage source or inductor."""

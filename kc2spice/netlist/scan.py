@@ -20,7 +20,8 @@ MOST = 64  # files of one circuit
 COMMANDS = frozenset((
     ".subckt", ".ends", ".model", ".param", ".params", ".func", ".global", ".ic", ".nodeset",
     ".temp", ".options", ".option", ".opt", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf",
-    ".if", ".elseif", ".else", ".endif", ".noise", ".four", ".meas", ".measure", ".save", ".print", ".plot", ".probe", ".width",
+    ".noise", ".four", ".meas", ".measure", ".save", ".print", ".plot", ".probe", ".width", ".if",
+    ".elseif", ".else", ".endif",
 ))
 _ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
 _SHELL_WORDS = frozenset((

@@ -86,7 +86,7 @@ def _expand(
             key, _, text = word.partition("=")
             names.where = card.where
             local = identifier(prefix + key)
-            module.declarations.append(f"localparam real {local} = {names.value(text)};")
+            _assign(module, local, names.value(text))
             names.params = {**names.params, key.lower(): local}
     for part in scope.elements:
         names.where, names.part = part.statement.where, part.name
@@ -99,6 +99,12 @@ def _expand(
             module.laws += law(part, scope, names)
 
 
+def _assign(module: Module, variable: str, value: str) -> None:
+    """A parameter of the netlist that instances cannot set is a variable here."""
+    module.declarations.append(f"real {variable};")
+    module.laws.append(f"{variable} = {value};")
+
+
 def _nested(part: Element, scope: Scope, outer: Names) -> None:
     called = scope.find(part.model or "")
     if called is None or len(called.pins) != len(part.nodes):
@@ -108,6 +114,6 @@ def _nested(part: Element, scope: Scope, outer: Names) -> None:
     params = {}
     for key, default in called.defaults.items():
         local = params[key] = identifier(prefix + key)
-        value = outer.value(part.params[key]) if key in part.params else default
-        outer.module.declarations.append(f"localparam real {local} = {value};")
+        value = outer.value(part.params.get(key, default))
+        _assign(outer.module, local, value)
     _expand(called, outer.module, pins, params, prefix)

@@ -1,5 +1,6 @@
 """Xyce and LTspice texts against their published grammars, and against what ngspice computes."""
 
+import math
 import re
 
 import numpy as np
@@ -242,11 +243,24 @@ def test_result_names_follow(loop):
 # ---------------------------------------------------------------------------------- meaning
 
 
+class Volts(dict):
+    """A random voltage for every node, the same at every look."""
+
+    def __init__(self, rng):
+        super().__init__(y=float(rng.uniform(-4000, 9000)))
+        self.rng = rng
+
+    def __missing__(self, node):
+        self[node] = float(self.rng.normal())
+        return self[node]
+
+
 def value(law, volts, params, *, table):
     """A law evaluated by Python, without the product's parser."""
     text = re.sub(r"\b[Vv]\((\w+)\)", lambda m: f"V['{m[1].lower()}']", law)
     text = text.replace("{", "(").replace("}", ")")
-    return eval(text, {"V": volts, "max": max, "pwl": table, "table": table, **params})
+    known = {"V": volts, "max": max, "pwl": table, "table": table, "floor": math.floor}
+    return eval(text, {**known, **params})
 
 
 def flat(x, *points):
@@ -265,10 +279,7 @@ def test_laws_keep_their_values(loop, dialect):
             if not before.startswith("B"):
                 continue
             for _ in range(5):
-                volts = {n: float(v) for n, v in zip(
-                    ("r0", "r1", "r2", "r3", "r4", "r5", "bottom", "c", "vcc", "vee", "i1", "i2"),
-                    rng.normal(size=12), strict=True)}  # fmt: skip
-                volts["y"] = float(rng.uniform(-4000, 9000))
+                volts = Volts(rng)
                 laws = (re.split(r"[IV]=", line, maxsplit=1)[1] for line in (before, after))
                 first, second = (value(law, volts, params, table=flat) for law in laws)
                 assert first == second

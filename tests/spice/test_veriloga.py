@@ -1,0 +1,388 @@
+"""Verilog-A modules, compiled by OpenVAF's front end, against numpy at random points."""
+
+import re
+
+import numpy as np
+import pytest
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.dialect import dialect_files
+from kc2spice.netlist.realize import realize
+from kc2spice.netlist.veriloga import library
+from kc2spice.parts.bench import loop_deck
+from kc2spice.parts.coil import coil_subcircuit
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.electromagnet import catch_subcircuit
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.pid import pid_subcircuit
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.schema import Control, Sphere
+
+openvaf = pytest.importorskip("openvaf_py")
+
+NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
+
+
+@pytest.fixture(scope="module")
+def parts(header, model, radii, table):
+    ball = Sphere()
+    rings = tuple(f"R{i}" for i in range(6))
+    made = (
+        realize(model, header),
+        sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
+        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), 4e8),
+        catch_subcircuit(header, table, 0.1, points=81),
+        coil_subcircuit(header, table, points=81),
+        opamp_subcircuit(header),
+        pid_subcircuit(header, Control()),
+    )
+    return {part.name: part for part in made}
+
+
+@pytest.fixture(scope="module")
+def modules(parts, tmp_path_factory):
+    home = tmp_path_factory.mktemp("veriloga")
+    compiled = {}
+    for name, text in library(parts.values()).items():
+        (home / name).write_text(text)
+        (compiled[name.removesuffix(".va")],) = openvaf.compile_va(str(home / name))
+    return compiled
+
+
+class Compiled:
+    """Residuals and Jacobian of a compiled module, by the names of its unknowns."""
+
+    def __init__(self, module):
+        self.module = module
+        system = module.get_dae_system()
+        self.unknowns = [n["name"] for n in system["nodes"]]
+        self.at = {name.lower(): i for i, name in enumerate(self.unknowns)}
+
+    def __call__(self, x, params):
+        """``(f, q, df/dx, dq/dx)`` at ``x``; the equations are ``f + dq/dt = 0``."""
+        inputs = {"mfactor": 1.0, **params}
+        for name, kind in zip(self.module.param_names, self.module.param_kinds, strict=True):
+            inside = name[2:-1].lower().split(",")
+            if kind == "voltage":
+                value = x[self.at[inside[0]]]
+                inputs[name] = value - (x[self.at[inside[1]]] if len(inside) > 1 else 0.0)
+            elif kind == "current" and f"flow({inside[0]})" in self.at:
+                inputs[name] = x[self.at[f"flow({inside[0]})"]]
+        residuals, entries = self.module.run_init_eval(inputs)
+        n = len(self.unknowns)
+        jacobian, reactive = np.zeros((n, n)), np.zeros((n, n))
+        for row, column, resist, react in entries:
+            jacobian[row, column], reactive[row, column] = resist, react
+        f, q = np.array(residuals).T
+        return f, q, jacobian, reactive
+
+
+# ------------------------------------------------------------- the netlist in numpy, by duals
+
+
+class Dual:
+    """A value with its gradient."""
+
+    def __init__(self, value, slope):
+        self.value, self.slope = value, slope
+
+    @staticmethod
+    def of(other):
+        return other if isinstance(other, Dual) else Dual(float(other), 0.0)
+
+    def __add__(self, other):
+        other = Dual.of(other)
+        return Dual(self.value + other.value, self.slope + other.slope)
+
+    def __mul__(self, other):
+        other = Dual.of(other)
+        slope = self.slope * other.value + self.value * other.slope
+        return Dual(self.value * other.value, slope)
+
+    def __truediv__(self, other):
+        return self * (1.0 / float(other))
+
+    def __neg__(self):
+        return self * -1.0
+
+    def __sub__(self, other):
+        return self + (-Dual.of(other))
+
+    def __rsub__(self, other):
+        return Dual.of(other) - self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def larger(a, b):
+    a, b = Dual.of(a), Dual.of(b)
+    return a if a.value > b.value else b
+
+
+def lookup(x, *points):
+    at, values = np.array(points[::2]), np.array(points[1::2])
+    k = int(np.clip(np.searchsorted(at, x.value, side="right") - 1, 0, len(at) - 2))
+    slope = (values[k + 1] - values[k]) / (at[k + 1] - at[k])
+    return Dual(values[k] + slope * (x.value - at[k]), slope * x.slope)
+
+
+def floor(x):
+    return Dual(float(np.floor(x.value)), 0.0)
+
+
+FUNCTIONS = {"max": larger, "pwl": lookup, "floor": floor}
+
+
+def cards(text):
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
+    return "\n".join(lines).replace("\n+", " ").splitlines()
+
+
+class Netlist:
+    """Stamps of a ``.subckt``, read word by word: the sum of currents out of every node."""
+
+    def __init__(self, parts, part, at, x, params):
+        n = len(at)
+        self.parts, self.at, self.x = parts, at, x
+        self.f, self.q = np.zeros(n), np.zeros(n)
+        self.jacobian, self.reactive = np.zeros((n, n)), np.zeros((n, n))
+        self.expand(part, {}, params, "")
+
+    def node(self, name, pins, prefix):
+        name = name.lower()
+        index = self.at[pins.get(name, prefix + name)]
+        slope = np.zeros(len(self.x))
+        slope[index] = 1.0
+        return index, Dual(self.x[index], slope)
+
+    def stamp(self, row, current, sign, charge=False):
+        (self.q if charge else self.f)[row] += sign * current.value
+        (self.reactive if charge else self.jacobian)[row] += sign * current.slope
+
+    def flow(self, a, b, current, charge=False):
+        self.stamp(a, current, 1.0, charge)
+        self.stamp(b, current, -1.0, charge)
+
+    def expand(self, part, pins, params, prefix):
+        head, *body = cards(part.text)
+        assert head.startswith(".subckt")
+        numbers = {
+            k.lower(): float(v) for k, v in (w.split("=") for w in head.split() if "=" in w)
+        } | {k.lower(): v for k, v in params.items()}
+
+        def worth(text):
+            return eval(text.strip("{}").lower(), {}, numbers) if "{" in text else float(text)
+
+        def law(text):
+            spots = re.sub(r"\b[vV]\((\w+)\)", r"V('\1')", text.strip("{}"))
+            names = {"V": lambda n: self.node(n, pins, prefix)[1], **FUNCTIONS}
+            return Dual.of(eval(spots, names, folded(text)))
+
+        def folded(text):
+            return {w: numbers[w.lower()] for w in re.findall(r"\w+", text) if w.lower() in numbers}
+
+        models = {c.split()[1]: dict(re.findall(r"(\w+)=([^\s)]+)", c)) for c in body
+                  if c.startswith(".model")}  # fmt: skip
+        for card in body:
+            words = card.split()
+            kind = words[0][0].lower()
+            if words[0] == ".param":
+                key, text = words[1].split("=", 1)
+                numbers[key.lower()] = worth(text)
+            if kind == ".":
+                continue
+            if kind == "x":
+                called = self.parts[words[-1]]
+                inner = [w.lower() for w in cards(called.text)[0].split()[2:] if "=" not in w]
+                outer = [pins.get(w.lower(), prefix + w.lower()) for w in words[1:-1]]
+                nested = f"{prefix}{words[0].lower()}_"
+                self.expand(called, dict(zip(inner, outer, strict=True)), {}, nested)
+                continue
+            (a, va), (b, vb) = (self.node(w, pins, prefix) for w in words[1:3])
+            across = va - vb
+            if kind == "r":
+                self.flow(a, b, across * (1 / worth(words[3])))
+            elif kind == "c":
+                self.flow(a, b, across * worth(words[3]), charge=True)
+            elif kind == "g":
+                (_, vc), (_, vd) = (self.node(w, pins, prefix) for w in words[3:5])
+                self.flow(a, b, (vc - vd) * worth(words[5]))
+            elif kind == "i":
+                self.flow(a, b, Dual.of(worth(words[3])))
+            elif kind == "b":
+                self.flow(a, b, law(re.split("I=", card, maxsplit=1)[1]))
+            elif kind == "s":
+                (_, vc), (_, vd) = (self.node(w, pins, prefix) for w in words[3:5])
+                model = models[words[5]]
+                on = (vc - vd).value > float(model["VT"])
+                self.flow(a, b, across * (1 / float(model["RON" if on else "ROFF"])))
+            elif kind == "v" and "PWL" in card:
+                assert va.value == vb.value  # zero volts for ever: the compiler joins the nodes
+            elif kind == "v":
+                row, current = self.node(f"flow(br_{prefix}{words[0].lower()})", {}, "")
+                self.flow(a, b, current)
+                self.stamp(row, worth(words[3]) - across, 1.0)
+            else:
+                raise AssertionError(card)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_residuals_and_jacobian(parts, modules, name):
+    part, compiled = parts[name], Compiled(modules[name])
+    rng = np.random.default_rng(NAMES.index(name))
+    at = {k.removesuffix("_") if k == "ln_" else k: i for k, i in compiled.at.items()}
+    for trial in range(8):
+        x = rng.normal(size=len(at)) * 10.0 ** rng.uniform(-2, 1, size=len(at))
+        if "y" in at and name != "sphere":
+            x[at["y"]] = rng.uniform(-4000, 9000)
+        if "tick" in at:
+            x[at["tick"]] = x[at["base"]]
+        factor = {p.name: p.default * rng.uniform(0.5, 2.0) for p in part.params}
+        params = {p.name: p.default for p in part.params} if trial == 0 else factor
+        expected = Netlist(parts, part, at, x, params)
+        f, q, jacobian, reactive = compiled(x, params)
+        for got, want in (
+            (jacobian, expected.jacobian), (reactive, expected.reactive),
+            (f, expected.f), (q, expected.q),
+        ):  # fmt: skip
+            # every entry is a sum of terms: 1e-12 of the largest entry of its row
+            scale = np.max(np.abs(want), axis=-1, keepdims=True) if want.ndim > 1 else None
+            if scale is None:
+                slopes = expected.jacobian if got is f else expected.reactive
+                scale = np.abs(slopes) @ np.abs(x) + np.abs(want)
+            assert np.all(np.abs(got - want) <= 1e-12 * scale + 1e-300), name
+
+
+def test_a_wrong_sign_would_be_seen(parts, tmp_path):
+    text = library([parts["sphere"]])["sphere.va"].replace("I(base,bottom) <+", "I(bottom,base) <+")
+    (tmp_path / "wrong.va").write_text(text)
+    compiled = Compiled(openvaf.compile_va(str(tmp_path / "wrong.va"))[0])
+    x = np.ones(len(compiled.at))
+    x[compiled.at["v"]] = 3.0
+    params = {p.name: p.default for p in parts["sphere"].params}
+    expected = Netlist(parts, parts["sphere"], compiled.at, x, params)
+    assert np.max(np.abs(compiled(x, params)[2] - expected.jacobian)) > 1.0
+
+
+# ------------------------------------------------------------------------- laws and physics
+
+
+def test_contact_is_the_penalty_law(parts, modules, radii):
+    compiled = Compiled(modules["contact"])
+    rng = np.random.default_rng(5)
+    gaps = 1e-3 - np.sqrt(1e-6 - radii**2)
+    for _ in range(20):
+        x = rng.normal(size=8) * 20
+        x[compiled.at["bottom"]] = rng.uniform(-30, 5)
+        eps = rng.uniform(1e8, 1e9)
+        rings = [compiled.at[f"r{k}"] for k in range(6)]
+        pen = (x[rings] - x[compiled.at["bottom"]]) * 1e-6 - gaps
+        force = eps * np.maximum(pen, 0.0)
+        params = {p.name: p.default for p in parts["contact"].params} | {"eps": eps}
+        f, _, jacobian, _ = compiled(x, params)
+        # the gaps come from the subcircuit, where their difference of roots is rounded otherwise
+        np.testing.assert_allclose(f[rings], force, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(f[compiled.at["v"]], -force.sum(), rtol=1e-8, atol=1e-6)
+        stiffness = eps * 1e-6 * (pen > 0)
+        np.testing.assert_allclose(np.diag(jacobian)[rings], stiffness, rtol=1e-12)
+        np.testing.assert_allclose(
+            jacobian[rings, compiled.at["bottom"]], -stiffness, rtol=1e-12, atol=1e-12
+        )
+
+
+def test_the_compiled_kick_has_the_transfer_functions_of_the_model(parts, modules, model):
+    """Internal unknowns eliminated from ``G + s C``, the ports are the modal sums."""
+    compiled = Compiled(modules["kick"])
+    _, _, G, C = compiled(np.zeros(len(compiled.at)), {})
+    rng = np.random.default_rng(11)
+    rings = [p.name.lower() for p in model.ports if p.kind == "mechanical"]
+    at = compiled.at
+    ports = [*(at[r] for r in rings), at["anode"]]
+    ground = [at["base"], at["cathode"]]
+    kept = [i for i in range(len(at)) if i not in ground]
+    inside = [i for i in kept if i not in ports]
+    for hertz in rng.uniform(1e3, 1e6, size=6):
+        s = 2j * np.pi * hertz
+        A = G + s * C
+        Y = A[np.ix_(ports, ports)] - A[np.ix_(ports, inside)] @ np.linalg.solve(
+            A[np.ix_(inside, inside)], A[np.ix_(inside, ports)]
+        )  # currents into the pins, per volt on them
+        modal = model.gain.T @ (
+            model.gain / (s**2 + s * model.damp + model.omega**2)[:, None]
+        ) + model.D  # fmt: skip
+        # forces on the pins for given displacements and voltage, from the modal compliance
+        uu, uv = modal[:6, :6], modal[:6, 6:]
+        F = np.linalg.solve(uu, np.hstack([np.eye(6), -uv]))
+        charge = np.hstack([modal[6:, :6] @ F[:, :6], modal[6:, :6] @ F[:, 6:] + modal[6:, 6:]])
+        want = np.vstack([F, s * charge])
+        want[:6, :6] *= 1e-6  # N per um
+        want[6:, :6] *= 1e-6
+        scale = np.sqrt(np.abs(np.outer(np.diag(want), np.diag(want))))
+        # solving for stiffness amplifies rounding by the condition of the ring compliances
+        assert np.max(np.abs(Y - want) / scale) < 1e-6, hertz
+
+
+# ----------------------------------------------------------------------------- what is said
+
+
+def test_ports_parameters_and_head_are_those_of_the_part(parts):
+    for name, part in parts.items():
+        text = library(parts.values())[f"{name}.va"]
+        ports = re.search(r"(?m)^module \w+\((.*)\);", text)[1].split(", ")
+        assert [p.removesuffix("_") for p in ports] == [p.name for p in part.pins]
+        declared = dict(re.findall(r"(?m)^  parameter real (\w+) = (\S+);", text))
+        # what only sets initial conditions has no place in the equations
+        left_out = {"velocity", "height"} if name == "sphere" else set()
+        assert set(declared) == {p.name for p in part.params} - left_out
+        assert all(float(declared[p.name]) == p.default for p in part.params if p.name in declared)
+        assert "// @pin 1 " in text
+
+
+def test_the_dialect_writes_modules(scene, header, model, radii, table, parts):
+    deck = loop_deck(scene, header, model, radii, table)
+    files = dialect_files(deck, parts.values(), "verilog-a")
+    assert set(files) == {f"{name}.va" for name in NAMES}
+
+
+def part_of(cards_):
+    text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
+    return Subcircuit("part", (Pin("a", "V", "A"), Pin("b", "V", "A")),
+                      (Param("k", 2.0, "-", "gain"),), text)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("card", "law"),
+    [
+        ("L1 a b {k*1e-3}", "V(br_l1) <+ ddt((k*1e-3)*I(br_l1));"),
+        ("E1 a c b 0x 3\nR1 c b 1\nR2 0x b 1", "V(br_e1) <+ 3.0*V(b,"),
+        ("V1 a c 0\nF1 c b V1 2\nR1 c b 1", "I(c,b) <+ 2.0*I(br_v1);"),
+        ("V1 a c 0\nH1 c b V1 2\nR1 c b 1", "V(br_h1) <+ 2.0*I(br_v1);"),
+        ("L1 a b 1\nL2 a b 4\nK1 L1 L2 0.5", "V(br_l1) <+ ddt(0.5*sqrt(1.0*4.0)*I(br_l2));"),
+        ("B1 a b V=sgn(V(a))*uramp(V(b))", "(V(a) > 0.0 ? 1.0 : (V(a) < 0.0 ? -1.0 : 0.0))"),
+        ("B1 a b I=V(a) > 1 ? log(V(b)) : 0", "(V(a)>1.0 ? ln(V(b)) : 0.0)"),
+    ],
+)
+def test_elements(card, law, tmp_path):
+    text = library([part_of(card.replace("0x", "x0"))])["part.va"]
+    assert law in text
+    (tmp_path / "part.va").write_text(text)
+    openvaf.compile_va(str(tmp_path / "part.va"))
+
+
+@pytest.mark.parametrize(
+    "card",
+    [
+        "V1 a b PULSE(0 1 0 1n 1n 1)",
+        "R1 a 0 1",
+        "S1 a b a b m\n.model m SW(VT=1 VH=0.1)",
+        "B1 a b I=delta(V(a))",
+        "D1 a b d\n.model d D(IS=1e-14)",
+        "B1 a b I=V(a)*time",
+        "X1 a b unknown",
+    ],
+)
+def test_what_a_module_cannot_say_is_refused(card):
+    with pytest.raises(UsageError) as caught:
+        library([part_of(card)])
+    assert "part.lib:" in str(caught.value)
