@@ -76,6 +76,8 @@ def _analysis(deck: Deck) -> str:
 def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:
     lines: list[str] = []
     for s in _merged(statements(text, name, title=title)):
+        if s.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
+            continue
         lines += [_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments]
         if s.text:
             lines.append(speaker.card(s))

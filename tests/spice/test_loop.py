@@ -1,6 +1,7 @@
 """The whole loop in ngspice against its independent integration in scipy."""
 
 import dataclasses
+import subprocess
 
 import numpy as np
 import pytest
@@ -11,9 +12,20 @@ from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.reduce import reduce_kick
-from kc2spice.scene.schema import Contact, Impact, Imprint, Kick, Rom, Scene, Solver, Sphere
+from kc2spice.scene.schema import (
+    Contact,
+    EmForce,
+    Harmonic,
+    Impact,
+    Imprint,
+    Kick,
+    Rom,
+    Scene,
+    Solver,
+    Sphere,
+)
 from kc2spice.sim.log import classify
-from kc2spice.sim.ngspice import find_ngspice, run_deck
+from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
 from kc2spice.sim.reference.loop import impact, kick_and_catch
 from kc2spice.sim.reference.statics import imprint
 
@@ -155,3 +167,18 @@ def test_missing_model_is_named(scene, header):
 
 def test_ngspice_is_found():
     assert find_ngspice().name == "ngspice"
+
+
+@pytest.mark.parametrize("experiment", ["loop", "imprint", "harmonic", "em_force"])
+def test_decks_run_as_they_stand(experiment, scene, header, model, radii, table, tmp_path):
+    """``ngspice -b`` without any further word simulates and prints."""
+    update = {"experiment": experiment, "name": experiment, "solver": Solver(stop=0.1e-3)}
+    update |= {"imprint": Imprint(steps=5), "harmonic": Harmonic(steps=5), "em_force": EmForce()}
+    deck = scene_deck(scene.model_copy(update=update), header, model, radii, table)
+    main = write_deck(deck, tmp_path)
+    done = subprocess.run(
+        [find_ngspice().path, "-b", main.name], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    assert "Index" in done.stdout
+    assert not classify(done.stdout + done.stderr).errors
