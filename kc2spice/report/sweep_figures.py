@@ -200,23 +200,24 @@ def _scatter(
 
 def tuning_figure(
     path: Path, key: str, values: np.ndarray, metric: str, rows: np.ndarray,
-    best: Mapping[str, float],
+    best: Mapping[str, float], units: Mapping[str, str],
 ) -> Picture:  # fmt: skip
     """``metric`` over one swept key, before and after; ``rows`` (4, n): ngspice, then scipy."""
     label, unit = fact(metric, 0)[0], unit_of(metric)
     scaled = _axis(label, rows, unit)
     before, after, *proof = scaled.values
     order = np.argsort(values)
-    words = ", ".join(f"{name.rpartition('.')[2]} {value:g}" for name, value in best.items())
+    words = ", ".join(f"{name.rpartition('.')[2]} = {value:g}" for name, value in best.items())
     with sheet(path, size=(6.0, 3.8)) as axes:
         axes.plot(values[order], before[order], color=GREY, label="as the scene is")
-        axes.plot(values[order], after[order], color=BLUE, label=f"tuned: {words}")
+        axes.plot(values[order], after[order], color=BLUE, label="tuned")
         for row, colour in zip(proof, (GREY, BLUE), strict=True):
             axes.plot(values, row, "o", color=colour, ms=4.5, mfc="none")
         axes.plot([], [], "o", color="black", ms=4.5, mfc="none", label="scipy reference")
         axes.set_ylim(bottom=0)
-        name_axes(axes, key, scaled.label)
-        legend_above(axes, 3)
+        name_axes(axes, f"{key} in {units[key]}" if units.get(key) else key, scaled.label)
+        axes.set_title(f"tuned: {words}")
+        axes.legend()
     return Picture(path, "Tuning", f"{label} before and after tuning; circles: scipy.")
 
 

@@ -2,64 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
 
 from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.paper import paper_section
-from kc2spice.report.plots import Picture
 from kc2spice.report.run_page import fact
+from kc2spice.report.verdict import Findings
 
 
-class CheckLike(Protocol):
-    """A number against its gate."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def value(self) -> float | None: ...
-    @property
-    def limit(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def passed(self) -> bool: ...
-
-
-class RoadLike(Protocol):
-    """One way to the result with its wall time and its errors against another."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def wall_s(self) -> float: ...
-    @property
-    def against(self) -> str: ...
-    @property
-    def errors(self) -> Mapping[str, float]: ...
-
-
-class FindingsLike(Protocol):
-    """Outcome of one scene's verification."""
-
-    @property
-    def checks(self) -> Sequence[CheckLike]: ...
-    @property
-    def roads(self) -> Sequence[RoadLike]: ...
-    @property
-    def errors(self) -> Mapping[str, float]: ...
-    @property
-    def speedup(self) -> Mapping[str, float]: ...
-    @property
-    def metrics(self) -> Mapping[str, Any]: ...
-    @property
-    def notes(self) -> Sequence[str]: ...
-    @property
-    def pictures(self) -> Sequence[Picture]: ...
-
-
-def write_verify(path: Path, found: Mapping[str, FindingsLike]) -> Path:
+def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
     """Write the page for the findings of each scene, by its name.
 
     The table "paper / here" takes its values from each scene's ``metrics``.
@@ -72,7 +24,7 @@ def write_verify(path: Path, found: Mapping[str, FindingsLike]) -> Path:
     return write_page(path, "Verification", lead, kept)
 
 
-def _summary(found: Mapping[str, FindingsLike]) -> Section:
+def _summary(found: Mapping[str, Findings]) -> Section:
     rows = []
     for scene, findings in found.items():
         missed = [check for check in findings.checks if not check.passed]
@@ -91,7 +43,7 @@ def _summary(found: Mapping[str, FindingsLike]) -> Section:
     return Section("Summary", rows, head, note)
 
 
-def _scene(scene: str, findings: FindingsLike) -> list[Section]:
+def _scene(scene: str, findings: Findings) -> list[Section]:
     checks = [
         (
             check.name,
@@ -122,7 +74,7 @@ def _with_unit(value: float | None, unit: str) -> str:
     return quantity(value, "" if unit == "1" else unit, 3)
 
 
-def _roads(scene: str, findings: FindingsLike) -> Section:
+def _roads(scene: str, findings: Findings) -> Section:
     keys = list(dict.fromkeys(key for road in findings.roads for key in road.errors))
     rows = [
         (

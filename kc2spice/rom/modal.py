@@ -42,7 +42,10 @@ def resonators(rom: ReducedModel) -> ResonatorModel:
             got=f"relative coupling {coupling.max():.1e}",
             expected="damping proportional to mass and stiffness",
         )
-    return ResonatorModel(1 / np.sqrt(mu), damp, phi.T @ rom.B, rom.D, rom.ports, rom.certificate)
+    gain = phi.T @ rom.B
+    # A mode has no sign of its own; this one makes the same model the same netlist everywhere.
+    gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
+    return ResonatorModel(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
 
 def whole_device(model: ResonatorModel, sectors: int) -> ResonatorModel:

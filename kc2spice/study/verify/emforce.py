@@ -10,13 +10,13 @@ import numpy as np
 from kc2spice.fem.emtable import em_cases, force
 from kc2spice.fem.magnetics import brute_force, catch_table
 from kc2spice.report.metrics import metrics
+from kc2spice.report.verdict import Check, Findings, Road
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.models import Models
 from kc2spice.study.progress import Clock
 from kc2spice.study.verify.roads import ngspice_road
-from kc2spice.study.verify.verdict import Check, Findings, Road
 
 FINER = 4  # FE positions per table interval that the lookup is compared with
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from kc2spice.fem.harmonic import harmonic as full_harmonic
 from kc2spice.fem.statics import Electrical, ImprintResult, imprint, imprint_refactorised
 from kc2spice.fem.system import Port
 from kc2spice.report.metrics import metrics
+from kc2spice.report.verdict import Check, Findings, Road
 from kc2spice.rom.response import frequency_response, relative_error
 from kc2spice.rom.schur import condense
 from kc2spice.rom.standin import stand_in
@@ -26,7 +26,6 @@ from kc2spice.study.progress import Clock
 from kc2spice.study.verify.fullmodel import full_system
 from kc2spice.study.verify.roads import ngspice_road
 from kc2spice.study.verify.structure import structure_checks
-from kc2spice.study.verify.verdict import Check, Findings, Road
 
 SAMPLED = 3  # direct solves that are timed, unless all are asked for
 LOW = 0.2  # part of the band whose error has a gate of its own: there the ROM must be exact
@@ -143,7 +142,7 @@ def verify_imprint(scene: Scene, models: Models, clock: Clock, work: Path, full:
     chip, contact, sphere = (
         need(scene.kick, "kick"), need(scene.contact, "contact"), need(scene.sphere, "sphere")
     )  # fmt: skip
-    electrical = cast(Electrical, "open" if chip.electrical == "open" else "short")
+    electrical: Electrical = "open" if chip.electrical == "open" else "short"
     start = time.perf_counter()
     rom = reference.imprint(kick.resonators, scene)
     rom_time = time.perf_counter() - start

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.fem.system import PiezoSystem
-from kc2spice.fem.transient import Ball, Voltage
+from kc2spice.fem.transient import Ball, TransientResult, Voltage
 from kc2spice.report.metrics import compare
+from kc2spice.report.verdict import Check
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice, run_deck
@@ -20,7 +21,6 @@ from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models
 from kc2spice.study.progress import Clock
 from kc2spice.study.verify.fullmodel import FullRun, converged, full_transient
-from kc2spice.study.verify.verdict import Check
 
 FULL_STEP = 10e-9  # finer of the two steps whose limit counts as converged [s]
 
@@ -38,16 +38,16 @@ def full_road(
     resting: bool = False,
 ) -> FullRun:
     """Full model at two step sizes, one factorisation each, contact as a low-rank update."""
-    runs = []
-    for step in (2 * FULL_STEP, FULL_STEP):
+
+    def run(step: float) -> TransientResult:
         with clock.stage("full model", f"steps of {step * 1e9:g} ns") as share:
-            runs.append(
-                full_transient(
-                    scene, system, ball, step=step, stop=stop, voltage=voltage, resting=resting,
-                    progress=share,
-                )
+            return full_transient(
+                scene, system, ball, step=step, stop=stop, voltage=voltage, resting=resting,
+                progress=share,
             )  # fmt: skip
-    return converged(*runs, need(scene.sphere, "sphere").radius, system.sectors)
+
+    coarse, fine = run(2 * FULL_STEP), run(FULL_STEP)
+    return converged(coarse, fine, need(scene.sphere, "sphere").radius, system.sectors)
 
 
 def scipy_road(integrate: Callable[[], Reference], clock: Clock) -> tuple[Reference, float]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from kc2spice.report.verdict import Check
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.rom.response import frequency_response
-from kc2spice.study.verify.verdict import Check
 
 # Rounding of a response that sums some thirty modes; a violation by structure is of order one.
 ROUNDING = 1e-12

@@ -8,6 +8,7 @@ import numpy as np
 
 from kc2spice.fem.transient import Ball, kick_pulse
 from kc2spice.report.metrics import compare, metrics
+from kc2spice.report.verdict import Check, Findings, Road
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim import reference
@@ -25,7 +26,6 @@ from kc2spice.study.verify.roads import (
     scipy_road,
 )
 from kc2spice.study.verify.structure import structure_checks
-from kc2spice.study.verify.verdict import Check, Findings, Road
 
 KICK_ONLY = 12e-6  # s from the pulse's start: the sphere has left after six microseconds
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)

@@ -13,6 +13,7 @@ import numpy as np
 from kc2spice.output import staged
 from kc2spice.report.figures import verify_figures
 from kc2spice.report.plots import Picture
+from kc2spice.report.verdict import Check, Findings
 from kc2spice.report.verify_figures import poles_figure
 from kc2spice.report.verify_page import write_verify
 from kc2spice.rom.naive import naive_poles
@@ -25,7 +26,6 @@ from kc2spice.study.verify.emforce import verify_em_force
 from kc2spice.study.verify.fullmodel import full_system
 from kc2spice.study.verify.linear import verify_harmonic, verify_imprint
 from kc2spice.study.verify.transients import verify_impact, verify_loop
-from kc2spice.study.verify.verdict import Check, Findings
 
 Verifier = Callable[[Scene, Models, Clock, Path, bool], Findings]
 
