@@ -59,13 +59,30 @@ def translate_text(text: str, name: str, dialect: str) -> str:
 def dialect_files(deck: Deck, subcircuits: Iterable[Subcircuit], dialect: str) -> dict[str, str]:
     """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
 
+    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors) is
+    left to the simulator's own, and ``verilog-a.txt`` says which and why.
+
     Raises
     ------
-    UsageError : an unknown dialect, or a construct that it cannot say.
+    UsageError : an unknown dialect, a construct that it cannot say, or not one module.
     """
-    if dialect == "verilog-a":
-        return library(subcircuits)
-    return dict(translate(deck, dialect).files)
+    if dialect != "verilog-a":
+        return dict(translate(deck, dialect).files)
+    parts = tuple(subcircuits)
+    files: dict[str, str] = {}
+    left_out: list[UsageError] = []
+    for part in parts:
+        try:
+            files |= library([part], parts)
+        except UsageError as error:
+            left_out.append(error)
+    if left_out and not files:
+        raise left_out[0]
+    if left_out:
+        files["verilog-a.txt"] = (
+            "Not written as modules:\n\n" + "\n\n".join(map(str, left_out)) + "\n"
+        )
+    return files
 
 
 def _analysis(deck: Deck) -> str:

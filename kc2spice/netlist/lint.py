@@ -7,16 +7,21 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.elements import Element, Scope, behaviour, circuit
-from kc2spice.netlist.expression import Name, Probe, parse, walk
-from kc2spice.netlist.statements import Statement, statements
+from kc2spice.netlist.expression import Call, Name, Probe, parse, walk
+from kc2spice.netlist.statements import Statement
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 BUILT_IN = frozenset({"time", "temper", "temp", "hertz", "pi", "e", "boltz", "gmin", "vt"})
+# Functions of ngspice's behavioural sources; ``limit`` is among its statistics and returns 0.
+FUNCTIONS = frozenset(
+    ("abs", "acos", "acosh", "asin", "asinh", "atan", "atanh", "ceil", "cos", "cosh", "exp",
+     "floor", "ln", "log", "log10", "max", "min", "nint", "pow", "pwl", "pwr", "sgn", "sin",
+     "sinh", "sqrt", "tan", "tanh", "u", "u2", "uramp", "buf", "inv")
+)  # fmt: skip
 _VECTOR = re.compile(r"(?i)\b[vi]\w*\(([^()]*)\)")
 _PIN = re.compile(r"\* @pin (\d+) (\w+) unit=(\S+) flow=(\S+)")
 
@@ -70,30 +75,6 @@ def problems(deck: Deck) -> list[Problem]:
     return [p for scope in _scopes(top) for p in _scope_problems(scope, signals)]
 
 
-def read_deck(main: Path) -> Deck:
-    """A deck from disk: ``main`` and the files in its directory that it includes, to be linted.
-
-    Raises
-    ------
-    UsageError : a file is missing or no text.
-    """
-    files: dict[str, str] = {}
-    waiting = [main.name]
-    while waiting:
-        name = waiting.pop()
-        try:
-            files[name] = (main.parent / name).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            if name == main.name:
-                raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
-            continue  # named with its line when the circuit is read
-        for s in statements(files[name], name):
-            if s.keyword in (".include", ".inc") and " " in s.text:
-                target = s.text.split(None, 1)[1].strip("\"' ")
-                waiting += [target] if target not in files else []
-    return Deck(main.stem, main.name, files, {}, None)
-
-
 def _scopes(scope: Scope) -> Iterator[Scope]:
     yield scope
     for child in scope.subcircuits.values():
@@ -130,6 +111,8 @@ def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterat
         yield from _instance(part, scope) if part.kind == "x" else _references(part, scope)
         for text in _expressions(part):
             yield from _unknown_names(part.statement, text, scope)
+            if part.kind == "b":
+                yield from _unknown_functions(part.statement, text, scope)
     yield from _dangling(scope, signals)
 
 
@@ -208,6 +191,24 @@ def _unknown_names(card: Statement, text: str, scope: Scope) -> Iterator[Problem
             for name in map(str.lower, leaf.names):
                 if name not in present:
                     yield Problem(card.where, f"no such {what}", name, _nearest(name, present))
+
+
+def _unknown_functions(card: Statement, text: str, scope: Scope) -> Iterator[Problem]:
+    """Functions of a behavioural source that ngspice does not have."""
+    own = {
+        match[1].lower()
+        for outer in _outwards(scope)
+        for command in outer.commands
+        if (match := re.match(r"(?i)\.func\s+(\w+)", command.text))
+    }
+    try:
+        leaves = walk(parse(text, where=card.where))
+    except UsageError:
+        return  # reported among the names
+    for leaf in leaves:
+        if isinstance(leaf, Call) and leaf.function not in FUNCTIONS | own:
+            near = _nearest(leaf.function, FUNCTIONS | own)
+            yield Problem(card.where, "ngspice has no such function", leaf.function, near)
 
 
 def _expressions(part: Element) -> Iterator[str]:

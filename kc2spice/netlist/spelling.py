@@ -17,7 +17,16 @@ from kc2spice.netlist.statements import Statement
 SWITCH_BAND = 1e-3  # V on either side of the threshold: Xyce's switch has no jump
 ANALYSES = (".tran", ".ac", ".dc", ".op")
 _SAME = frozenset({".ends", ".end", ".include", ".param", *ANALYSES})
-_LINEAR = frozenset("rcvikfhx")  # written as in ngspice, but for braces and parameters
+_SHARED = frozenset("rcvikfhxdqjm")  # written alike, but for braces and parameters
+# Models that all three read alike: SPICE2's own parameters.
+_SEMICONDUCTORS = {
+    "d": "is rs n tt cjo vj m eg xti fc bv ibv",
+    "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
+    "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
+    "njf": "vto beta lambda rd rs cgs cgd pb is",
+}
+_SEMICONDUCTORS |= {p: _SEMICONDUCTORS[n] for p, n in
+                    (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))}  # fmt: skip
 _COMMON = frozenset(
     ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sgn",
      "sin", "sinh", "sqrt", "tan", "tanh", "uramp")
@@ -88,7 +97,7 @@ class Dialect(Writer):
             return s.text
         if part.kind == "l":
             return self.inductor(s)
-        if part.kind in _LINEAR and not any(re.search(r"(?i)file|poly", w) for w in s.words):
+        if part.kind in _SHARED and not any(re.search(r"(?i)file|poly", w) for w in s.words):
             return s.text
         raise self.refusal(s, f"this {part.kind.upper()} card")
 
@@ -101,11 +110,17 @@ class Dialect(Writer):
                 raise self.refusal(s, f"the word {leaf.text}")
 
     def _model(self, s: Statement) -> str:
-        match = re.fullmatch(r"(?i)\.model\s+(\w+)\s+sw\s*\((.*)\)", s.text)
+        match = re.fullmatch(r"\.model\s+(\w+)\s+(\w+)\s*\((.*)\)", s.text, re.IGNORECASE)
         if match is None:
             raise self.refusal(s, "this model")
-        pairs = re.findall(r"(\w+)\s*=\s*(\{[^}]*\}|\S+)", match[2])
-        return self.switch(s, match[1], {k.lower(): v for k, v in pairs})
+        pairs = re.findall(r"(\w+)\s*=\s*(\{[^}]*\}|\S+)", match[3])
+        values = {k.lower(): v for k, v in pairs}
+        if match[2].lower() == "sw":
+            return self.switch(s, match[1], values)
+        known = _SEMICONDUCTORS.get(match[2].lower(), "").split()
+        if not set(values) <= set(known) or values.get("level", "1") != "1":
+            raise self.refusal(s, "this model")
+        return s.text
 
     # -- what dialects override -------------------------------------------------------------
 

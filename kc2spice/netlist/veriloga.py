@@ -18,14 +18,17 @@ from kc2spice.netlist.elements import Element, Scope, circuit
 from kc2spice.netlist.statements import statements
 
 
-def library(parts: Iterable[Subcircuit]) -> dict[str, str]:
-    """``{name.va: text}``, one module per part.
+def library(
+    parts: Iterable[Subcircuit], known: Iterable[Subcircuit] | None = None
+) -> dict[str, str]:
+    """``{name.va: text}``, one module per part; ``known`` are all parts that they may contain.
 
     Raises
     ------
     UsageError : a construct without a Verilog-A form (waveforms, hysteresis, global ground).
     """
-    files = {part.filename: part.text for part in parts}
+    parts = tuple(parts)
+    files = {part.filename: part.text for part in known or parts}
     main = "\n".join(["* parts", *(f".include {name}" for name in files)])
     top = circuit("parts", {"parts": main, **files})
     return {f"{p.name}.va": _module(p, top) for p in parts}

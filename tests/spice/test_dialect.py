@@ -176,6 +176,9 @@ CONSTRUCTS = [
      ".save\n+ V(a)\n+ I(v1)"),
     (".save @b.xc.br0[i]", "I(xc:br0)", "I(b:c:r0)"),
     (".save v(xa.xb.n)", "V(xa:xb:n)", "V(a:b:n)"),
+    (".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n",
+     ".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n", "KP={k} IS=1e-14)\nM1 a b"),
+    ("D1 a 0 d\n.model d D(IS=1e-14 RS=1)", "D1 a 0 d\n.model d D(", "D1 a 0 d\n.model d D("),
     ("C1 a 0 1u IC=2", "C1 a 0 1u IC=2", "C1 a 0 1u IC=2"),
 ]  # fmt: skip
 
@@ -199,10 +202,13 @@ REFUSED = [
     "B1 a 0 I=V(b)==1 ? 1 : 2",
     "E1 a 0 POLY(1) b 0 1 2 3",
     "E1 a 0 vol='V(b)'",
-    ".model d D(IS=1e-14)",
+    ".model d D(IS=1e-14 LEVEL=3)",
+    ".model n NMOS(LEVEL=49)",
+    ".model v VDMOS(VTO=3)",
     ".control\n.endc",
     ".func f(x) {x}",
-    "D1 a 0 d",
+    "Z1 a b c d",
+    "A1 a b c",
     ".save @m1[gm]",
     "V1 a 0 PWL(file=x)",
 ]

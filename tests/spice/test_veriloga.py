@@ -345,6 +345,15 @@ def test_the_dialect_writes_modules(scene, header, model, radii, table, parts):
     assert set(files) == {f"{name}.va" for name in NAMES}
 
 
+def test_parts_that_are_no_devices_are_listed(parts):
+    generator = part_of("V1 a b PULSE(0 1 0 1n 1n 1)")
+    files = dialect_files(None, [parts["sphere"], generator], "verilog-a")
+    assert set(files) == {"sphere.va", "verilog-a.txt"}
+    assert "part.lib:3: a module has no sources with waveforms" in files["verilog-a.txt"]
+    with pytest.raises(UsageError, match="waveforms"):
+        dialect_files(None, [generator], "verilog-a")
+
+
 def part_of(cards_):
     text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
     return Subcircuit("part", (Pin("a", "V", "A"), Pin("b", "V", "A")),

@@ -1,0 +1,104 @@
+"""A parameter changed in the deck gives what a new export with that value gives."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.lint import lint
+from kc2spice.parts.bench import loop_deck
+from kc2spice.sim.ngspice import run_deck
+
+STOP = 0.7e-3
+
+
+@pytest.fixture(scope="module")
+def decks(header, model, radii, table):
+    def make(scene):
+        return loop_deck(scene, header, model, radii, table)
+
+    return make
+
+
+def interface(text):
+    """Defaults on the ``.subckt`` card of a library."""
+    card = re.search(r"(?m)^\.subckt (.*)$", text)[1]
+    return dict(w.split("=") for w in card.split() if "=" in w)
+
+
+def overridden(base: Deck, other: Deck) -> tuple[Deck, dict[str, str]]:
+    """``base`` with the parameters of ``other`` set on its instances, and what was set."""
+    main, given = base.files[base.main], {}
+    for file in base.files:
+        if not file.endswith(".lib"):
+            continue
+        part = file.removesuffix(".lib")
+        before, after = (interface(d.files[file]) for d in (base, other))
+        changed = {k: v for k, v in after.items() if before[k] != v}
+        if changed:
+            text = " ".join(f"{k}={v}" for k, v in changed.items())
+            main, count = re.subn(rf"(?m)^(X.* {part})$", rf"\1 {text}", main)
+            assert count == 1
+            given |= {f"{part}.{k}": v for k, v in changed.items()}
+    return replace(base, files=base.files | {base.main: main}), given
+
+
+def short(deck: Deck) -> Deck:
+    main = re.sub(r"(?m)^(\.tran \S+) \S+", rf"\g<1> {STOP}", deck.files[deck.main])
+    return replace(deck, files=deck.files | {deck.main: main}, stop=STOP)
+
+
+CHANGES = {
+    "penalty": ("contact", {"penalty": 7e7}, {"contact.eps"}),
+    "mass": ("sphere", {"density": 9000.0}, {"sphere.mass"}),
+    "radius": ("sphere", {"radius": 1.2e-3},
+               {"sphere.mass", "sphere.radius", *(f"contact.gap_R{i}" for i in range(1, 6))}),
+    "gravity": (None, {"gravity": 1.62}, {"sphere.gravity"}),
+    "set point": ("control", {"setpoint": 2.0e-3}, {"pid.setpoint"}),
+    "current limit": ("control", {"current_limit": 0.06}, {"pid.current_limit"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_changed_parameter_equals_a_new_export(scene, decks, change, tmp_path):
+    section, update, expected = CHANGES[change]
+    inner = getattr(scene, section).model_copy(update=update) if section else None
+    changed = scene.model_copy(update={section: inner} if section else update)
+    base, exported = decks(scene), decks(changed)
+    by_hand, given = overridden(base, exported)
+    assert set(given) == expected
+    lint(by_hand)
+    runs = [run_deck(short(d), tmp_path / n) for n, d in
+            (("base", base), ("hand", by_hand), ("export", exported))]  # fmt: skip
+    for key in ("sphere.y", "contact.force", "kick.u.R0", "coil.upper.current", "control.error"):
+        hand, export = runs[1][key], runs[2][key]
+        # the same numbers reach the same cards, so even the time steps are the same
+        np.testing.assert_allclose(hand, export, rtol=1e-9, atol=1e-9 * np.max(np.abs(export)))
+    assert not np.array_equal(runs[0]["sphere.y"], runs[2]["sphere.y"]), "the change does nothing"
+
+
+def test_gaps_can_be_set_by_hand(scene, decks, tmp_path):
+    """A ring with a gap of a millimetre never closes."""
+    base = decks(scene)
+    main = re.sub(r"(?m)^(X.* contact)$", r"\1 gap_R0=1e-3 gap_R1=1e-3", base.files[base.main])
+    deck = replace(base, files=base.files | {base.main: main})
+    waves = run_deck(short(deck), tmp_path)
+    assert np.max(np.abs(waves["contact.force.R0"])) == 0.0
+    assert np.max(waves["contact.force.R2"]) > 1.0
+
+
+def test_coil_resistance_and_rails_can_be_set_by_hand(scene, decks, tmp_path):
+    """The current of a saturated stage is the supply over all resistances of the loop."""
+    base = decks(scene)
+    main = re.sub(
+        r"(?m)^(Xcatch .* catch)$",
+        r"\1 resistance_lower=2e3 resistance_upper=3e3",
+        base.files[base.main],
+    )
+    main = re.sub(r"(?m)^(Xpid .* pid)$", r"\1 compliance=100", main)
+    deck = replace(base, files=base.files | {base.main: main})
+    waves = run_deck(short(deck), tmp_path)
+    largest = np.max(np.abs(waves["coil.upper.current"]))
+    assert largest == pytest.approx(100.0 / (2e3 + 3e3 + 100.0), rel=1e-3)  # 100 Ohm of sense
