@@ -66,7 +66,7 @@ def state_space(model: ReducedModel | FirstOrderModel) -> ABCD:
             return _massless(M, E, K, B, C, D, omega)
         return _modal(M, E, K, B, C, D, omega)
     q = len(M)
-    if np.linalg.cond(M) * MASSLESS > 1:
+    if _singular(M, M):
         raise UsageError(
             "the mass matrix is singular and not symmetric", where="state space",
             expected="a regular or a symmetric positive semi-definite M",
@@ -133,7 +133,7 @@ def _massless(
         if max(largest(E @ rigid), largest(E.T @ rigid)) > COUPLING * largest(E):
             raise _improper("massless coordinates are coupled by damping alone")
         inner = rigid.T @ K @ rigid
-        if np.linalg.cond(inner) * MASSLESS > 1:
+        if _singular(inner, K):
             raise _improper("massless, undamped coordinates without stiffness")
         held = solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
         n = len(M)
@@ -177,7 +177,7 @@ def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: 
     A, B, C, E = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T, size[:r, None]
     if r < len(A):
         inner = A[r:, r:]
-        if np.linalg.cond(inner) * MASSLESS > 1:
+        if _singular(inner, A):
             raise _improper("algebraic equations that do not determine their unknowns")
         held = solve(inner, np.hstack([A[r:, :r], B[r:]]))
         D = D - C[:, r:] @ held[:, r:]
@@ -185,6 +185,11 @@ def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: 
         B = B[:r] - A[:r, r:] @ held[:, r:]
         A = A[:r, :r] - A[:r, r:] @ held[:, :r]
     return A / E, B / E, C, D
+
+
+def _singular(matrix: np.ndarray, whole: np.ndarray) -> bool:
+    """A singular value that is rounding of ``whole``."""
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(whole))
 
 
 def _improper(why: str) -> UsageError:

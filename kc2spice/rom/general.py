@@ -12,7 +12,6 @@ there instead.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +31,7 @@ ACCURACY = 1e-10  # direct solutions are hardly better than this in the response
 MARGIN = 0.02  # the subspace is this much more accurate than the model asked for
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAMPLES = 200
+NOTCHES, NOTCH_SAMPLES = 20, 9
 RIGID = 100.0  # times the rounding of the projected stiffness
 RANK = 1e-13  # singular values of the response below this are rounding
 # A resonance sharper than this cannot be hit by a frequency that is not exact to rounding; errors
@@ -115,7 +115,6 @@ def reduce_model(
     *,
     tolerance: float | None = None,
     order: int | None = None,
-    progress: Callable[[str], None] = lambda text: None,
 ) -> Reduced:
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
@@ -135,11 +134,9 @@ def reduce_model(
             expected=f"between {ACCURACY:g} and 1",
         )
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, ACCURACY)
-    found = [
-        ordered(model, band, sampled, two_sided)
-        for sampled in (sample_model(model, band, target),)
-        for two_sided in _sides(model.pencil)
-    ]
+    limit = np.inf if tolerance is None else 0.5 * tolerance
+    sampled = sample_model(model, band, target, limit)
+    found = [ordered(model, band, sampled, two_sided) for two_sided in _sides(model.pencil)]
     if order is not None:
         candidates = [(r.error(min(order, r.size)), i) for i, r in enumerate(found)]
         return found[min(candidates)[1]].model(order)
@@ -149,13 +146,15 @@ def reduce_model(
     return found[best].model(orders[best])
 
 
-def sample_model(model: ForeignModel, band: tuple[float, float], target: float) -> Sampled:
+def sample_model(
+    model: ForeignModel, band: tuple[float, float], target: float, limit: float | None = None
+) -> Sampled:
     """Subspace of the scaled model; see :func:`kc2spice.rom.sampling.sample`."""
     if not (0 <= band[0] < band[1] and np.isfinite(band[1])):
         raise UsageError(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
-    return sample(_scaled(model, band), band, target)
+    return sample(_scaled(model, band), band, target, target if limit is None else limit)
 
 
 def _scaled(model: ForeignModel, band: tuple[float, float]) -> Pencil:
@@ -178,6 +177,7 @@ def ordered(
     first = np.empty((pencil.size, 0)) if sampled.static else _rigid(full, V, pencil)
     frequency = grid(band, SAMPLES, sampled.static)
     frequency = np.union1d(frequency, _resonances(pencil, band))
+    frequency = np.union1d(frequency, _notches(frequency, response(pencil, 2j * np.pi * frequency)))
     s = 2j * np.pi * frequency
     snapshots = [states(pencil, s)]
     if frequency[0] == 0:
@@ -236,12 +236,24 @@ def _directions(snapshots: list[np.ndarray], first: np.ndarray) -> np.ndarray:
     both = both / np.tile(np.linalg.norm(columns, axis=0) + np.finfo(float).tiny, 2)
     for _ in range(2):
         both = both - first @ (first.T @ both)
-    return np.hstack([first, _range(both)])
+    return np.hstack([first, _range(both, 1.0)])
 
 
-def _range(columns: np.ndarray) -> np.ndarray:
+def _range(columns: np.ndarray, unit: float | None = None) -> np.ndarray:
+    """Principal directions of the columns, those beyond rounding of ``unit`` (the largest)."""
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
+    scale = size.max(initial=0.0) if unit is None else unit
+    return np.asarray(U[:, size > RANK * max(scale, np.finfo(float).tiny)])
+
+
+def _notches(frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
+    """Finer samples around the deepest local minima of all entries: relative errors peak there."""
+    size = np.abs(H) / (np.abs(H).max(axis=0) + np.finfo(float).tiny)
+    inner = (size[1:-1] < size[:-2]) & (size[1:-1] < size[2:])
+    depth = np.where(inner, size[1:-1], np.inf).reshape(len(size) - 2, -1).min(axis=1)
+    deepest = np.argsort(depth)[: min(NOTCHES, int(np.isfinite(depth).sum()))]
+    spans = [np.linspace(frequency[k], frequency[k + 2], NOTCH_SAMPLES) for k in deepest]
+    return np.concatenate([frequency[:0], *spans])
 
 
 def smallest_order(reduction: Reduction, tolerance: float) -> int:

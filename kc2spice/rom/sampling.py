@@ -54,12 +54,14 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     return np.unique(frequency)
 
 
-def sample(pencil: Pencil, band: tuple[float, float], target: float) -> Sampled:
+def sample(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Sampled:
     """Basis whose projection is within ``target`` of the full model wherever it was checked.
+
+    Where rounding of the full model's solutions keeps it from that, ``limit`` must do.
 
     Raises
     ------
-    SimulationError : ``target`` is not met within ``MAX_POINTS`` factorisations.
+    SimulationError : not even ``limit`` is met within ``MAX_POINTS`` factorisations.
     """
     search = _Search(pencil)
     static = search.add_static()
@@ -76,12 +78,12 @@ def sample(pencil: Pencil, band: tuple[float, float], target: float) -> Sampled:
         if met == CONFIRMATIONS or not grown:
             break
     worst = max(recent)
-    if worst > target:
+    if worst > limit:
         raise SimulationError(
             "the reduced model does not settle",
             where="reduction",
             got=f"relative error {worst:.1e} with {search.basis.shape[1]} states",
-            expected=f"at most {target:.1e}",
+            expected=f"at most {limit:.1e}",
             hint="narrow the band or ask for a looser tolerance",
         )
     return Sampled(search.basis, worst, search.points, static)

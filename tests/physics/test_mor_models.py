@@ -1,0 +1,308 @@
+"""Models of other tools: matrices to ROM to subcircuit to ngspice, against the full matrices."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import eig, eigvals
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.header import Header
+from kc2spice.netlist.realize_signal import realize_signal
+from kc2spice.rom.blocks import block_model
+from kc2spice.rom.foreign import make_model
+from kc2spice.rom.general import ordered, reduce_model, sample_model
+from kc2spice.rom.model import FirstOrderModel
+
+sys.path.insert(0, str(Path(__file__).parent))
+import mor_families as families
+
+FAMILIES = {
+    "beam": families.beam,
+    "triple chain": families.triple_chain,
+    "building": families.building,
+    "heat rod": families.heat_rod,
+    "rotor": families.rotor,
+}
+FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
+HEADER = Header("test", "0")
+
+
+def built(name):
+    matrices, band = FAMILIES[name]()
+    return matrices, make_model(families.as_files(matrices), None, name, name), (0.0, band)
+
+
+def reduced_matrices(rom):
+    letters = "EABCD" if isinstance(rom, FirstOrderModel) else "MEKBCD"
+    return {letter: getattr(rom, letter) for letter in letters}
+
+
+def resonances(matrices, band):
+    """Imaginary parts of the full model's poles in the band [Hz]: errors are largest there."""
+    if "A" in matrices:
+        return np.empty(0)
+    n = len(matrices["K"])
+    inner = np.linalg.solve(matrices["M"], np.hstack([matrices["K"], matrices["E"]]))
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inner]])
+    found = eigvals(A).imag / (2 * np.pi)
+    return found[(found > 1e-4 * band[1]) & (found < band[1])]
+
+
+def worst(found, expected):
+    size = np.abs(expected)
+    counted = size > FLOOR * size.max(axis=0)
+    return (np.abs(found - expected)[counted] / size[counted]).max()
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Full responses on a dense grid with the peaks, computed once per family."""
+    known = {}
+
+    def get(name):
+        if name not in known:
+            matrices, _, band = built(name)
+            frequency = np.r_[0.0, np.geomspace(1e-4, 1, 40), np.linspace(0.003, 1, 160)] * band[1]
+            frequency = np.union1d(frequency, resonances(matrices, band))
+            known[name] = frequency, families.full_response(matrices, frequency)
+        return known[name]
+
+    return get
+
+
+def test_beam_has_the_textbook_frequencies():
+    matrices, _ = families.beam(free=False)
+    omega = np.sqrt(np.sort(eig(matrices["K"], matrices["M"], right=False).real)[:2])
+    assert omega == pytest.approx([1.8751040687**2, 4.6940911330**2], rel=1e-6)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
+    _, model, band = built(name)
+    rom = reduce_model(model, band, tolerance=tolerance)
+    frequency, expected = truth(name)
+    error = worst(families.full_response(reduced_matrices(rom), frequency), expected)
+    estimate = rom.certificate.error_estimate
+    # Peaks and notches between the product's samples may be a little worse, as may rounding of the
+    # numpy solutions here (1e-9 for the beams).
+    assert error <= 1.5 * tolerance + 1e-9
+    assert estimate <= tolerance
+    assert 0.5 <= estimate / error <= 10
+    assert rom.order < 0.6 * model.pencil.size
+    assert rom.certificate.stable
+
+
+@pytest.mark.parametrize("dense", [False, True], ids=["blocks", "dense"])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, tmp_path):
+    tolerance = 1e-5
+    matrices, model, band = built(name)
+    rom = reduce_model(model, band, tolerance=tolerance)
+    part = realize_signal(rom, HEADER, name="part", dense=dense)
+    frequency = np.linspace(band[1] / 80, band[1], 80)
+    found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
+    own = families.full_response(reduced_matrices(rom), frequency)
+    assert (np.abs(found - own) / np.abs(own).max(axis=0)).max() < 1e-9
+    assert worst(found, families.full_response(matrices, frequency)) <= tolerance
+
+
+def chain(n=40, k=1.0):
+    K = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    B = np.zeros((n, 2))
+    B[0, 0] = B[n // 2, 1] = 1.0
+    return {"M": np.eye(n), "E": 0.02 * K, "K": K, "B": B}
+
+
+def changed(**matrices):
+    return {**chain(), **matrices}
+
+
+def skew(n=40):
+    values = 0.05 * np.random.default_rng(1).standard_normal(n - 1)
+    return np.diag(values, 1) - np.diag(values, -1)
+
+
+def free_chain():
+    K = chain()["K"]
+    K[0, 0] = K[-1, -1] = 1.0
+    return K
+
+
+def twice(matrices):
+    zero = np.zeros((40, 40))
+    square = {k: np.block([[v, zero], [zero, v]]) for k, v in matrices.items() if k != "B"}
+    return {**square, "B": np.vstack([matrices["B"], matrices["B"][:, ::-1]])}
+
+
+HARD = {
+    "undamped": (lambda: changed(E=np.zeros((40, 40))), True, True),
+    "gyroscopic, undamped": (lambda: changed(E=skew()), True, True),
+    "gyroscopic, damped": (lambda: changed(E=skew() + chain()["E"]), True, True),
+    "one dashpot": (lambda: changed(E=np.diag(np.r_[1.0, np.zeros(39)])), True, True),
+    "free to move": (lambda: changed(K=free_chain(), E=0.02 * free_chain()), True, True),
+    "free, gyroscopic": (lambda: changed(K=free_chain(), E=skew()), True, True),
+    "massless, damped": (lambda: changed(M=np.diag(np.tile([1.0, 0.0], 20))), True, True),
+    "massless, undamped": (
+        lambda: changed(M=np.diag(np.tile([1.0, 0.0], 20)), E=np.zeros((40, 40))), True, True,
+    ),
+    "every pole twice": (lambda: twice(chain()), True, True),
+    "port repeated": (lambda: changed(B=chain()["B"][:, [0, 0, 1]]), True, True),
+    "K unsymmetric": (lambda: changed(K=chain()["K"] + 0.01 * np.eye(40, k=1)), True, False),
+    "K indefinite": (lambda: changed(K=chain()["K"] - np.diag(np.r_[0, 5, np.zeros(38)])),
+                     False, False),
+    "defective pole": (
+        lambda: {"A": np.eye(6, k=1) - np.eye(6), "B": np.eye(6)[:, [5]], "C": np.eye(6)[[0]]},
+        True, False,
+    ),
+    "insulated rod": (lambda: {"A": -free_chain(), "B": chain()["B"]}, True, True),
+    "algebraic rows": (
+        lambda: {"A": -chain()["K"], "B": chain()["B"],
+                 "E": np.diag(np.tile([1.0, 1.0, 0.0, 1.0], 10))},
+        True, True,
+    ),
+    "growing pole": (lambda: {"A": -chain()["K"] + 0.5 * np.eye(40), "B": chain()["B"]},
+                     False, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_hard_models_work_and_say_what_they_are(name, tmp_path):
+    make, stable, passive = HARD[name]
+    matrices, top = make(), 0.1
+    model = make_model(families.as_files(matrices), None, name, name)
+    rom = reduce_model(model, (0.0, top), tolerance=1e-6)
+    assert (rom.certificate.stable, rom.certificate.passive) == (stable, passive)
+    frequency = np.linspace(top / 50, top, 50)
+    expected = families.full_response(matrices, frequency)
+    own = families.full_response(reduced_matrices(rom), frequency)
+    peak = np.abs(expected).max(axis=0)
+    assert (np.abs(own - expected) / peak).max() < 1e-5  # undamped peaks lie between samples
+    part = realize_signal(rom, HEADER, name="part")
+    found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
+    # A free body is held by a conductance of 1e-12, which shows at a fiftieth of the band.
+    assert (np.abs(found - own) / peak).max() < 1e-9
+    if stable:
+        largest = [eigvals(block).real.max() for block in block_model(rom).blocks]
+        assert max(largest) < 1e-9  # of a band of 0.6 rad/s
+
+
+def test_defective_pole_stays_in_one_block():
+    make, *_ = HARD["defective pole"]
+    model = make_model(families.as_files(make()), None, "jordan", "jordan")
+    rom = reduce_model(model, (0.0, 0.1), order=6)
+    assert [len(block) for block in block_model(rom).blocks] == [6]
+
+
+def test_improper_models_are_refused_with_the_reason():
+    n = 3
+    E = np.diag([1.0, 0.0, 0.0])
+    E[1, 2] = 1.0  # x2' = x1 - ..., 0 = x3 - u: the output is the derivative of the input
+    A = np.diag([-1.0, 1.0, 1.0])
+    matrices = {"A": A, "E": E, "B": np.array([[1.0], [0.0], [1.0]]), "C": np.eye(n)[[1]]}
+    model = make_model(families.as_files(matrices), None, "index 2", "index 2")
+    rom = reduce_model(model, (0.01, 0.1), order=3)
+    with pytest.raises(UsageError, match="derivatives"):
+        realize_signal(rom, HEADER)
+
+
+def random_model(rng):
+    """Order 2 to 200, 1 to 12 ports, damping ratios 0 to 0.5 that couple the modes or not."""
+    n = int(np.exp(rng.uniform(np.log(2), np.log(200))))
+    ports = int(rng.integers(1, min(12, n) + 1))
+    Q, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    omega = np.exp(rng.uniform(0, 3, n))
+    mass = np.exp(rng.uniform(-2, 2, n))
+    root = np.sqrt(mass)[:, None] * Q
+    K = root @ np.diag(omega**2) @ root.T
+    ratio = rng.uniform(0, 0.5) * rng.integers(0, 2)
+    R, _ = np.linalg.qr(rng.standard_normal((n, n))) if rng.integers(0, 2) else (np.eye(n), 0)
+    E = root @ R @ np.diag(2 * ratio * omega * rng.uniform(0, 1, n)) @ R.T @ root.T
+    B = rng.standard_normal((n, ports))
+    symmetric = {"M": np.diag(mass), "E": 0.5 * (E + E.T), "K": 0.5 * (K + K.T), "B": B}
+    return symmetric, float(np.quantile(omega, rng.uniform(0.1, 0.9))) / (2 * np.pi)
+
+
+def check_every_order(seed, step):
+    """Poles and power of the reduced models, by eigenvalues that share no code with the product."""
+    rng = np.random.default_rng(seed)
+    matrices, top = random_model(rng)
+    model = make_model(families.as_files(matrices), None, "random", "random")
+    found = ordered(model, (0.0, top), sample_model(model, (0.0, top), 1e-5), False)
+    omega = 2 * np.pi * top
+    for order in {*range(1, found.size + 1, step), found.size}:
+        claim = found.structure(order)
+        assert claim.stable
+        assert claim.passive
+        rom = found.leading(order)
+        K, E, M = (omega**k * P for k, P in enumerate(rom.coefficients))
+        zero, one = np.zeros_like(K), np.eye(order)
+        poles = eigvals(np.block([[zero, one], [-K, -E]]), np.block([[one, zero], [zero, M]]))
+        poles = poles[np.isfinite(poles)]
+        assert (poles.real <= 1e-9 * np.abs(poles)).all()  # rounding of poles on the axis
+        s = 1j * np.array([0.1, 0.5, 0.9, 3.0, 30.0])[:, None, None]
+        H = rom.C @ np.linalg.solve(s * s * M + s * E + K, rom.B[None])
+        power = s * H + (s * H).conj().transpose(0, 2, 1)
+        lowest = np.linalg.eigvalsh(power)[:, 0] / np.abs(s * H).max(axis=(1, 2))
+        assert lowest.min() >= -1e-9
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_models_are_stable_and_passive(seed):
+    check_every_order(seed, step=7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40, 540))
+def test_random_models_are_stable_and_passive_at_every_order(seed):
+    check_every_order(seed, step=1)
+
+
+def test_statespace_is_the_same_system():
+    for name in FAMILIES:
+        _, model, band = built(name)
+        rom = reduce_model(model, band, tolerance=1e-4)
+        space = rom.to_statespace()
+        frequency = np.linspace(0.01, 1, 30) * band[1]
+        own = families.full_response(reduced_matrices(rom), frequency)
+        s = 2j * np.pi * frequency[:, None, None]
+        found = space.C @ np.linalg.solve(s * np.eye(len(space.A)) - space.A, space.B[None])
+        assert (np.abs(found + space.D - own) / np.abs(own).max(axis=0)).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["building", "heat rod"])
+def test_pymor_agrees_and_does_no_better_at_equal_order(name, truth):
+    """pyMOR computes the same responses, of the ROM and of the full model; its balanced truncation
+    (of the same structure) is not more accurate in the band with as many states.
+    """
+    pymor = pytest.importorskip("pymor.models.iosys")
+    from pymor.core.logger import set_log_levels
+    from pymor.reductors.bt import BTReductor
+    from pymor.reductors.sobt import SOBTpvReductor
+
+    set_log_levels({"pymor": "ERROR"})
+    matrices, model, band = built(name)
+    rom = reduce_model(model, band, tolerance=1e-3)
+    frequency, expected = truth(name)
+    peak = np.abs(expected).max(axis=0)
+    if "A" in matrices:
+        full = pymor.LTIModel.from_matrices(matrices["A"], matrices["B"], matrices["C"])
+        theirs = BTReductor(full).reduce(rom.order)
+    else:
+        full = pymor.SecondOrderModel.from_matrices(
+            *(matrices[k] for k in "MEKB"), Cp=matrices["C"]
+        )
+        theirs = SOBTpvReductor(full).reduce(rom.order)
+    own = families.full_response(reduced_matrices(rom), frequency)
+
+    def pymor_response(system):
+        return np.array([system.transfer_function.eval_tf(2j * np.pi * f) for f in frequency])
+
+    assert (np.abs(pymor_response(full) - expected) / peak).max() < 1e-9
+    assert (np.abs(pymor_response(rom.to_pymor()) - own) / peak).max() < 1e-9
+    # Balanced truncation spends states on all frequencies, this reduction on the band alone.
+    assert (np.abs(own - expected) / peak).max() <= (
+        np.abs(pymor_response(theirs) - expected) / peak
+    ).max()
