@@ -157,6 +157,9 @@ def verify(
         bool,
         typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
     ] = False,
+    meshes: Annotated[
+        bool, typer.Option("--meshes", help="Compare meshes too, in scenes with contact.")
+    ] = False,
     out: Out = None,
     set_: Set = None,
     as_json: AsJson = False,
@@ -178,7 +181,7 @@ def verify(
         from kc2spice.study.verify import verify as verify_scenes
 
         with shown_progress(quiet) as progress:
-            found = verify_scenes(loaded, directory, full=full, progress=progress)
+            found = verify_scenes(loaded, directory, full=full, meshes=meshes, progress=progress)
         passed = all(record["passed"] for record in found.values())
         if as_json:
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))

@@ -49,9 +49,30 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
             (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
         ]
         print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        for baseline, ratio in record["speedup"].items():
+            print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
         for note in record["notes"]:
             print(f"  {note}")
+        if "meshes" in record:
+            _show_meshes(name, record["meshes"])
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")
+
+
+def _show_meshes(name: str, points: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            point["label"],
+            f"{point['unknowns']}",
+            f"{point['imprint_force_n']:.5g}",
+            f"{point['resonance_short_hz'] / 1e3:.5g}",
+            f"{point['resonance_open_hz'] / 1e3:.5g}",
+            f"{point['min_position_m'] * 1e6:.5g}",
+            f"{point['rebound_velocity_m_s']:.5g}",
+        )
+        for point in points
+    ]
+    head = ("mesh", "unknowns", "force N", "short kHz", "open kHz", "lowest um", "rebound m/s")
+    print_table(f"{name}: meshes", rows, header=head)
 
 
 def show_plan(plan: Plan) -> None:

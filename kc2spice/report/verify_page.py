@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kc2spice.report.html import Section, quantity, write_page
@@ -11,14 +11,15 @@ from kc2spice.report.run_page import fact
 from kc2spice.report.verdict import Findings
 
 
-def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
-    """Write the page for the findings of each scene, by its name.
+def write_verify(path: Path, found: Mapping[str, Findings], more: Sequence[Section] = ()) -> Path:
+    """Write the page for the findings of each scene, by its name, and ``more`` sections.
 
     The table "paper / here" takes its values from each scene's ``metrics``.
     """
     sections = [_summary(found)]
     for scene, findings in found.items():
         sections += _scene(scene, findings)
+    sections += more
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     kept = [s for s in sections if s.rows or s.pictures or s.note]
     return write_page(path, "Verification", lead, kept)

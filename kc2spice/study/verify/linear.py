@@ -88,7 +88,11 @@ def verify_harmonic(scene: Scene, models: Models, clock: Clock, work: Path, full
         ),
         metrics={
             **metrics(waves, scene),
+            "unknowns": kick.facts["unknowns"],
             "rom_order": kick.resonators.order,
+            "peak_hz": float(frequency[np.abs(waves["R0>R0"]).argmax()]),
+            "full_wall_s": full_time,
+            "rom_wall_s": rom_time,
             "rom_error": errors["rom_vs_fom"],
         },
         notes=(*notes, f"time of the direct road from {direct_at.size} of {frequency.size} solves"),

@@ -76,7 +76,11 @@ def verify_impact(scene: Scene, models: Models, clock: Clock, work: Path, full: 
             Road("ROM, scipy", rom_time, "full model", dict(pairs["rom_vs_fom"])),
             Road("netlist, ngspice", deck_time, "full model", dict(pairs["ngspice_vs_fom"])),
         ),
-        metrics=metrics(waves, scene),
+        metrics={
+            **metrics(waves, scene),
+            "full_wall_s": refactor,
+            "rom_wall_s": deck_time,
+        },
         notes=(f"refactorising road timed over {timed} of {steps} steps in contact",),
         curves={"full model": fom.waves, "ROM, scipy": rom.waves, "netlist, ngspice": waves},
     )
@@ -111,7 +115,11 @@ def verify_loop(scene: Scene, models: Models, clock: Clock, work: Path, full: bo
             Road("netlist, ngspice", deck_time, "ROM, scipy", dict(whole)),
             *launch_roads,
         ),
-        metrics=metrics(waves, scene),
+        metrics={
+            **metrics(waves, scene),
+            "setpoint_m": None if scene.control is None else scene.control.setpoint,
+            "simulate_wall_s": deck_time,
+        },
         notes=(
             "errors are those of the launch velocity, with catch and control left out; "
             "speed-ups over the full model are those of the impact scene",

@@ -16,6 +16,7 @@ from kc2spice.report.plots import Picture
 from kc2spice.report.verdict import Check, Findings
 from kc2spice.report.verify_figures import poles_figure
 from kc2spice.report.verify_page import write_verify
+from kc2spice.rom.meshstudy import MeshPoint
 from kc2spice.rom.naive import naive_poles
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice
@@ -25,6 +26,7 @@ from kc2spice.study.results import write_record
 from kc2spice.study.verify.emforce import verify_em_force
 from kc2spice.study.verify.fullmodel import full_system
 from kc2spice.study.verify.linear import verify_harmonic, verify_imprint
+from kc2spice.study.verify.meshes import compare_meshes, mesh_records, mesh_section
 from kc2spice.study.verify.transients import verify_impact, verify_loop
 
 Verifier = Callable[[Scene, Models, Clock, Path, bool], Findings]
@@ -39,11 +41,17 @@ _BY_EXPERIMENT: dict[str, Verifier] = {
 
 
 def verify(
-    scenes: Sequence[Scene], out: Path, *, full: bool = False, progress: Progress = silent
+    scenes: Sequence[Scene],
+    out: Path,
+    *,
+    full: bool = False,
+    meshes: bool = False,
+    progress: Progress = silent,
 ) -> dict[str, dict[str, Any]]:
     """Verify ``scenes``, write ``verify.json``, ``verify.html`` and plots into ``out``.
 
-    ``full`` takes every baseline in full instead of a timed sample of it. Returns the contract's
+    ``full`` takes every baseline in full instead of a timed sample of it, ``meshes`` adds the mesh
+    study to scenes with contact. Returns the contract's
     record of each scene by name; a missed gate is in its ``passed``, not an exception.
 
     Raises
@@ -54,6 +62,7 @@ def verify(
     find_ngspice()
     found: dict[str, Findings] = {}
     pictures: dict[str, list[Picture]] = {}
+    studied: dict[str, list[MeshPoint]] = {}
     with staged(out) as work:
         for scene in scenes:
             folder = work / scene.name
@@ -64,10 +73,14 @@ def verify(
                 found[scene.name] = _BY_EXPERIMENT[scene.experiment](
                     scene, models, clock, Path(scratch), full
                 )
+            if meshes and scene.contact is not None:
+                studied[scene.name] = compare_meshes(scene, clock, full)
             pictures[scene.name] = _draw(scene, models, found[scene.name], folder, clock)
         drawn = {name: replace(f, pictures=tuple(pictures[name])) for name, f in found.items()}
-        write_verify(work / "verify.html", drawn)
+        write_verify(work / "verify.html", drawn, [mesh_section(p) for p in studied.values()])
         records = {name: _record(findings) for name, findings in found.items()}
+        for name, points in studied.items():
+            records[name]["meshes"] = mesh_records(points)
         write_record({"passed": _all_passed(records), "scenes": records}, work, "verify.json")
     return records
 
