@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from kc2spice.errors import UsageError
-from kc2spice.netlist.statements import Statement, statements
+from kc2spice.netlist.statements import Statement, beside, statements
 
 # Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
 NODES = {
@@ -119,13 +119,14 @@ def _read(
 
 
 def _included(s: Statement, files: Mapping[str, str], chain: tuple[str, ...]) -> str:
-    target = s.text.split(None, 1)[1].strip("\"' ") if len(s.text.split(None, 1)) > 1 else ""
+    written = s.text.partition(" ")[2].strip().strip("\"'")
+    target = beside(s.file, written)
     if target not in files:
         raise UsageError(
             "included file is not there",
             where=s.where,
-            got=target or "no file name",
-            expected="one of " + ", ".join(sorted(set(files) - set(chain))) if files else None,
+            got=written or "no file name",
+            expected="one of " + ", ".join(sorted(set(files) - set(chain))),
         )
     if target in chain:
         raise UsageError("include goes in a circle", where=s.where, got=" -> ".join(chain))

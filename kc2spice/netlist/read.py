@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.statements import statements
+from kc2spice.netlist.statements import beside, statements
 
 
 def read_deck(main: Path) -> Deck:
@@ -28,6 +28,6 @@ def read_deck(main: Path) -> Deck:
             continue  # named with its line when the circuit is read
         for s in statements(files[name], name):
             if s.keyword in (".include", ".inc") and " " in s.text:
-                target = s.text.split(None, 1)[1].strip("\"' ")
+                target = beside(name, s.text.split(None, 1)[1].strip("\"' "))
                 waiting += [target] if target not in files else []
     return Deck(main.stem, main.name, files, {}, None)

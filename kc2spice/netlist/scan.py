@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from kc2spice.errors import UsageError
-from kc2spice.netlist.statements import Statement, statements
+from kc2spice.netlist.statements import Statement, beside, statements
 
 LARGEST = 4_000_000  # bytes of one file
 MOST = 64  # files of one circuit
@@ -73,10 +73,10 @@ def third_party(path: Path, *, trust: bool = False) -> dict[str, str]:
         if not trust:
             refuse(scan(text, name), str(path))
         for card in statements(text, name):
-            if card.keyword.startswith(".inc"):
-                target = _target(card)
-                inside = str(PurePosixPath(name).parent / target)
-                waiting.append((inside, card.where))
+            target = _target(card)
+            # what a trusted circuit takes from elsewhere stays there
+            if card.keyword.startswith(".inc") and _path_threat(target) is None:
+                waiting.append((beside(name, target), card.where))
     return files
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import PurePosixPath
 
 _OPEN, _CLOSE = "({[", ")}]"
 _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # what starts a comment behind a card
@@ -66,6 +67,11 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 def words(text: str) -> list[str]:
     """Split on blanks outside brackets and quotes; blanks around a bare ``=`` are dropped."""
     return list(_split(_tight(text)))
+
+
+def beside(file: str, target: str) -> str:
+    """Name of the file that ``file`` includes as ``target``: paths count from where they stand."""
+    return str(PurePosixPath(file).parent / target)
 
 
 def _uncommented(line: str) -> str:

@@ -3,6 +3,9 @@
 import pytest
 
 from kc2spice.errors import UsageError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.read import read_deck
 from kc2spice.netlist.scan import scan, third_party
 
 AMPLIFIER = """* a vendor's amplifier
@@ -150,6 +153,24 @@ def test_included_files_come_along_and_are_scanned(tmp_path):
     (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER + ".control\n")
     with pytest.raises(UsageError, match=r"amp\.lib:6"):
         third_party(main)
+
+
+def test_paths_count_from_the_file_they_stand_in(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "amp.lib").write_text(".include inner.lib\n" + AMPLIFIER)
+    (tmp_path / "models" / "inner.lib").write_text("* inner\n")
+    main = tmp_path / "user.cir"
+    main.write_text("* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n")
+    files = third_party(main)
+    assert list(files) == ["user.cir", "models/amp.lib", "models/inner.lib"]
+    lint(Deck("user", "user.cir", files, {}, None))
+    assert read_deck(main).files == files
+
+
+def test_a_trusted_circuit_brings_only_files_of_its_directory(tmp_path):
+    main = tmp_path / "user.cir"
+    main.write_text(".include ../elsewhere.lib\n.include /etc/hostname\n")
+    assert list(third_party(main, trust=True)) == ["user.cir"]
 
 
 def test_includes_in_a_circle_end(tmp_path):
