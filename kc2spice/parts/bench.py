@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -14,10 +15,12 @@ from kc2spice.netlist.circuit import Deck, Subcircuit
 from kc2spice.netlist.header import Header
 from kc2spice.netlist.realize import realize
 from kc2spice.netlist.render import render
+from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.drivers import Driver, coil_driver, coil_load, kick_driver
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import SENSOR, pid_subcircuit
+from kc2spice.parts.pid import SENSE, SENSOR, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.schema import Scene, Solver
@@ -68,6 +71,7 @@ def loop_deck(
     model: ResonatorModel | None = None,
     ring_radii: np.ndarray | None = None,
     table: EMTable | None = None,
+    included: Mapping[str, str] | None = None,
 ) -> Deck:
     """Transient deck of kick, contact, sphere, catch and controller, as far as the scene has them.
 
@@ -76,6 +80,7 @@ def loop_deck(
     model : resonators of the *whole device*; needed where the scene has a kick.
     ring_radii : radii [m] of the model's rings, R0 (the centre) first.
     table : force of the catch; needed where the scene has a catch.
+    included : text of the scene's ``netlists`` and of what they include, by file name.
 
     Raises
     ------
@@ -90,16 +95,24 @@ def loop_deck(
         parts.append(_sphere(scene, header))
     if scene.sphere and scene.contact:
         parts.append(contact(scene, header, rings, need(ring_radii, "ring radii")))
-    if scene.catch:
+    drivers = _drivers(scene, header, table)
+    if scene.catch and drivers.coil:
+        parts.append(coil_subcircuit(header, need(table, "field table")))
+    elif scene.catch:
         current = scene.control.current_limit if scene.control else 0.0
         parts.append(catch_subcircuit(header, need(table, "field table"), current))
     if scene.catch and scene.control:
-        parts += [opamp_subcircuit(header), pid_subcircuit(header, scene.control)]
-    vectors = _vectors(scene, rings)
+        pid = pid_subcircuit(header, scene.control, output=drivers.coil is None)
+        parts += [opamp_subcircuit(header), pid]
+    parts += [part for part in drivers.parts() if part.name not in {p.name for p in parts}]
+    vectors = _vectors(scene, rings, drivers)
     main = render(
         "loop.j2",
-        **frontmatter(scene, header, parts, vectors),
+        **frontmatter(scene, header, parts, vectors, included=bool(included)),
         kick=scene.kick,
+        kick_driver=drivers.kick,
+        coil_driver=drivers.coil,
+        cathode="cathode" if drivers.floating else "0",
         drive=_pulse(scene),
         shorted=scene.kick is not None and scene.kick.electrical == "short",
         rings=rings,
@@ -113,18 +126,39 @@ def loop_deck(
         max_step=scene.solver.max_step,
         uic=scene.impact is not None,
     )
-    return assemble(scene, main, parts, vectors, scene.solver.stop)
+    deck = assemble(scene, main, parts, vectors, scene.solver.stop)
+    return with_included(deck, included or {})
+
+
+def with_included(deck: Deck, included: Mapping[str, str]) -> Deck:
+    """``deck`` with the user's files beside its own.
+
+    Raises
+    ------
+    UsageError : a file of the user has the name of one of the deck's.
+    """
+    for file in included:
+        if file.lower() in {own.lower() for own in deck.files}:
+            hint = "rename the included file"
+            raise UsageError("a library of the scene has this name", where=file, hint=hint)
+    return replace(deck, files=deck.files | dict(included))
 
 
 def frontmatter(
-    scene: Scene, header: Header, parts: list[Subcircuit], vectors: Vectors
+    scene: Scene,
+    header: Header,
+    parts: list[Subcircuit],
+    vectors: Vectors,
+    *,
+    included: bool = False,
 ) -> dict[str, object]:
     """What every bench template has at its head and foot."""
     return {
         "title": f"{scene.name}: {scene.title}",
         "origin": header.origin(),
         "name": name(scene.name),
-        "libraries": [part.filename for part in parts],
+        "libraries": [part.filename for part in parts]
+        + [path.name for path in scene.netlists if included],
         "saved": list(dict.fromkeys(v for names, _ in vectors.values() for v in names.split("+"))),
     }
 
@@ -161,6 +195,30 @@ def contact_vectors(rings: tuple[str, ...]) -> Vectors:
     }
 
 
+@dataclass(frozen=True)
+class _Drivers:
+    """The electronics that a loop has; None where ideal sources drive."""
+
+    kick: Driver | None
+    coil: Driver | None
+    floating: bool  # is the chip's cathode not at ground?
+
+    def parts(self) -> list[Subcircuit]:
+        found = {p.name: p for driver in (self.kick, self.coil) if driver for p in driver.parts}
+        return list(found.values())
+
+
+def _drivers(scene: Scene, header: Header, table: EMTable | None) -> _Drivers:
+    kick = coil = None
+    if scene.kick and scene.kick.driver:
+        kick = kick_driver(header, scene.kick.driver)
+    if scene.catch and scene.catch.driver:
+        control = need(scene.control, "control")
+        load = coil_load(need(table, "field table"), control.setpoint)
+        coil = coil_driver(header, scene.catch.driver, load, control.current_limit)
+    return _Drivers(kick, coil, kick is not None and "cathode" in kick.nodes)
+
+
 def _sphere(scene: Scene, header: Header) -> Subcircuit:
     sphere, impact = need(scene.sphere, "sphere"), scene.impact
     return sphere_subcircuit(
@@ -181,7 +239,7 @@ def _pulse(scene: Scene) -> _Pulse | None:
     return _Pulse(d.voltage, d.start, d.edge, d.width - d.edge)
 
 
-def _vectors(scene: Scene, rings: tuple[str, ...]) -> Vectors:
+def _vectors(scene: Scene, rings: tuple[str, ...], drivers: _Drivers) -> Vectors:
     """Result names to ngspice vectors (``a+b`` is their sum) and the factor to SI."""
     vectors: Vectors = {}
     if scene.sphere:
@@ -190,11 +248,16 @@ def _vectors(scene: Scene, rings: tuple[str, ...]) -> Vectors:
         vectors |= contact_vectors(rings)
     if scene.kick:
         vectors |= {f"kick.u.{r}": (f"v({r.lower()})", 1e-6) for r in rings}
-        vectors["kick.voltage"] = ("v(anode)", 1.0)
-        if scene.kick.electrical != "open":
+        vectors["kick.voltage"] = ("v(voltage)" if drivers.kick else "v(anode)", 1.0)
+        if drivers.kick and drivers.kick.known:
+            vectors["kick.current"] = ("@r.xkickdriver.rout[i]", 1.0)
+        elif not drivers.kick and scene.kick.electrical != "open":
             vectors["kick.current"] = ("i(vkick)", -1.0)
     if scene.catch and scene.control:
         vectors["coil.lower.current"] = ("v(xcatch.i1)", 1.0)
         vectors["coil.upper.current"] = ("v(xcatch.i2)", 1.0)
         vectors["control.error"] = ("v(xpid.e)", 1.0 / SENSOR)
+    if drivers.coil:
+        vectors["coil.voltage"] = ("v(terminals)", 1.0)
+        vectors["coil.wanted"] = ("v(wanted)", 1.0 / SENSE)
     return vectors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,7 @@ def scene_deck(
     model: ResonatorModel | None = None,
     ring_radii: np.ndarray | None = None,
     table: EMTable | None = None,
+    included: Mapping[str, str] | None = None,
 ) -> Deck:
     """The deck of ``scene.experiment``; parameters as in :func:`kc2spice.parts.bench.loop_deck`."""
     if scene.experiment == "imprint":
@@ -59,7 +61,7 @@ def scene_deck(
         return harmonic_deck(scene, header, need(model, "kick model"))
     if scene.experiment == "em_force":
         return em_force_deck(scene, header, need(table, "field table"))
-    return loop_deck(scene, header, model, ring_radii, table)
+    return loop_deck(scene, header, model, ring_radii, table, included)
 
 
 def imprint_deck(

@@ -107,20 +107,24 @@ def pid_components(control: Control) -> PidComponents:
     )
 
 
-def pid_subcircuit(header: Header, control: Control, *, name: str = "pid") -> Subcircuit:
+def pid_subcircuit(
+    header: Header, control: Control, *, output: bool = True, name: str = "pid"
+) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Needs the part ``opamp``.
+    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants. Needs
+    the part ``opamp``.
     """
-    pins = (
-        Pin("y", "um", "-"), Pin("enable", "V", "-"),
-        Pin("drive", "V", "A"), Pin("sense", "V", "A"), Pin("ref", "V", "A"),
-    )  # fmt: skip
+    ends = (
+        (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
+    )
+    pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
+    supply = Param("compliance", 400.0, "V", "supply of the output stage")
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         Param("current_limit", control.current_limit, "A", "largest coil current"),
         Param("rail", 15.0, "V", "supply of the signal amplifiers"),
-        Param("compliance", 400.0, "V", "supply of the output stage"),
+        *((supply,) if output else ()),
     )
     text = render(
         "pid.j2",
@@ -129,5 +133,6 @@ def pid_subcircuit(header: Header, control: Control, *, name: str = "pid") -> Su
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         c=pid_components(control),
+        output=output,
     )
     return Subcircuit(name, pins, params, text)

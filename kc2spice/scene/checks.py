@@ -47,8 +47,7 @@ def problems(scene: Scene) -> Iterator[UsageError]:
     if scene.experiment == "loop":
         yield from _loop(scene)
     yield from _experiments(scene)
-    if scene.include:
-        yield _problem("include", "this version includes no netlists of your own", scene.include)
+    yield from _drivers(scene)
 
 
 def _problem(
@@ -190,6 +189,34 @@ def _late(key: str, what: str, start: float, scene: Scene) -> Iterator[UsageErro
     if start >= scene.solver.stop:
         limit = f"before solver.stop, {scene.solver.stop:g} s"
         yield _problem(key, f"{what} starts after the simulation ends", f"{start:g} s", limit)
+
+
+def _drivers(scene: Scene) -> Iterator[UsageError]:
+    kick = scene.kick.driver if scene.kick else None
+    catch = scene.catch.driver if scene.catch else None
+    for key, driver in (("kick.driver", kick), ("catch.driver", catch)):
+        if driver is None:
+            continue
+        choices = list(type(driver).model_fields)
+        chosen = [name for name in choices if getattr(driver, name) is not None]
+        if len(chosen) != 1:
+            yield _problem(
+                key, "needs one driver", chosen or "none", "one of " + ", ".join(choices)
+            )
+        if scene.experiment != "loop":
+            got = f"experiment {scene.experiment!r}"
+            yield _problem(key, "drivers work in a loop only", got, "experiment = 'loop'")
+        if driver.user and not scene.include:
+            hint = f"name the file with .subckt {driver.user.subckt} in include"
+            yield _problem("include", f"{key}.user needs a netlist", hint=hint)
+    if scene.kick and kick and scene.kick.electrical != "driven":
+        got, limit = scene.kick.electrical, "kick.electrical = 'driven'"
+        yield _problem("kick.driver", "the chip's electrodes are not driven", got, limit)
+    if catch and not scene.control:
+        yield _absent("control", "catch.driver needs this part")
+    if scene.include and not any(driver and driver.user for driver in (kick, catch)):
+        expected = "kick.driver.user or catch.driver.user that names a subcircuit out of it"
+        yield _problem("include", "nothing uses these netlists", scene.include, expected)
 
 
 def _experiments(scene: Scene) -> Iterator[UsageError]:

@@ -56,6 +56,8 @@ def load_scene(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scene
         key = tuple(str(problem.where).split("."))
         problem.where = source.where(key)
         raise problem
+    if scene.include:
+        scene._home = source.folder
     return scene
 
 
@@ -66,6 +68,7 @@ class _Source:
     label: str
     stem: str
     text: str
+    folder: Path
     overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
 
     def parse(self) -> dict[str, Any]:
@@ -91,7 +94,8 @@ def _open(name_or_path: str | Path) -> _Source:
     scenes = gallery()
     if str(name_or_path) in scenes:
         name = str(name_or_path)
-        return _Source(f"scene {name}", name, scenes[name].read_text(encoding="utf-8"))
+        text = scenes[name].read_text(encoding="utf-8")
+        return _Source(f"scene {name}", name, text, Path(str(scenes[name])).parent)
     path = Path(name_or_path)
     try:
         with path.open("rb") as file:
@@ -102,7 +106,7 @@ def _open(name_or_path: str | Path) -> _Source:
         expected = f"at most {MAX_BYTES} bytes of TOML"
         raise UsageError("too long for a scene", where=str(path), expected=expected)
     try:
-        return _Source(str(path), path.stem, content.decode())
+        return _Source(str(path), path.stem, content.decode(), path.parent)
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=str(path), expected="TOML in UTF-8") from None
 

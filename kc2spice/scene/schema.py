@@ -8,62 +8,37 @@ together are in :mod:`kc2spice.scene.checks`. The comment or ``description`` of 
 from __future__ import annotations
 
 import math
-from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
-from kc2spice.errors import UsageError
-from kc2spice.units import quantity
-
-
-def _number(si: str, value: object) -> float:
-    try:
-        return quantity(value, si)
-    except UsageError as error:
-        context = {"reason": error.message, "expected": error.expected}
-        raise PydanticCustomError("quantity", "{reason}", context) from None
-
-
-def _number_with_unit(si: str, value: object) -> float:
-    if not isinstance(value, str):
-        context = {"reason": "needs its unit", "expected": f'a string such as "1 {si}"'}
-        raise PydanticCustomError("quantity", "{reason}", context)
-    return _number(si, value)
-
-
-def _si(unit: str) -> BeforeValidator:
-    """Marks a number that is kept in ``unit`` and may be written as a string with any other."""
-    return BeforeValidator(partial(_number, unit))
-
-
-Length = Annotated[float, _si("m")]
-Time = Annotated[float, _si("s")]
-Frequency = Annotated[float, _si("Hz")]
-Voltage = Annotated[float, _si("V")]
-Current = Annotated[float, _si("A")]
-Velocity = Annotated[float, _si("m/s")]
-Acceleration = Annotated[float, _si("m/s2")]
-Stiffness = Annotated[float, _si("N/m")]
-Density = Annotated[float, _si("kg/m3")]
-Pressure = Annotated[float, _si("Pa")]
-Polarisation = Annotated[float, _si("C/m2")]
-FluxDensity = Annotated[float, _si("T")]
-Resistivity = Annotated[float, _si("Ohm m")]
-Rate = Annotated[float, _si("1/s")]
-Ratio = Annotated[float, _si("")]
-Count = Annotated[int, Strict()]
-GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
-GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
+from kc2spice.scene.drivers import CatchDriver, KickDriver
+from kc2spice.scene.quantities import (
+    Acceleration,
+    Count,
+    Current,
+    Density,
+    FluxDensity,
+    Frequency,
+    GateLength,
+    GateTime,
+    Length,
+    Polarisation,
+    Pressure,
+    Rate,
+    Ratio,
+    Resistivity,
+    Section,
+    Stiffness,
+    Time,
+    Velocity,
+    Voltage,
+    si,
+)
 
 Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
-
-
-class Section(BaseModel):
-    """A table of the scene file: no unknown keys, no later change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
 class Material(Section):
@@ -127,6 +102,7 @@ class Kick(Section):
     mesh: KickMesh = KickMesh()
     damping: Damping = Damping()
     drive: Drive = Drive()
+    driver: KickDriver | None = None
 
 
 class Contact(Section):
@@ -174,15 +150,16 @@ class Catch(Section):
     y_max: Length = 7.5e-3
     positions: Count = Field(41, ge=4, le=2001)
     refine: Count = Field(1, ge=1, le=8)
+    driver: CatchDriver | None = None
 
 
 class Control(Section):
     """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
 
     setpoint: Length = 2.5e-3
-    kp: Annotated[float, _si("A/m")] = 5e4
-    ki: Annotated[float, _si("A/(m s)")] = 10.0
-    kd: Annotated[float, _si("A s/m")] = 20.0
+    kp: Annotated[float, si("A/m")] = 5e4
+    ki: Annotated[float, si("A/(m s)")] = 10.0
+    kd: Annotated[float, si("A s/m")] = 20.0
     rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0)
     enable_at: Time = Field(0.5e-3, ge=0)
@@ -288,4 +265,10 @@ class Scene(Section):
     rom: Rom = Rom()
     solver: Solver = Solver()
     gates: Gates = Gates()
-    include: tuple[str, ...] = ()
+    include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
+    _home: Path | None = PrivateAttr(None)
+
+    @property
+    def netlists(self) -> tuple[Path, ...]:
+        """The files of ``include``, which stand beside the scene's own file."""
+        return tuple((self._home or Path()) / name for name in self.include)

@@ -61,6 +61,7 @@ def write_deck(deck: Deck, directory: Path) -> Path:
     """Write all files of ``deck`` into ``directory`` and return the path of its main file."""
     directory.mkdir(parents=True, exist_ok=True)
     for filename, text in deck.files.items():
+        (directory / filename).parent.mkdir(parents=True, exist_ok=True)
         (directory / filename).write_text(text, encoding="utf-8")
     return directory / deck.main
 
