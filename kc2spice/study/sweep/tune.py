@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import differential_evolution
+from scipy.optimize import differential_evolution, minimize
 
 from kc2spice.errors import SimulationError, UsageError
 from kc2spice.study.progress import Progress, silent
@@ -23,6 +23,8 @@ from kc2spice.study.sweep.table import Journal
 MISSED = 3.0  # ratio of a run that has no such metric: it was not caught, or it failed
 SLOWER = 10.0  # weight of the largest loss against the scene as it is, over the mean gain
 CANDIDATES = 16  # of one generation
+SIMPLEX = 0.05  # first edge of the final search, a share of each value
+REFINEMENTS = 60  # candidates of the final search
 JOURNAL = "journal.csv"
 
 
@@ -73,8 +75,9 @@ def tune(
 
         mean_k r_k + SLOWER max(0, max_k r_k - 1)
 
-    Differential evolution (Storn and Price 1997) with the study's seed: a search that was killed
-    takes its recorded runs from ``directory`` and goes on.
+    Differential evolution (Storn and Price 1997) with the study's seed, then the simplex of Nelder
+    and Mead (1965): a search that was killed takes its recorded runs from ``directory`` and goes
+    on.
 
     Raises
     ------
@@ -103,7 +106,13 @@ def tune(
             updating="deferred", popsize=max(2, CANDIDATES // len(bounds)), maxiter=generations,
             seed=study.request.seed, polish=False, tol=1e-3, callback=tell,
         )  # fmt: skip
-        best = _values(bounds, found.x)
+        # The best region is a narrow valley between the gains: a simplex follows it to its end.
+        spread = [tuple(found.x), *(tuple(found.x + SIMPLEX * e) for e in np.eye(len(bounds)))]
+        refined = minimize(
+            lambda x: float(cost(x[:, None])[0]), found.x, method="Nelder-Mead",
+            options={"maxfev": REFINEMENTS, "initial_simplex": spread},
+        )  # fmt: skip
+        best = _values(bounds, refined.x)
         return Tuned(best, before, runs.evaluate([best])[0], runs.count)
     finally:
         runs.close()

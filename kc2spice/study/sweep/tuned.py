@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.errors import UsageError
+from kc2spice.scene.keys import scene_keys
 from kc2spice.study.progress import Progress, silent
 from kc2spice.study.sweep.engines import Call, Engine, completed
 from kc2spice.study.sweep.point import Outcome, Task, run_reference
@@ -106,5 +107,6 @@ def _figure(study: Study, tuned: Tuned, proof: np.ndarray, metric: str, out: Pat
     picture = tuning_figure(
         out / "tuned.png", study.plan.keys[0], np.array(first, dtype=float), metric,
         np.vstack([tuned.before, tuned.after, proof]), tuned.best,
+        {key.name: key.unit or "" for key in scene_keys()},
     )  # fmt: skip
     return [picture.path.name]

@@ -1,0 +1,64 @@
+"""A scheduler and workers of their own: killed and restarted in the middle of a sweep."""
+
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from kc2spice.study.sweep import run
+from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
+from kc2spice.study.sweep.point import SceneText
+from kc2spice.study.sweep.study import Request, make_study
+
+pytest.importorskip("distributed")
+
+SETS = ("control.kd=10:30:16", "kick.drive.start=20 us", "control.enable_at=20 us",
+        "solver.stop=600 us", "solver.reltol=1e-3")  # fmt: skip
+
+
+def start(*arguments):
+    command = [sys.executable, "-m", *arguments, "--no-dashboard"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
+    worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
+    processes = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
+    journal = tmp_path / "dask" / run.JOURNAL
+    study = make_study(Request(SceneText("kick_and_catch", None), SETS))
+    done = []
+
+    def interfere(stage, share, text):
+        if stage != "sweep":
+            return
+        done.append(journal.read_bytes().count(b"\n") if journal.exists() else study.plan.size)
+        if len(done) == 3:
+            processes["a"].kill()
+        if len(done) == 6:
+            processes["scheduler"].kill()
+            processes["scheduler"].wait()
+            time.sleep(1.0)
+            processes["scheduler"] = start(*scheduler)
+            processes["c"] = start(*worker)
+
+    try:
+        engine = DaskEngine(address, 1, patience=60.0)
+        dask = run.sweep(study, tmp_path / "dask", engine, interfere)
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+    assert (dask["points"], dask["failed"]) == (16, 0)
+    assert done == sorted(set(done))  # each row is recorded once
+    local = run.sweep(study, tmp_path / "local", LocalEngine(2))
+    tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
+    assert tables[0] == tables[1]
+    assert local["failed"] == 0
