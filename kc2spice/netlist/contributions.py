@@ -11,12 +11,30 @@ from kc2spice.netlist.cards import number
 from kc2spice.netlist.elements import Element, Scope, behaviour
 from kc2spice.netlist.expression import Tree, Writer, parse
 
-_RESERVED = frozenset(
-    ("analog", "begin", "branch", "case", "default", "else", "end", "endmodule", "for", "from",
-     "function", "ground", "if", "inout", "input", "integer", "module", "output", "parameter",
-     "real", "string", "while", "abs", "exp", "ln", "log", "max", "min", "pow", "sqrt", "sin",
-     "cos", "tan", "ddt", "idt", "flow", "potential", "wire", "reg", "time", "table", "electrical")
-)  # fmt: skip
+# Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
+_WORDS = (
+    "above abs absdelay absdelta access acos acosh ac_stim aliasparam always analog "
+    "analysis and asin asinh assert assign atan atan2 atanh automatic begin branch buf "
+    "bufif0 bufif1 case casex casez ceil cell cmos config connect connectmodule "
+    "connectrules continuous cos cosh cross ddt ddt_nature ddx deassign default defparam "
+    "design disable discipline discrete domain driver_update edge else end endcase "
+    "endconfig endconnectrules enddiscipline endfunction endgenerate endmodule endnature "
+    "endparamset endprimitive endspecify endtable endtask event exclude exp final_step "
+    "flicker_noise floor flow for force forever fork from function generate genvar ground "
+    "highz0 highz1 hypot idt idtmod idt_nature if ifnone incdir include inf initial "
+    "initial_step inout input instance integer join laplace_nd laplace_np laplace_zd "
+    "laplace_zp large last_crossing liblist library limexp ln localparam log macromodule "
+    "max medium merged min module nand nature negedge net_resolution nmos noise_table "
+    "noise_table_log nor noshowcancelled not notif0 notif1 or output parameter paramset "
+    "pmos posedge potential pow primitive pull0 pull1 pulldown pullup pulsestyle_ondetect "
+    "pulsestyle_onevent rcmos real realtime reg release repeat resolveto rnmos rpmos rtran "
+    "rtranif0 rtranif1 scalared showcancelled signed sin sinh slew small specify specparam "
+    "split sqrt string strong0 strong1 supply0 supply1 table tan tanh task time timer tran "
+    "tranif0 tranif1 transition tri tri0 tri1 triand trior trireg units unsigned use uwire "
+    "vectored wait wand weak0 weak1 while white_noise wire wor wreal xnor xor zi_nd zi_np "
+    "zi_zd zi_zp electrical V I"
+)
+_RESERVED = frozenset(_WORDS.split())
 _FUNCTIONS = frozenset(
     ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
      "sinh", "sqrt", "tan", "tanh")
@@ -33,6 +51,14 @@ class Module:
     branches: list[str] = field(default_factory=list)
     laws: list[str] = field(default_factory=list)
     nodes: dict[str, str] = field(default_factory=dict)
+    taken: set[str] = field(default_factory=set)
+
+    def identifier(self, name: str) -> str:
+        """``name``, or what stands for it where the language or another name needs the word."""
+        while name in _RESERVED or name in self.taken:
+            name += "_"
+        self.taken.add(name)
+        return name
 
 
 class Names(Writer):
@@ -51,7 +77,9 @@ class Names(Writer):
             return self.pins[key]
         if key in ("0", "gnd"):
             raise UsageError("a module has no global ground", where=self.where, got=name)
-        return self.module.nodes.setdefault(self.prefix + key, identifier(self.prefix + key))
+        if self.prefix + key not in self.module.nodes:
+            self.module.nodes[self.prefix + key] = self.module.identifier(self.prefix + key)
+        return self.module.nodes[self.prefix + key]
 
     def across(self, names: Iterable[str]) -> str:
         """``V(a,b)``."""
@@ -95,11 +123,6 @@ class Names(Writer):
         if spelled not in _FUNCTIONS:
             raise UsageError("Verilog-A cannot say this function", where=self.where, got=function)
         return super().call(spelled, arguments)
-
-
-def identifier(name: str) -> str:
-    """``name``, or what stands for it where the language needs the word itself."""
-    return f"{name}_" if name.lower() in _RESERVED else name
 
 
 def law(part: Element, scope: Scope, names: Names) -> list[str]:

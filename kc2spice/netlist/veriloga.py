@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from kc2spice.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.contributions import Module, Names, identifier, law
+from kc2spice.netlist.contributions import Module, Names, law
 from kc2spice.netlist.elements import Element, Scope, circuit
 from kc2spice.netlist.statements import statements
 
@@ -37,12 +37,13 @@ def library(
 def _module(part: Subcircuit, top: Scope) -> str:
     scope = top.subcircuits[part.name.lower()]
     module = Module()
-    pins = {pin.name.lower(): identifier(pin.name) for pin in part.pins}
+    pins = {pin.name.lower(): module.identifier(pin.name) for pin in part.pins}
     wanted = _used_params(scope)
-    params = {p.name.lower(): identifier(p.name) for p in part.params if p.name.lower() in wanted}
+    params = {}
     for p in part.params:
         if p.name.lower() in wanted:
-            line = f"parameter real {identifier(p.name)} = {number(p.default)};"
+            spelled = params[p.name.lower()] = module.identifier(p.name)
+            line = f"parameter real {spelled} = {number(p.default)};"
             module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     _expand(scope, module, pins, params, "")
     ports = ", ".join(pins.values())
@@ -53,7 +54,7 @@ def _module(part: Subcircuit, top: Scope) -> str:
         " not part of it.",
         '`include "disciplines.vams"',
         "",
-        f"module {identifier(part.name)}({ports});",
+        f"module {Module().identifier(part.name)}({ports});",
         f"  inout {ports};",
         f"  electrical {ports};",
         *([f"  electrical {inner};"] if inner else []),
@@ -88,7 +89,7 @@ def _expand(
         for word in card.words[1:] if card.keyword == ".param" else ():
             key, _, text = word.partition("=")
             names.where = card.where
-            local = identifier(prefix + key)
+            local = module.identifier(prefix + key)
             _assign(module, local, names.value(text))
             names.params = {**names.params, key.lower(): local}
     for part in scope.elements:
@@ -116,7 +117,7 @@ def _nested(part: Element, scope: Scope, outer: Names) -> None:
     pins = dict(zip(called.pins, map(outer.node, part.nodes), strict=True))
     params = {}
     for key, default in called.defaults.items():
-        local = params[key] = identifier(prefix + key)
+        local = params[key] = outer.module.identifier(prefix + key)
         value = outer.value(part.params.get(key, default))
         _assign(outer.module, local, value)
     _expand(called, outer.module, pins, params, prefix)

@@ -354,6 +354,15 @@ def test_parts_that_are_no_devices_are_listed(parts):
         dialect_files(None, [generator], "verilog-a")
 
 
+def test_words_of_the_language_and_double_names_are_renamed(tmp_path):
+    """A node may be called like a parameter in a netlist, and anything like ``slew``."""
+    text = library([part_of("R1 a slew {k}\nR2 slew k {k}\nR3 k wire 1\nR4 wire b 1")])["part.va"]
+    assert "electrical slew_, k_, wire_;" in text
+    assert "I(slew_,k_) <+ V(slew_,k_)/k;" in text
+    (tmp_path / "part.va").write_text(text)
+    openvaf.compile_va(str(tmp_path / "part.va"))
+
+
 def part_of(cards_):
     text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
     return Subcircuit("part", (Pin("a", "V", "A"), Pin("b", "V", "A")),
