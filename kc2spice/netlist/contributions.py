@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from kc2spice.errors import UsageError
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.elements import Element, Scope, behaviour
-from kc2spice.netlist.expression import Tree, Writer, parse
+from kc2spice.netlist.expression import Binary, Tree, Writer, parse, walk
 
 # Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
 _WORDS = (
@@ -87,7 +87,10 @@ class Names(Writer):
 
     def value(self, text: str) -> str:
         """A literal or ``{expression}`` of a card."""
-        return self.write(parse(text, where=self.where), 5)
+        tree = parse(text, where=self.where)
+        if any(isinstance(leaf, Binary) and leaf.op == "^" for leaf in walk(tree)):
+            raise UsageError("simulators disagree on powers", where=self.where, got=text)
+        return self.write(tree, 5)
 
     def branch(self, source: str) -> str:
         """The named branch of a voltage source or inductor."""

@@ -82,7 +82,7 @@ def parse(text: str, *, where: str = "expression") -> Tree:
 
     Raises
     ------
-    UsageError : not an expression, or one with a power operator: the simulators disagree on it.
+    UsageError : not an expression.
     """
     return _Parser(text.strip().strip("'\""), where).whole()
 
@@ -206,7 +206,7 @@ class _Parser:
             return Unary(op, self.unary())
         value = self.primary()
         if self.accept("^", "**"):
-            raise self.error("a power operator, which simulators read differently; use products")
+            return Binary("^", value, self.unary())
         return value
 
     def primary(self) -> Tree:

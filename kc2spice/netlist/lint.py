@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.elements import Element, Scope, behaviour, circuit
-from kc2spice.netlist.expression import Call, Name, Probe, parse, walk
+from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, parse, walk
 from kc2spice.netlist.statements import Statement
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
@@ -22,6 +22,7 @@ FUNCTIONS = frozenset(
      "floor", "ln", "log", "log10", "max", "min", "nint", "pow", "pwl", "pwr", "sgn", "sin",
      "sinh", "sqrt", "tan", "tanh", "u", "u2", "uramp", "buf", "inv")
 )  # fmt: skip
+_ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
 _VECTOR = re.compile(r"(?i)\b[vi]\w*\(([^()]*)\)")
 _PIN = re.compile(r"\* @pin (\d+) (\w+) unit=(\S+) flow=(\S+)")
 
@@ -194,7 +195,7 @@ def _unknown_names(card: Statement, text: str, scope: Scope) -> Iterator[Problem
 
 
 def _unknown_functions(card: Statement, text: str, scope: Scope) -> Iterator[Problem]:
-    """Functions of a behavioural source that ngspice does not have."""
+    """Functions of a behavioural source that ngspice does not have, or has differently."""
     own = {
         match[1].lower()
         for outer in _outwards(scope)
@@ -209,6 +210,10 @@ def _unknown_functions(card: Statement, text: str, scope: Scope) -> Iterator[Pro
         if isinstance(leaf, Call) and leaf.function not in FUNCTIONS | own:
             near = _nearest(leaf.function, FUNCTIONS | own)
             yield Problem(card.where, "ngspice has no such function", leaf.function, near)
+        odd = isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD
+        if odd:
+            message = "ngspice takes odd powers of the absolute value"
+            yield Problem(card.where, message, card.text, "a product")
 
 
 def _expressions(part: Element) -> Iterator[str]:

@@ -56,6 +56,8 @@ class Dialect(Writer):
         """Text of one statement, without its comments."""
         self.where = s.where
         key = s.keyword
+        if "^" in s.text or "**" in s.text:
+            raise self.refusal(s, "a power like the others")
         if key == ".subckt":
             return self._subckt(s)
         if key == ".model":

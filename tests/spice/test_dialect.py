@@ -198,6 +198,8 @@ REFUSED = [
     "B1 a 0 I=pwl(V(c), 0, 0, 1, 1)",  # ngspice goes on with the slope, a table stays flat
     "B1 a 0 I=limit(V(c), 0, 1)",
     "B1 a 0 I=V(b)^2",
+    ".param a={b**2}",
+    "R1 a 0 {b^2}",
     "B1 a 0 I=V(b)*temper",
     "B1 a 0 I=V(b)==1 ? 1 : 2",
     "E1 a 0 POLY(1) b 0 1 2 3",

@@ -9,8 +9,7 @@ from kc2spice.netlist.scan import third_party
 from kc2spice.sim.ngspice import find_ngspice
 
 PREFIXES = ["", " ", "\t", "+", "+ ", ";", "$ ", "$", "#", "//", "*", "* ", "*#", "\x0c", "\x0b",
-            "\r", "\xa0", "R9 a 0 1\r", "* text\r", "&", "/", "R9 a 0 1 ; ", "R9 a 0 1 $ ",
-            ".", "=", "%", "!", "-", "\\"]  # fmt: skip
+            "\r", "\xa0", "R9 a 0 1\r", "* text\r", "R9 a 0 1 ; ", "R9 a 0 1 $ "]  # fmt: skip
 BLOCKS = [
     "{p}.control\n{p}shell touch pwned\n{p}.endc",
     "{p}.CONTROL\nshell touch pwned\n.ENDC",

@@ -397,6 +397,7 @@ def test_elements(card, law, tmp_path):
         "B1 a b I=delta(V(a))",
         "D1 a b d\n.model d D(IS=1e-14)",
         "B1 a b I=V(a)*time",
+        "B1 a b I=V(a)^3",
         "X1 a b unknown",
     ],
 )
