@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -148,7 +149,10 @@ def test_subcircuit_parameters_are_swept_without_a_new_netlist(tmp_path):
 
 
 def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
-    out = tmp_path / "o"
+    def scratch():
+        return Path(tempfile.gettempdir()).glob("kc2spice-sweep-*")
+
+    out, before = tmp_path / "o", set(scratch())
     pairs = [word for text in (*GAINS, *SHORT) for word in ("--set", text)]
     command = [sys.executable, "-m", "kc2spice", "sweep", "kick_and_catch", *pairs, "-o", str(out)]
     process = subprocess.Popen([*command, "--workers", "1", "--quiet"], start_new_session=True)
@@ -162,6 +166,9 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     process.wait()
     recorded = journal.read_bytes().count(b"\n")
     assert recorded < 6
+    while set(scratch()) - before:  # the workers notice, end and leave nothing behind
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)
     summary = json.loads(done.stdout)
     assert (summary["points"], summary["failed"], summary["resumed"]) == (6, 0, recorded)

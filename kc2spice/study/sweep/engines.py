@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import shutil
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import (
@@ -53,6 +55,7 @@ class LocalEngine:
 
     workers: int
     _pool: ProcessPoolExecutor | None = field(default=None, init=False)
+    _scratch: tempfile.TemporaryDirectory[str] | None = field(default=None, init=False)
 
     def open(self) -> Executor:
         """Start the processes anew."""
@@ -61,7 +64,10 @@ class LocalEngine:
         self.close()
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             os.environ.setdefault(name, "1")
-        self._pool = ProcessPoolExecutor(self.workers, get_context("spawn"), _worker_starts)
+        self._scratch = tempfile.TemporaryDirectory(prefix="kc2spice-sweep-")
+        self._pool = ProcessPoolExecutor(
+            self.workers, get_context("spawn"), _worker_starts, (self._scratch.name,)
+        )
         return self._pool
 
     def close(self) -> None:
@@ -69,18 +75,27 @@ class LocalEngine:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
+        if self._scratch is not None:
+            self._scratch.cleanup()
+            self._scratch = None
 
 
-def _worker_starts() -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
+def _worker_starts(scratch: str) -> None:
+    """Leave Ctrl-C to the parent; when that is killed, end with ngspice and leave no files."""
     from multiprocessing import connection, parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
+    tempfile.tempdir = scratch
+    parent, group = parent_process(), hasattr(os, "setpgrp")
+    if group:
+        os.setpgrp()
 
     def watch() -> None:
         if parent is not None:
             connection.wait([parent.sentinel])
+            shutil.rmtree(scratch, ignore_errors=True)
+            if group:
+                os.killpg(0, signal.SIGKILL)
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
