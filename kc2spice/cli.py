@@ -51,6 +51,9 @@ Set = Annotated[
         "Repeatable; numbers are SI.",
     ),
 ]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Let included netlists act on this machine; see 'include'.")
+]
 AsJson = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
 ]
@@ -86,6 +89,7 @@ def run(
     scene: SceneName,
     out: Out = None,
     set_: Set = None,
+    trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -95,7 +99,7 @@ def run(
         from kc2spice import study
 
         with shown_progress(quiet) as progress:
-            result = study.run(study_scene, directory, progress=progress)
+            result = study.run(study_scene, directory, progress, trust=trust)
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
@@ -109,7 +113,10 @@ def export(
     ] = None,
     out: Out = None,
     set_: Set = None,
-    dialect: Annotated[str, typer.Option(help="Simulator to write for: ngspice.")] = "ngspice",
+    dialect: Annotated[
+        str, typer.Option(help="Language to write: ngspice, xyce, ltspice or verilog-a.")
+    ] = "ngspice",
+    trust: Trust = False,
     tolerance: Annotated[
         float | None, typer.Option(help="Short for --set rom.tolerance=X.", metavar="X")
     ] = None,
@@ -138,7 +145,7 @@ def export(
         from kc2spice import study
 
         with shown_progress(quiet) as progress:
-            files = study.export(study_scene, directory, dialect=dialect, progress=progress)
+            files = study.export(study_scene, directory, dialect, progress, trust=trust)
         if as_json:
             names = [path.name for path in files]
             where = str(directory.absolute())

@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -59,11 +59,17 @@ def find_ngspice() -> Simulator:
 
 def write_deck(deck: Deck, directory: Path) -> Path:
     """Write all files of ``deck`` into ``directory`` and return the path of its main file."""
-    directory.mkdir(parents=True, exist_ok=True)
-    for filename, text in deck.files.items():
-        (directory / filename).parent.mkdir(parents=True, exist_ok=True)
-        (directory / filename).write_text(text, encoding="utf-8")
+    write_files(deck.files, directory)
     return directory / deck.main
+
+
+def write_files(files: Mapping[str, str], directory: Path) -> None:
+    """Write texts under their names, which may have folders in them, into ``directory``."""
+    directory.mkdir(parents=True, exist_ok=True)
+    for filename, text in files.items():
+        path = directory / filename
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
 
 
 def run_deck(

@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import kc2spice
-from kc2spice.errors import SimulationError
+from kc2spice.errors import SimulationError, UsageError
 from kc2spice.fem import emtable
 from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.dialect import DIALECTS, dialect_files
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.symbol import symbol_files
 from kc2spice.output import staged
 from kc2spice.report.figures import run_figures
 from kc2spice.report.metrics import metrics
@@ -20,7 +23,8 @@ from kc2spice.report.run_page import write_run
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.ngspice import Simulator, find_ngspice, run_deck, write_deck
+from kc2spice.sim.ngspice import Simulator, find_ngspice, run_deck, write_deck, write_files
+from kc2spice.sim.truth import require_truth
 from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_facts
@@ -28,8 +32,12 @@ from kc2spice.study.progress import Clock, Progress, silent
 from kc2spice.study.results import write_record, write_waveforms
 
 
-def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
+def run(
+    scene: Scene, out: Path, progress: Progress = silent, *, trust: bool = False
+) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
+
+    ``trust`` lets included netlists act on the machine.
 
     Raises
     ------
@@ -41,10 +49,14 @@ def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
     clock = Clock(progress)
     with staged(out) as work:
         models = build_models(scene, clock)
-        deck = _written(scene, models, "ngspice", clock, work)
+        with clock.stage("export", "netlists"):
+            deck = _linted(scene, models, trust)
+            write_deck(deck, work)
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
         with simulating as share, _kept_on_failure(work, out):
             waves = run_deck(deck, work, progress=share)
+            if scene.experiment in ("loop", "impact"):
+                require_truth(waves, scene, models.table)
         with clock.stage("report", "metrics, plots and page"):
             record = _record(scene, models, deck, simulator, waves, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, work)]
@@ -62,19 +74,39 @@ def run(scene: Scene, out: Path, progress: Progress = silent) -> dict[str, Any]:
 
 
 def export(
-    scene: Scene, out: Path, dialect: str = "ngspice", progress: Progress = silent
+    scene: Scene,
+    out: Path,
+    dialect: str = "ngspice",
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
 ) -> list[Path]:
-    """Write the netlists of ``scene`` into ``out`` without simulating; return their paths."""
+    """Write netlists and symbols of ``scene`` into ``out`` without simulating.
+
+    Returns the paths of the files. ``trust`` lets included netlists act on the machine.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or one that cannot say what the scene needs.
+    """
+    if dialect not in DIALECTS:
+        raise UsageError(
+            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
+        )
     clock = Clock(progress)
     with staged(out) as work:
-        deck = _written(scene, build_models(scene, clock), dialect, clock, work)
-    return [Path(out) / name for name in sorted(deck.files)]
+        models = build_models(scene, clock)
+        with clock.stage("export", "netlists and symbols"):
+            deck = _linted(scene, models, trust)
+            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck.parts, dialect)
+            write_files(files, work)
+    return [Path(out) / name for name in sorted(files)]
 
 
-def _written(scene: Scene, models: Models, dialect: str, clock: Clock, work: Path) -> Deck:
-    with clock.stage("export", "netlists"):
-        deck = make_deck(scene, models, dialect)
-        write_deck(deck, work)
+def _linted(scene: Scene, models: Models, trust: bool) -> Deck:
+    """The scene's deck; wrong wiring is named with file and line before a simulator sees it."""
+    deck = make_deck(scene, models, trust=trust)
+    lint(deck)
     return deck
 
 
