@@ -20,6 +20,7 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from kc2spice.errors import SimulationError, UsageError
 from kc2spice.fem.system import Port
 from kc2spice.rom.foreign import ForeignModel
+from kc2spice.rom.memory import require_memory
 from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel
 from kc2spice.rom.pencil import Pencil, largest, poles, response, states
 from kc2spice.rom.response import relative_error
@@ -154,6 +155,7 @@ def sample_model(
         raise UsageError(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
+    require_memory(model.pencil)
     return sample(_scaled(model, band), band, target, target if limit is None else limit)
 
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigvals
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from kc2spice.errors import SimulationError
 from kc2spice.fem.factor import Factor
@@ -107,24 +107,40 @@ def _congruence(P: Matrix, V: np.ndarray) -> np.ndarray:
 def factorise_at(pencil: Pencil, s: complex) -> tuple[Factor, Factor]:
     """Solvers with ``P(s)`` and its transpose; the full model must be sparse.
 
+    Without pivoting the fill of a symmetric model stays the least; a trial solution shows whether
+    that is accurate, and partial pivoting follows where it is not (indefinite, saddle points).
+
     Raises
     ------
     SimulationError : ``s`` is a pole.
     """
     matrix = sparse.csc_array(pencil.at(s))
     norm = float(abs(matrix).sum(axis=0).max())
-    try:
-        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01)
-    except (RuntimeError, MemoryError) as error:
-        raise SimulationError(
-            "matrix cannot be factorised", where="direct solver", got=f"{error} at s = {s:.6g} 1/s"
-        ) from error
+    attempts = (_pivot_free, _pivoted) if pencil.symmetric else (_pivoted,)
+    for attempt in attempts:
+        try:
+            lu = attempt(matrix)
+            forward = _solver(matrix, norm, lu, "N")
+            forward.solve(pencil.B[:, :1])
+            return forward, _solver(sparse.csc_array(matrix.T), norm, lu, "T")
+        except (RuntimeError, MemoryError, SimulationError) as error:
+            reason = error
+    raise SimulationError(
+        "matrix cannot be factorised", where="direct solver", got=f"{reason} at s = {s:.6g} 1/s"
+    )
 
-    def solver(trans: str) -> Factor:
-        side = matrix if trans == "N" else sparse.csc_array(matrix.T)
-        return Factor(side, norm, lambda b: lu.solve(np.asarray(b, dtype=matrix.dtype), trans))
 
-    return solver("N"), solver("T")
+def _pivot_free(matrix: sparse.csc_array) -> SuperLU:
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+
+def _pivoted(matrix: sparse.csc_array) -> SuperLU:
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01)
+
+
+def _solver(matrix: sparse.csc_array, norm: float, lu: SuperLU, trans: str) -> Factor:
+    return Factor(matrix, norm, lambda b: lu.solve(np.asarray(b, dtype=matrix.dtype), trans))
 
 
 def states(pencil: Pencil, s: np.ndarray) -> np.ndarray:

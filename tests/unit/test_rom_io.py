@@ -209,9 +209,7 @@ def test_damaged_files_give_one_clear_error(tmp_path, writer, data):
         assert all(np.isfinite(P.data).all() for P in model.pencil.coefficients)
 
 
-@pytest.mark.parametrize(
-    ("place", "value"), [(300, None), (0, None), (128, 255), (165, 9)]
-)
+@pytest.mark.parametrize(("place", "value"), [(300, None), (0, None), (128, 255), (165, 9)])
 def test_damaged_matlab_files_do_not_crash_the_program(tmp_path, place, value):
     path = write_mat(tmp_path, chain())
     content = bytearray(path.read_bytes())
@@ -258,6 +256,13 @@ def test_damaged_reduced_models_are_refused(tmp_path):
         read_rom(write_npz(tmp_path, chain()))
     with zipfile.ZipFile(tmp_path / "r.npz") as archive:
         assert "record.npy" in archive.namelist()
+
+
+def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
+    model = read_model(write_family(tmp_path, chain()))
+    monkeypatch.setattr("kc2spice.rom.memory.available_bytes", lambda: 1000.0)
+    with pytest.raises(UsageError, match="too large"):
+        reduce_model(model, (0.0, 0.1), tolerance=1e-3)
 
 
 def test_command_line_reduces_and_exports(tmp_path):

@@ -1,0 +1,44 @@
+"""Refuse a foreign model whose factors would not fit into memory, before they are begun."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from kc2spice.errors import UsageError
+from kc2spice.fem.budget import available_bytes
+from kc2spice.rom.pencil import Pencil
+
+# Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 28 for solids.
+FILL = 28.0
+ENTRY_BYTES = 24.0  # one complex number, its index, and the work space around it
+USABLE = 0.9
+
+
+def factor_bytes(pencil: Pencil) -> float:
+    """Estimated memory [B] of one complex factorisation, three times too much for plates."""
+    pattern = sum(abs(P) for P in pencil.coefficients).tocsr()
+    order = reverse_cuthill_mckee(pattern + pattern.T, symmetric_mode=True)
+    place = np.empty(pencil.size, dtype=np.int64)
+    place[order] = np.arange(pencil.size)
+    entries = pattern.tocoo()
+    band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
+    return ENTRY_BYTES * max(FILL * pencil.size * np.sqrt(band), pattern.nnz)
+
+
+def require_memory(pencil: Pencil) -> None:
+    """Compare the estimate with the memory that is free now.
+
+    Raises
+    ------
+    UsageError : the model is too large for this machine.
+    """
+    need, free = factor_bytes(pencil), USABLE * available_bytes()
+    if need > free:
+        raise UsageError(
+            "model too large for this machine's memory",
+            where="reduction",
+            got=f"about {need / 1e9:.1f} GB for {pencil.size} factorised equations",
+            expected=f"at most {free / 1e9:.1f} GB",
+            hint="use a coarser mesh, or a machine with more memory",
+        )

@@ -1,0 +1,97 @@
+"""Time and memory of a reduction against the number of unknowns, each size in its own process."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.errors import SimulationError
+from kc2spice.rom.band import natural_band
+from kc2spice.rom.foreign import ForeignModel, make_model
+from kc2spice.rom.general import reduce_model
+
+TOLERANCE = 1e-4
+COUPLING = np.array([[2.0, 0.5, 0.3], [0.5, 2.0, 0.4], [0.3, 0.4, 2.0]])
+
+
+@dataclass(frozen=True)
+class ScalingPoint:
+    """One reduction: equations, states found, its estimate, wall time and peak memory."""
+
+    unknowns: int
+    order: int
+    error_estimate: float
+    time_s: float
+    memory_bytes: float
+
+
+def grid_model(unknowns: int, dimension: int) -> ForeignModel:
+    """Plate (dimension 2) or solid (3) of multilinear elements with three coupled fields, held all
+    around, light proportional damping, two ports: the pattern of a structural FE model.
+    """
+    side = max(2, round((unknowns / 3) ** (1 / dimension)))
+    stiff = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    mass = sparse.diags_array([1 / 6, 4 / 6, 1 / 6], offsets=[-1, 0, 1], shape=(side, side))
+    K = sum(
+        _product([stiff if i == j else mass for i in range(dimension)]) for j in range(dimension)
+    )
+    K = sparse.kron(K, COUPLING)
+    M = sparse.kron(_product([mass] * dimension), np.eye(3))
+    B = np.zeros((K.shape[0], 2))
+    B[len(B) // 2, 0] = B[len(B) // 3, 1] = 1.0
+    return make_model({"M": M, "E": 0.01 * K, "K": K, "B": B}, None, "grid", "grid")
+
+
+def scaling(sizes: list[int], dimension: int) -> list[ScalingPoint]:
+    """Reduce the grid model of each size to 1e-4 up to its fifth natural frequency.
+
+    Raises
+    ------
+    SimulationError : a size could not be reduced; the message says why.
+    """
+    points = []
+    for size in sizes:
+        command = [sys.executable, "-m", __name__, str(size), str(dimension)]
+        ran = subprocess.run(command, capture_output=True, text=True, check=False)
+        if ran.returncode:
+            said = ran.stderr.strip().splitlines()[-1:] or ["it was killed"]
+            raise SimulationError("reduction failed", where=f"{size} unknowns", got=said[0])
+        points.append(ScalingPoint(**json.loads(ran.stdout)))
+    return points
+
+
+def exponents(points: list[ScalingPoint]) -> tuple[float, float]:
+    """Fitted powers of the number of unknowns for time and memory."""
+    n = np.log([point.unknowns for point in points])
+    time_power = np.polyfit(n, np.log([point.time_s for point in points]), 1)[0]
+    memory_power = np.polyfit(n, np.log([point.memory_bytes for point in points]), 1)[0]
+    return float(time_power), float(memory_power)
+
+
+def _product(factors: list[sparse.dia_array]) -> sparse.csr_array:
+    product = factors[0]
+    for factor in factors[1:]:
+        product = sparse.kron(product, factor)
+    return sparse.csr_array(product)
+
+
+def _measure(unknowns: int, dimension: int) -> ScalingPoint:
+    model = grid_model(unknowns, dimension)
+    begin = time.perf_counter()
+    rom = reduce_model(model, natural_band(model.pencil), tolerance=TOLERANCE)
+    elapsed = time.perf_counter() - begin
+    peak = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return ScalingPoint(
+        model.pencil.size, rom.order, rom.certificate.error_estimate, elapsed, peak
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    print(json.dumps(asdict(_measure(int(sys.argv[1]), int(sys.argv[2])))))
