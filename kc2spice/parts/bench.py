@@ -40,6 +40,17 @@ class Option:
 
 
 @dataclass(frozen=True)
+class Sampled:
+    """A controller outside of ngspice that sees the loop every ``period`` [s], first at zero.
+
+    Its answer is held from ``delay`` [s] later on. ngspice gets a time point at both instants.
+    """
+
+    period: float
+    delay: float
+
+
+@dataclass(frozen=True)
 class _Pulse:
     voltage: float
     start: float
@@ -72,6 +83,7 @@ def loop_deck(
     ring_radii: np.ndarray | None = None,
     table: EMTable | None = None,
     included: Mapping[str, str] | None = None,
+    sampled: Sampled | None = None,
 ) -> Deck:
     """Transient deck of kick, contact, sphere, catch and controller, as far as the scene has them.
 
@@ -81,6 +93,8 @@ def loop_deck(
     ring_radii : radii [m] of the model's rings, R0 (the centre) first.
     table : force of the catch; needed where the scene has a catch.
     included : text of the scene's ``netlists`` and of what they include, by file name.
+    sampled : a function outside of ngspice sets ``Vexternal``, 100 V per ampere of coil current;
+        the deck has no controller of its own and runs in the shared engine only.
 
     Raises
     ------
@@ -101,17 +115,18 @@ def loop_deck(
     elif scene.catch:
         current = scene.control.current_limit if scene.control else 0.0
         parts.append(catch_subcircuit(header, need(table, "field table"), current))
-    if scene.catch and scene.control:
+    if scene.catch and scene.control and not sampled:
         pid = pid_subcircuit(header, scene.control, output=drivers.coil is None)
         parts += [opamp_subcircuit(header), pid]
     parts += [part for part in drivers.parts() if part.name not in {p.name for p in parts}]
-    vectors = _vectors(scene, rings, drivers)
+    vectors = _vectors(scene, rings, drivers, sampled is not None)
     main = render(
         "loop.j2",
         **frontmatter(scene, header, parts, vectors, included=bool(included)),
         kick=scene.kick,
         kick_driver=drivers.kick,
         coil_driver=drivers.coil,
+        sampled=sampled,
         cathode="cathode" if drivers.floating else "0",
         drive=_pulse(scene),
         shorted=scene.kick is not None and scene.kick.electrical == "short",
@@ -169,7 +184,7 @@ def assemble(
     """The bench and its libraries as one deck."""
     filename = f"{scene.name}.cir"
     files = {filename: main} | {part.filename: part.text for part in parts}
-    return Deck(scene.name, filename, files, vectors, stop)
+    return Deck(scene.name, filename, files, vectors, stop, tuple(parts))
 
 
 def ring_names(model: ResonatorModel) -> tuple[str, ...]:
@@ -239,7 +254,7 @@ def _pulse(scene: Scene) -> _Pulse | None:
     return _Pulse(d.voltage, d.start, d.edge, d.width - d.edge)
 
 
-def _vectors(scene: Scene, rings: tuple[str, ...], drivers: _Drivers) -> Vectors:
+def _vectors(scene: Scene, rings: tuple[str, ...], drivers: _Drivers, sampled: bool) -> Vectors:
     """Result names to ngspice vectors (``a+b`` is their sum) and the factor to SI."""
     vectors: Vectors = {}
     if scene.sphere:
@@ -256,8 +271,10 @@ def _vectors(scene: Scene, rings: tuple[str, ...], drivers: _Drivers) -> Vectors
     if scene.catch and scene.control:
         vectors["coil.lower.current"] = ("v(xcatch.i1)", 1.0)
         vectors["coil.upper.current"] = ("v(xcatch.i2)", 1.0)
-        vectors["control.error"] = ("v(xpid.e)", 1.0 / SENSOR)
+        if not sampled:
+            vectors["control.error"] = ("v(xpid.e)", 1.0 / SENSOR)
     if drivers.coil:
         vectors["coil.voltage"] = ("v(terminals)", 1.0)
+    if drivers.coil or sampled:
         vectors["coil.wanted"] = ("v(wanted)", 1.0 / SENSE)
     return vectors

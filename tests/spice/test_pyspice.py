@@ -1,0 +1,124 @@
+"""libngspice inside the process: same results as the batch engine, Python in the loop."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from kc2spice import pyspice
+from kc2spice.errors import MissingToolError, SimulationError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.parts.bench import Sampled, loop_deck
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.pyspice import DigitalPid, Loop, run_shared, subcircuit
+from kc2spice.sim.ngspice import run_deck
+
+
+def short(scene, stop):
+    return scene.model_copy(update={"solver": scene.solver.model_copy(update={"stop": stop})})
+
+
+@pytest.fixture(scope="module")
+def parts(header, model, radii, table):
+    return header, model, radii, table
+
+
+def test_shared_engine_gives_the_batch_engines_points(scene, parts, tmp_path):
+    deck = loop_deck(short(scene, 0.6e-3), *parts)
+    shares = []
+    shared, batch = run_shared(deck, progress=shares.append), run_deck(deck, tmp_path)
+    assert set(shared.data) == set(batch.data)
+    np.testing.assert_allclose(shared["time"], batch["time"], rtol=1e-12, atol=1e-18)
+    for name in ("sphere.y", "contact.force", "kick.current"):
+        np.testing.assert_allclose(shared[name], batch[name], rtol=1e-9, atol=1e-12)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+def test_digital_controller_catches_where_the_analogue_one_does(scene, parts, tmp_path):
+    sampled = Sampled(period=5e-6, delay=2e-6)
+    deck = loop_deck(scene, *parts, sampled=sampled)
+    digital = run_shared(deck, Loop(DigitalPid(scene.control, sampled.period), sampled))
+    analogue = run_deck(loop_deck(scene, *parts), tmp_path)
+    late = digital["time"] > 0.9 * scene.solver.stop
+    goal = np.interp(digital["time"], analogue["time"], analogue["sphere.y"])
+    assert np.abs(digital["sphere.y"] - goal)[late].max() < 20e-6
+    assert np.abs(digital["sphere.y"] - scene.control.setpoint)[late].max() < 20e-6
+    assert digital["sphere.y"][0] < 1.1e-3  # it was lying on the chip
+
+
+RC = """* rc
+Vexternal a 0 EXTERNAL
+Vsample sample 0 PULSE(0 1 4e-06 1e-09 1e-09 5.999e-06 1e-05)
+R1 a b 1000
+C1 b 0 1e-09
+.tran 1e-07 1e-04
+.save v(a) v(b)
+.end
+"""
+
+
+def rc(text=RC):
+    vectors = {"a": ("v(a)", 1.0), "b": ("v(b)", 1.0)}
+    return Deck("rc", "rc.cir", {"rc.cir": text}, vectors, 1e-4)
+
+
+def test_answers_are_held_from_the_delay_on():
+    seen = []
+
+    def staircase(time, values):
+        seen.append(time)
+        return {"vexternal": float(len(seen))}
+
+    waves = run_shared(rc(), Loop(staircase, Sampled(10e-6, 4e-6)))
+    np.testing.assert_allclose(seen, 10e-6 * np.arange(11), atol=1e-15)
+    middle = np.interp((np.arange(10) + 0.9) * 10e-6, waves["time"], waves["a"])
+    np.testing.assert_allclose(middle, np.arange(1, 11))
+    before = np.interp(10e-6 * np.arange(1, 10) + 3.9e-6, waves["time"], waves["a"])
+    np.testing.assert_allclose(before, np.arange(1, 10))
+
+
+def test_failing_function_is_reported():
+    def broken(time, values):
+        raise ZeroDivisionError("no answer")
+
+    with pytest.raises(SimulationError, match="the function in the loop failed"):
+        run_shared(rc(), Loop(broken, Sampled(10e-6, 4e-6)))
+
+
+def test_failing_circuit_is_reported_and_leaves_the_engine_usable():
+    with pytest.raises(SimulationError):
+        run_shared(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
+    assert run_shared(rc())["time"][-1] == pytest.approx(1e-4)
+
+
+def test_parts_are_pyspice_subcircuits(header):
+    sys.modules.get("PySpice") or pytest.importorskip("PySpice")
+    from PySpice.Spice.Netlist import Circuit
+
+    part = sphere_subcircuit(header, 1e-5, 1e-3, 9.81)
+    circuit = Circuit("a sphere in Python")
+    circuit.subcircuit(subcircuit(part))
+    circuit.subcircuit(subcircuit(opamp_subcircuit(header)))
+    circuit.X("ball", "sphere", "v", "bottom", "y", circuit.gnd, mass=2e-5)
+    circuit.I("push", circuit.gnd, "v", 2e-5 * 9.81 + 2e-5)
+    text = str(circuit)
+    assert text.count(".subckt sphere v bottom y base") == 1
+    text += ".tran 1e-06 1e-03 uic\n.save v(v)\n.end\n"
+    deck = Deck("ball", "ball.cir", {"ball.cir": text}, {"v": ("v(v)", 1.0)}, 1e-3)
+    assert run_shared(deck)["v"][-1] == pytest.approx(1e-3, rel=1e-6)  # 1 m/s^2 for 1 ms
+
+
+def test_missing_library_is_named(monkeypatch):
+    pyspice._engine.cache_clear()
+    monkeypatch.setattr(pyspice.ctypes.util, "find_library", lambda name: None)
+    with pytest.raises(MissingToolError, match="libngspice") as caught:
+        run_shared(rc())
+    assert "apt-get" in caught.value.hint
+
+
+def test_missing_pyspice_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "PySpice.Spice.Netlist", None)
+    with pytest.raises(MissingToolError, match="PySpice"):
+        subcircuit(None)
