@@ -159,13 +159,15 @@ def verify(
     scene: Annotated[
         str | None, typer.Argument(metavar="SCENE", help="Gallery name or TOML file.")
     ] = None,
-    all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
+    all_: Annotated[
+        bool, typer.Option("--all", help="Verify every built-in scene without driver circuits.")
+    ] = False,
     full: Annotated[
         bool,
         typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
     ] = False,
     meshes: Annotated[
-        bool, typer.Option("--meshes", help="Compare meshes too, in scenes with contact.")
+        bool, typer.Option("--meshes", help="Compare meshes too, for the first scene with contact.")
     ] = False,
     out: Out = None,
     set_: Set = None,
@@ -185,7 +187,11 @@ def verify(
         names = [scene] if scene is not None else list(gallery())
         loaded = [load_scene(name, set_ or []) for name in names]
         directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
+        from kc2spice.study.verify import verifiable
         from kc2spice.study.verify import verify as verify_scenes
+
+        if all_:
+            loaded = [each for each in loaded if verifiable(each)]
 
         with shown_progress(quiet) as progress:
             found = verify_scenes(loaded, directory, full=full, meshes=meshes, progress=progress)

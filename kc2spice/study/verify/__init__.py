@@ -1,5 +1,5 @@
 """Full model, ROM and ngspice on the emitted file, against each other and against gates."""
 
-from kc2spice.study.verify.verify import verify
+from kc2spice.study.verify.verify import verifiable, verify
 
-__all__ = ["verify"]
+__all__ = ["verifiable", "verify"]
