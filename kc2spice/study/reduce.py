@@ -9,10 +9,11 @@ from typing import Any
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.dialect import SPEAKERS, translate_text
+from kc2spice.netlist.dialect import DIALECTS, translate_text
 from kc2spice.netlist.header import Header
 from kc2spice.netlist.realize import realize
 from kc2spice.netlist.realize_signal import realize_signal
+from kc2spice.netlist.veriloga import library
 from kc2spice.output import staged
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.foreign import read_model
@@ -75,15 +76,16 @@ def reduce(
 def export_rom(
     path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
 ) -> Path:
-    """Write the subcircuit of the reduced model at ``path`` as ``NAME.lib`` into ``out``.
+    """Write the subcircuit of the reduced model at ``path`` into ``out`` as ``NAME.lib``, for
+    Verilog-A as ``NAME.va``.
 
     Raises
     ------
     UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
         be written; nothing was written.
     """
-    if dialect not in ("ngspice", *SPEAKERS):
-        expected = ", ".join(("ngspice", *SPEAKERS))
+    if dialect not in DIALECTS:
+        expected = ", ".join(DIALECTS)
         raise UsageError("unknown dialect", where="--dialect", got=dialect, expected=expected)
     path = Path(path)
     reduced = read_rom(path)
@@ -92,11 +94,9 @@ def export_rom(
     part = subcircuit(reduced, Header(path.stem, digest), name, dense=dense)
     directory = Path(name) if out is None else Path(out)
     with staged(directory) as work:
-        text = part.text
-        if dialect != "ngspice":
-            text = translate_text(text, part.filename, dialect)
-        (work / part.filename).write_text(text, encoding="utf-8")
-    return directory / part.filename
+        filename, text = _spelled(part, dialect)
+        (work / filename).write_text(text, encoding="utf-8")
+    return directory / filename
 
 
 def subcircuit(
@@ -118,6 +118,15 @@ def subcircuit(
             hint="give the ports as signals, direction 'in' and 'out', in the model's TOML",
         )
     return realize(resonators(reduced), header, name=name)
+
+
+def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:
+    """File name and text of ``part`` in the words of ``dialect``."""
+    if dialect == "ngspice":
+        return part.filename, part.text
+    if dialect == "verilog-a":
+        return next(iter(library([part]).items()))
+    return part.filename, translate_text(part.text, part.filename, dialect)
 
 
 def _part_name(stem: str) -> str:

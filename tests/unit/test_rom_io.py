@@ -15,6 +15,7 @@ from kc2spice.errors import UsageError
 from kc2spice.rom.foreign import read_model
 from kc2spice.rom.general import reduce_model
 from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.study.reduce import export_rom, reduce
 
 N = 12
 
@@ -277,9 +278,28 @@ def test_command_line_reduces_and_exports(tmp_path):
     assert found["passive"]
     ran = CliRunner().invoke(app, ["export", "--rom", found["rom"], "-o", str(out), "--json"])
     assert ran.exit_code == 0, ran.output
+    for dialect in ("xyce", "ltspice", "verilog-a"):
+        other = ["export", "--rom", found["rom"], "-o", str(tmp_path / dialect), "--json"]
+        ran = CliRunner().invoke(app, [*other, "--dialect", dialect])
+        assert ran.exit_code == 0, ran.output
+        written = json.loads(ran.stdout)["files"]
+        assert written == ["model_rom.va" if dialect == "verilog-a" else "model_rom.lib"]
     text = (out / "model_rom.lib").read_text()
     assert "* @pin 1 u1 unit=- flow=-\n" in text
     assert f"order={found['order']}" in text
+
+
+def test_conservative_ports_become_conservative_pins(tmp_path):
+    base = write_family(tmp_path, chain())
+    port = '[[port]]\nname = "{}"\ndirection = "both"\nkind = "mechanical"\n'
+    (tmp_path / "model.toml").write_text("band = [0, 0.1]\n" + port.format("a") + port.format("b"))
+    found = reduce(base, tmp_path / "out")
+    text = export_rom(found["rom"], tmp_path / "out").read_text()
+    assert "* @pin 1 a unit=um flow=N\n* @pin 2 b unit=um flow=N\n" in text
+    (tmp_path / "other.toml").write_text((tmp_path / "model.toml").read_text())
+    other = write_family(tmp_path, rod(), "other")
+    with pytest.raises(UsageError, match="conservative"):
+        reduce(other, tmp_path / "no")
 
 
 def test_command_line_writes_nothing_on_bad_input(tmp_path):
