@@ -259,7 +259,7 @@ def _notches(frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
 
 
 def smallest_order(reduction: Reduction, tolerance: float) -> int:
-    """Bisect for an order whose estimate is within ``tolerance``, then walk down while it stays.
+    """Bisect for an order whose estimate is within ``tolerance`` while one less is not.
 
     A stable subspace model must not lose its stability on the way.
 
