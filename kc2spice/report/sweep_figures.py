@@ -159,17 +159,24 @@ def _map(
     return Picture(path, f"Map of {z.label}", f"{z.label}; grey where there is none.")
 
 
+def _is_flag(values: np.ndarray) -> bool:
+    return set(np.unique(values[np.isfinite(values)])) <= {0.0, 1.0}
+
+
 def _histograms(path: Path, data: Mapping[str, np.ndarray], metrics: Sequence[str]) -> Picture:
     with _grid_of(path, metrics) as axes:
         for name, panel in zip(metrics, axes.flat, strict=False):
             values = _metric(name, data)
             found = values.values[np.isfinite(values.values)]
-            bins = 2 if set(np.unique(found)) <= {0.0, 1.0} else "auto"
-            panel.hist(found, bins=bins if found.size > 1 else 1, color=BLUE, alpha=0.85)
+            name_axes(panel, values.label, "points")
+            if _is_flag(found):
+                panel.bar(("no", "yes"), [np.sum(found == flag) for flag in (0.0, 1.0)], 0.6,
+                          color=BLUE, alpha=0.85)  # fmt: skip
+                continue
+            panel.hist(found, bins="auto" if found.size > 1 else 1, color=BLUE, alpha=0.85)
             for share in (0.05, 0.5, 0.95):
                 panel.axvline(np.quantile(found, share), color=ORANGE, lw=1.2,
                               ls="-" if share == 0.5 else "--")  # fmt: skip
-            name_axes(panel, values.label, "points")
         _hide(axes, len(metrics))
     words = "Distribution of every metric; lines at the median and at 5 and 95 % of the points."
     return Picture(path, "Histograms", words)
@@ -179,7 +186,8 @@ def _scatter(
     path: Path, data: Mapping[str, np.ndarray], keys: Sequence[str], metrics: Sequence[str],
     units: Mapping[str, str],
 ) -> Picture:  # fmt: skip
-    wide, high = keys[:_MOST_PANELS], metrics[:_MOST_PANELS]
+    drawn = [name for name in metrics if not _is_flag(data[name])] or list(metrics)
+    wide, high = keys[:_MOST_PANELS], drawn[:_MOST_PANELS]
     step = -(-data[keys[0]].size // _MOST_POINTS)
     size = (2.3 * len(wide) + 0.8, 1.7 * len(high) + 0.4)
     with sheet(path, len(high), len(wide), size=size, squeeze=False, sharex="col",
@@ -190,10 +198,11 @@ def _scatter(
                 x = _axis(key, data[key], units.get(key, ""))
                 panel.plot(x.values[::step], y.values[::step], ".", color=BLUE, ms=2.5, alpha=0.5)
                 panel.axhline(np.nanmedian(y.values), color=GREY, lw=0.6)
-                if row is axes[-1]:
+                if name == high[-1]:
                     panel.set_xlabel(x.label, fontsize=8)
+                    panel.ticklabel_format(axis="x", style="sci", scilimits=(-3, 5))
             row[0].set_ylabel(y.label, fontsize=8)
-    left = len(keys) - len(wide) + len(metrics) - len(high)
+    left = len(keys) - len(wide) + len(drawn) - len(high)
     rest = f" {left} more are in the table." if left else ""
     return Picture(path, "Scatter matrix", f"Every metric over every swept key.{rest}")
 
