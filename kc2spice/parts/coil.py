@@ -13,7 +13,7 @@ from kc2spice.fem.emtable import EMTable, inductances
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
-from kc2spice.parts.electromagnet import POINTS, TERMS, lookup
+from kc2spice.parts.electromagnet import POINTS, TERMS, smooth
 
 _MEANING = {
     "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
@@ -35,7 +35,8 @@ class _Function:
 
     name: str
     doc: str
-    table: list[str]
+    values: list[str]
+    bends: list[str]
 
 
 def coil_subcircuit(
@@ -59,10 +60,10 @@ def coil_subcircuit(
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(inductances(table, height))
     splines = dict(zip(TERMS, table.splines(height).T, strict=True))
-    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", lookup(height, splines[n])) for n in TERMS]
+    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(height, splines[n])) for n in TERMS]
     functions += [
         _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L",
-                  lookup(height, inverse[:, k - 1, l - 1]))
+                  *smooth(height, inverse[:, k - 1, l - 1]))
         for k, l in ((1, 1), (1, 2), (2, 2))
     ]  # fmt: skip
     text = render(
@@ -72,6 +73,8 @@ def coil_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         points=points,
+        lowest=1e6 * height[0],
+        spacing=1e6 * (height[1] - height[0]),
         henry=henry,
         coils=[_Coil(1, "lower", "lp", "ln"), _Coil(2, "upper", "up", "un")],
         functions=functions,

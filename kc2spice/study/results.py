@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,19 @@ _UNITS = {
 def write_waveforms(waves: Waveforms, directory: Path) -> list[str]:
     """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
     np.savez_compressed(directory / "waveforms.npz", **waves.data)  # type: ignore[arg-type]
-    names = list(waves.data)
-    head = ",".join(f"{name} [{unit}]" if (unit := _unit(name)) else name for name in names)
-    columns = np.column_stack([waves[name] for name in names])
-    np.savetxt(directory / "waveforms.csv", columns, "%.10g", ",", header=head, comments="")
+    columns = {head: values for name in waves.data for head, values in _columns(name, waves[name])}
+    head, table = ",".join(columns), np.column_stack(list(columns.values()))
+    np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
+
+
+def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Heads and columns of one array; real and imaginary part of a complex one."""
+    if np.iscomplexobj(values):
+        yield f"{name} real", values.real
+        yield f"{name} imag", values.imag
+    else:
+        yield (f"{name} [{unit}]" if (unit := _unit(name)) else name), values
 
 
 def _unit(name: str) -> str:

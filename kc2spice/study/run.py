@@ -141,8 +141,9 @@ def _record(
     if models.kick is not None:
         record["rom"] = _rom(models.kick.resonators)
     record |= {
-        "steps": {name: int(waves.stats[name]) for name in ("accepted", "rejected")},
-        "simulator_cpu_s": waves.stats["cpu_s"],
+        # a sweep or an operating point has no time points
+        "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
+        "simulator_cpu_s": waves.stats.get("cpu_s"),
         "metrics": metrics(waves, scene),
         "plan": asdict(plan(scene)),
         "wall_s": clock.wall_s,
