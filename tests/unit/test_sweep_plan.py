@@ -2,13 +2,14 @@
 
 import itertools
 import tracemalloc
+from importlib import resources
 
 import pytest
 
 from kc2spice.errors import UsageError
 from kc2spice.study.sweep.definition import request_of, studies
 from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.point import SceneText
+from kc2spice.study.sweep.point import SceneText, scene_text
 from kc2spice.study.sweep.ranges import parse
 from kc2spice.study.sweep.stages import shared_models, slow_blocks
 from kc2spice.study.sweep.study import Request, make_study, read_plan, write_plan
@@ -171,3 +172,16 @@ def test_a_study_of_your_own_is_a_file(tmp_path):
     path.write_text('scene = "kick_and_catch"\nsets = 3\n')
     with pytest.raises(UsageError, match="not a key"):
         request_of(str(path), (), False, False, 0, (), None, "csv")
+
+
+def test_a_circuit_of_your_own_decides_the_table_too(tmp_path):
+    folder = resources.files("kc2spice") / "scenes"
+    for name in ("bring_your_own.toml", "bring_your_own.lib"):
+        (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8"), encoding="utf-8")
+    request = Request(
+        scene_text(str(tmp_path / "bring_your_own.toml")), ("solver.reltol=1e-3,1e-4",)
+    )
+    before = make_study(request).digest
+    with (tmp_path / "bring_your_own.lib").open("a", encoding="utf-8") as file:
+        file.write("* changed\n")
+    assert make_study(request).digest != before

@@ -33,7 +33,10 @@ Metric = float | bool | None
 
 @dataclass(frozen=True)
 class SceneText:
-    """A scene that can be sent to another machine: a gallery name, or a name and its TOML."""
+    """A scene that can be sent to another machine: a gallery name, or a name and its TOML.
+
+    Without its TOML the name may be a path that all machines share.
+    """
 
     name: str
     text: str | None
@@ -57,8 +60,9 @@ def scene_text(name_or_path: str) -> SceneText:
     """
     if name_or_path in gallery():
         return SceneText(name_or_path, None)
-    load_scene(name_or_path)
-    path = Path(name_or_path)
+    path = Path(name_or_path).absolute()
+    if load_scene(path).include:  # netlists that lie beside it
+        return SceneText(str(path), None)
     return SceneText(path.stem, path.read_text(encoding="utf-8"))
 
 

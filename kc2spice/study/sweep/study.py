@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.errors import UsageError
+from kc2spice.netlist.included import included_netlists
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import did_you_mean
 from kc2spice.scene.schema import Scene
@@ -63,7 +64,8 @@ class Study:
     def digest(self) -> str:
         """Hash of everything that decides the table."""
         context = [
-            scene_hash(self.base), self.job.parameters, self.job.metrics, self.request.format,
+            scene_hash(self.base), included_netlists(self.base), self.job.parameters,
+            self.job.metrics, self.request.format,
         ]  # fmt: skip
         return self.plan.digest(context)
 
