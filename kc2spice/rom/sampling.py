@@ -24,7 +24,7 @@ SINGULAR = 1e-6
 # A response this far below the product of its factors is what their cancellation leaves: a zero.
 CANCELLED = 1e-10
 CONFIRMATIONS = 2  # checks in a row that must be met
-MAX_POINTS = 60
+MAX_POINTS = 180
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 
