@@ -47,11 +47,10 @@ def _params(level: Level) -> tuple[Param, ...]:
     if level == "ideal":
         return (gain, output)
     pole = Param("gbw", BANDWIDTH, "Hz", "gain-bandwidth product")
-    clip = Param("clip", 1e3, "S", "stiffness of the rails")
     if level == "pole":
-        return (gain, pole, output, clip)
+        return (gain, pole, output, Param("clip", 1e3, "S", "stiffness of the rails"))
     return (
-        gain, pole, output, clip,
+        gain, pole, output,
         Param("slew", 1e9, "V/s", "fastest change of the output"),
         Param("offset", 0.0, "V", "input offset"),
         Param("current_limit", 1.0, "A", "largest output current"),

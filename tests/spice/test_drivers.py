@@ -1,0 +1,221 @@
+"""Drivers against closed forms, and all parts for passivity, in decks that include libraries."""
+
+import re
+
+import numpy as np
+import pytest
+
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.included import included_netlists
+from kc2spice.parts.bench import loop_deck
+from kc2spice.parts.drivers import (
+    Load,
+    amplifier_subcircuit,
+    charge_drive_subcircuit,
+    half_bridge_subcircuit,
+    linear_subcircuit,
+    pwm_subcircuit,
+)
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.report.metrics import metrics
+from kc2spice.scene.drivers import Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
+
+LOAD = Load(73e-3, 3192.0)
+
+
+def bench(parts, cards, vectors, stop=None):
+    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
+    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
+    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
+    return Deck("bench", "bench.cir", files, vectors, stop)
+
+
+# ------------------------------------------------------------------------------------ op-amps
+
+
+@pytest.mark.parametrize(("level", "part"), [("ideal", "opamp_ideal"), ("pole", "opamp"),
+                                             ("slew", "opamp_slew")])  # fmt: skip
+def test_every_level_of_amplifier_has_its_gain(header, tmp_path, level, part):
+    """Non-inverting, gain 11; a pole at gbw / 11 where the level has one."""
+    values = "" if level == "ideal" else " gbw=1.1e6"
+    cards = f"""Vin in 0 AC 1
+Vcc vcc 0 15
+Vee vee 0 -15
+Xop in n out vcc vee 0 {part}{values}
+R1 n 0 1000
+R2 out n 10000
+.ac dec 4 100 1e6"""
+    deck = bench([opamp_subcircuit(header, level)], cards, {"out": ("v(out)", 1.0)})
+    waves = run_deck(deck, tmp_path)
+    pole = 1 + 0j if level == "ideal" else 1 + 1j * waves["frequency"] / 1e5
+    np.testing.assert_allclose(waves["out"], 11 / pole, rtol=2e-5)  # 0.1 Ohm and the finite gain
+
+
+def test_slewing_amplifier_keeps_rate_current_offset_and_rails(header, tmp_path):
+    cards = """Vin in 0 PULSE(0 20 1e-05 1e-09 1e-09 1)
+Vcc vcc 0 10
+Vee vee 0 -10
+Xop in out out vcc vee 0 opamp_slew slew=1e6 offset=0.01 current_limit=0.005
+Rload out 0 1e6
+Vcc2 vcc2 0 30
+Xtwo in low low vcc2 vee 0 opamp_slew current_limit=0.005
+Rlow low 0 1000
+.options reltol=1e-5
+.tran 1e-07 1e-04 0 1e-07"""
+    vectors = {"out": ("v(out)", 1.0), "low": ("v(low)", 1.0)}
+    waves = run_deck(bench([opamp_subcircuit(header, "slew")], cards, vectors, 1e-4), tmp_path)
+    t, out = waves["time"], waves["out"]
+    assert out[0] == pytest.approx(0.01, rel=1e-3)
+    rising = (t > 12e-6) & (t < 18e-6)
+    # gbw / a0 = 100 Hz: 5 V on average leak away with 3 parts in 1000 of the slewing current
+    assert np.polyfit(t[rising], out[rising], 1)[0] == pytest.approx(
+        1e6 - 5 * 2 * np.pi * 100, rel=1e-3
+    )
+    assert out[-1] == pytest.approx(10.0, rel=1e-3)  # the rail
+    assert waves["low"][-1] == pytest.approx(5.0, rel=1e-6)  # 5 mA through 1 kOhm
+
+
+# ------------------------------------------------------------------------- drivers of the chip
+
+
+def charging(header, parts, name, cards, tmp_path, stop=20e-6):
+    """A pulse into 100 nF in place of the chip, in a driver with ``out``."""
+    text = f"""Vcommand command 0 PULSE(0 100 1e-06 1e-07 1e-07 9.9e-06)
+Xdriver command out 0 {name} {cards}
+Cchip out 0 1e-07
+.options reltol=1e-5 trtol=1
+.tran 1e-08 {stop} 0 2e-08"""
+    vectors = {"out": ("v(out)", 1.0), "i": ("@r.xdriver.rout[i]", 1.0)}
+    return run_deck(bench(parts, text, vectors, stop), tmp_path)
+
+
+def test_half_bridge_charges_through_its_resistor(header, tmp_path):
+    part = half_bridge_subcircuit(header, HalfBridge())
+    waves = charging(header, [part], "half_bridge",
+                     "resistance=20 current_limit=100 reservoir=1", tmp_path)  # fmt: skip
+    t, out = waves["time"], waves["out"]
+    late = (t > 4e-6) & (t < 10e-6)  # RC = 2 us, and 0.11 Ohm of transistor
+    slope = np.polyfit(t[late], np.log(100 - out[late]), 1)[0]
+    on = (12 - 3) / (2 * 100)  # VDS / ID of the transistor's ohmic region at its limit of 100 A
+    assert -1 / slope == pytest.approx(1e-7 * (20 + on / 1), rel=0.01)
+
+
+def test_half_bridge_limits_current_and_charge(header, tmp_path):
+    part = half_bridge_subcircuit(header, HalfBridge())
+    waves = charging(header, [part], "half_bridge",
+                     "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
+                     tmp_path)  # fmt: skip
+    assert np.abs(waves["i"]).max() == pytest.approx(3.0, rel=0.02)
+    # 100 nF of reservoir at 100 V shared with 100 nF of load
+    end = np.interp(10e-6, waves["time"], waves["out"])
+    assert end == pytest.approx(50.0, rel=0.01)
+
+
+def test_amplifier_slews_and_limits(header, tmp_path):
+    parts = [opamp_subcircuit(header, "slew"), amplifier_subcircuit(header, Amplifier())]
+    slow = charging(header, parts, "amplifier", "slew=2e7 resistance=0.1", tmp_path / "slew")
+    up = (slow["out"] > 20) & (slow["out"] < 80) & (slow["time"] < 8e-6)
+    assert np.polyfit(slow["time"][up], slow["out"][up], 1)[0] == pytest.approx(2e7, rel=0.01)
+    weak = charging(header, parts, "amplifier", "current_limit=2 resistance=0.1", tmp_path / "weak")
+    assert np.abs(weak["i"]).max() == pytest.approx(2.0, rel=0.01)
+
+
+def test_charge_drive_sets_the_charge_whatever_the_capacitance(header, tmp_path):
+    parts = [opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, ChargeDrive())]
+    for farad in (50e-9, 150e-9):
+        cards = f"""Vcommand command 0 PULSE(0 50 1e-06 1e-06 1e-06 1)
+Xdriver command anode cathode 0 charge
+Cchip anode cathode {farad}
+.options reltol=1e-5 trtol=1
+.tran 1e-08 6e-05 0 1e-07"""
+        vectors = {"a": ("v(anode)", 1.0), "c": ("v(cathode)", 1.0)}
+        waves = run_deck(bench(parts, cards, vectors, 6e-5), tmp_path / str(farad))
+        charge = farad * (waves["a"] - waves["c"])[-1]
+        # 150 nF times 50 V; the leaks of a second cost 60 us of it where the loads are unequal
+        assert charge == pytest.approx(150e-9 * 50, rel=2e-3)
+
+
+# ------------------------------------------------------------------------ drivers of the coils
+
+
+def stepped(parts, name, cards, tmp_path, stop, ask=2.0):
+    """A step of the command [V, 100 per ampere] with a plain R and L as coils."""
+    text = f"""Vwanted wanted 0 PULSE(0 {ask} 1e-05 1e-07 1e-07 1)
+Xdriver wanted drive ret 0 {name} {cards}
+Rcoils drive middle {LOAD.resistance}
+Lcoils middle ret {LOAD.inductance}
+.options reltol=1e-5 trtol=1
+.tran 1e-06 {stop} 0 1e-06"""
+    vectors = {"i": ("i(lcoils)", 1.0), "u": ("v(drive)", 1.0)}
+    return run_deck(bench(parts, text, vectors, stop), tmp_path)
+
+
+def test_linear_drive_has_the_bandwidth_asked_for(header, tmp_path):
+    """Coil current per command against the network's nodal equations in numpy."""
+    drive = LinearDrive(bandwidth=20e3)
+    part = linear_subcircuit(header, drive, LOAD, 0.1)
+    cards = f"""Vwanted wanted 0 AC 1
+Xdriver wanted drive ret 0 linear
+Rcoils drive middle {LOAD.resistance}
+Lcoils middle ret {LOAD.inductance}
+.ac dec 10 10 1e6"""
+    deck = bench([opamp_subcircuit(header, "slew"), part], cards, {"i": ("i(lcoils)", 1.0)})
+    waves = run_deck(deck, tmp_path)
+    values = re.search(r"^R2 n z (\S+)\nC1 z drive (\S+)\n.*gbw=(\S+)", part.text, re.M)
+    r2, c1, gbw = (float(value) for value in values.groups())
+    for f, current in zip(waves["frequency"], waves["i"], strict=True):
+        s = 2j * np.pi * f
+        coils, network = 1 / (LOAD.resistance + s * LOAD.inductance), 1 / (r2 + 1 / (s * c1))
+        gain = 1e7 / (1 + s * 1e7 / (2 * np.pi * gbw))
+        # unknowns: ret, n, drive; the amplifier drives through 0.1 and 1 Ohm
+        matrix = np.array([
+            [1 / 100 + 1 / 1e3 + coils, -1 / 1e3, -coils],
+            [-1 / 1e3, 1 / 1e3 + network, -network],
+            [-coils, -network + gain / 1.1, 1 / 1.1 + coils + network],
+        ])  # fmt: skip
+        ret, _, out = np.linalg.solve(matrix, [0, 0, gain / 1.1])
+        assert current == pytest.approx((out - ret) * coils, rel=1e-6)
+    low = np.abs(waves["i"] * 100)
+    assert low[0] == pytest.approx(1.0, rel=1e-3)
+    edge = np.interp(-np.sqrt(0.5), -low[::1], waves["frequency"])
+    assert 20e3 < edge < 40e3  # the amplifier's own pole lifts it
+
+
+def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
+    """The rail over all resistance at the end, and the rail over L at the start."""
+    drive = LinearDrive(rail=48.0)
+    parts = [opamp_subcircuit(header, "slew"), linear_subcircuit(header, drive, LOAD, 0.1)]
+    waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
+    total = LOAD.resistance + 100.0 + 1.0 + 0.1
+    assert waves["i"][-1] == pytest.approx(48 / total, rel=5e-3)
+    t = waves["time"]
+    rise = np.interp(48 / total * (1 - np.exp(-1)), waves["i"], t) - 10e-6
+    assert rise == pytest.approx(LOAD.inductance / total, rel=0.12)  # L/R and 2.4 us of slew
+
+
+def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
+    drive = PwmDrive()
+    parts = [opamp_subcircuit(header), pwm_subcircuit(header, drive, LOAD)]
+    waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
+    t, i = waves["time"], waves["i"]
+    late = t > 0.8e-3
+    mean = np.trapezoid(i[late], t[late]) / np.ptp(t[late])
+    assert mean == pytest.approx(10e-3, rel=5e-3)
+    duty = 10e-3 * (LOAD.resistance + 2.0) / drive.rail
+    ripple = drive.rail * duty * (1 - duty) / (2 * drive.frequency * LOAD.inductance)
+    assert np.ptp(i[late]) == pytest.approx(ripple, rel=0.1)  # of unipolar modulation
+
+
+# --------------------------------------------------------------------------------- in the loop
+
+
+@pytest.mark.parametrize("name", ["half_bridge_kick", "charge_kick", "bring_your_own"])
+def test_driven_kicks_launch_and_are_caught(header, model, radii, table, tmp_path, name):
+    scene = load_scene(name)
+    files = included_netlists(scene)
+    waves = run_deck(loop_deck(scene, header, model, radii, table, files), tmp_path)
+    found = metrics(waves, scene)
+    assert 0.5 < found["launch_velocity_m_s"] < 1.5
+    assert found["caught"]
