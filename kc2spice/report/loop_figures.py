@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.fem.emtable import EMTable, force
+from kc2spice.report.driver_figures import driver_figures
 from kc2spice.report.metrics import SETTLING_BAND, separation, trajectory_difference
 from kc2spice.report.plots import (
     BLACK,
@@ -42,6 +43,7 @@ def loop_figures(
     ]
     if "coil.upper.current" in waves:
         pictures.append(currents(directory / "coil_currents.png", waves, scene))
+    pictures += driver_figures(directory, waves, scene)
     if reference is not None:
         pictures.append(error(directory / "reference_error.png", waves, reference))
     if table is not None:

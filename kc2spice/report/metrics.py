@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline
 
 from kc2spice.scene.need import need
@@ -64,7 +65,7 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
     coil's mean current over the last twentieth of the run (the derivative term makes single
     samples noisy), ``kick_stroke_m`` the centre node's largest displacement. ``caught``:
     inside the settling band for the last tenth of the run at least. Scenes without control have
-    no metrics of it.
+    no metrics of it, scenes with drivers also the peaks of what those give.
     """
     y, launch = waves["sphere.y"], separation(waves)
     found: dict[str, float | bool | None] = {
@@ -74,7 +75,24 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
         "final_position_m": float(y[-1]),
         "kick_stroke_m": float(waves["kick.u.R0"].max()),
     }
+    found |= _driver_metrics(waves, scene)
     return found if scene.control is None else found | _control_metrics(waves, scene)
+
+
+def _driver_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:
+    """What real drivers have to give: peaks of current, charge and voltage."""
+    found: dict[str, float | bool | None] = {}
+    if scene.kick and scene.kick.driver:
+        found["kick_voltage_peak_v"] = float(np.abs(waves["kick.voltage"]).max())
+        if "kick.current" in waves:
+            current = waves["kick.current"]
+            charge = cumulative_trapezoid(current, waves["time"])
+            found["kick_current_peak_a"] = float(np.abs(current).max())
+            found["kick_charge_peak_c"] = float(np.abs(charge).max())
+    if scene.catch and scene.catch.driver:
+        found["coil_voltage_peak_v"] = float(np.abs(waves["coil.voltage"]).max())
+        found["coil_current_peak_a"] = float(np.abs(waves["coil.upper.current"]).max())
+    return found
 
 
 def _control_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:

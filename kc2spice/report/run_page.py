@@ -15,6 +15,7 @@ from kc2spice.scene.schema import Scene
 _SUFFIXES = (
     ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"),
     ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
+    ("_v", "V"), ("_c", "C"),
 )  # fmt: skip
 
 

@@ -71,11 +71,28 @@ def _parts(scene: Scene) -> list[Modelled]:
         found += [Modelled("sphere", "closed form", detail)]
     if scene.catch:
         detail = f"{scene.catch.positions} heights, force quadratic in both coil currents (exact)"
+        if scene.catch.driver:
+            detail += "; coils with R, L(y), M(y) and back-EMF"
         found += [Modelled("catch", "FE (magnetostatic, axisymmetric)", detail)]
     if scene.control:
         limit = scene.control.current_limit
-        detail = f"op-amp PID, output clamped at {limit:g} A, current-driven coils"
+        real = scene.catch is not None and scene.catch.driver is not None
+        coils = "real coils" if real else "current-driven coils"
+        detail = f"op-amp PID, output clamped at {limit:g} A, {coils}"
         found += [Modelled("pid", "circuit", detail)]
+    found += _drivers(scene)
+    return found
+
+
+def _drivers(scene: Scene) -> list[Modelled]:
+    kick = scene.kick.driver if scene.kick else None
+    catch = scene.catch.driver if scene.catch else None
+    found = []
+    for load, driver in (("chip", kick), ("coils", catch)):
+        for kind, section in driver or ():
+            if section is not None:
+                values = ", ".join(f"{key} {value:g}" for key, value in section if key != "subckt")
+                found.append(Modelled(f"{kind} driver of the {load}", "circuit", values or "yours"))
     return found
 
 
@@ -106,7 +123,7 @@ def _left_out(scene: Scene) -> list[LeftOut]:
         found += [_air_drag(scene.sphere), _elsewhere("rotation and sideways motion of the sphere")]
     if scene.catch and scene.sphere:
         found += _of_catch(scene.catch, scene.sphere)
-    if scene.control and scene.catch:
+    if scene.control and scene.catch and not scene.catch.driver:
         found += [_coil_dynamics(scene.control)]
     return found
 

@@ -1,0 +1,188 @@
+"""The emitted devices with a user's passive parts on their pins: they ring, and they die away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kc2spice.fem.piezo import assemble_kick
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.realize import realize
+from kc2spice.parts.coil import coil_subcircuit
+from kc2spice.parts.experiments import harmonic_deck
+from kc2spice.rom.facts import condensed_facts
+from kc2spice.rom.modal import resonators, whole_device
+from kc2spice.rom.reduce import reduce_kick
+from kc2spice.rom.schur import condense
+from kc2spice.scene.schema import Harmonic, Kick, Rom, Scene
+from kc2spice.sim.ngspice import run_deck
+
+RINGS = ("R0", "R1", "R2", "R3", "R4", "R5")
+COPIES = 200
+
+
+def bench(parts, cards, vectors, stop=None):
+    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
+    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
+    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
+    return Deck("bench", "bench.cir", files, vectors, stop)
+
+
+def decays(waves, names):
+    """Later swings are no larger than earlier ones, beyond what error control lets through."""
+    t = waves["time"]
+    third = t[-1] / 3
+    for name in names:
+        early = np.abs(waves[name][t < third]).max()
+        late = np.abs(waves[name][t > 2 * third]).max()
+        assert late <= 1.02 * early + 1e-9, name
+
+
+def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
+    """Springs, dampers and masses on two rings, R, L, C on the anode, 200 of each at random."""
+    rng = np.random.default_rng(3)
+    few = replace(model, omega=model.omega[:3], damp=model.damp[:3], gain=model.gain[:3])
+    part = realize(few, header, ports=("R0", "R3", "anode"))
+    cards, vectors = [], {}
+    for k in range(COPIES):
+        stiffness, ohm, henry = 10 ** rng.uniform([0, -2, -4], [2, 6, 0])  # N/um, Ohm, H
+        damper, mass = 10 ** rng.uniform([-6, -8], [0, -4])  # N s/m, kg
+        # 1 V = 1 um and 1 A = 1 N: a spring is a resistor, a damper a capacitor (force over speed)
+        cards += [
+            f"Xkick{k} a{k} 0 p{k} q{k} 0 kick",
+            f"Ipush{k} 0 p{k} PULSE(0 1 1e-06 1e-07 1e-07 1e-06)",
+            f"Rspring{k} p{k} 0 {1 / stiffness}",
+            f"Cdamper{k} q{k} 0 {damper * 1e-6}",
+            # the mass is a capacitor at its speed w; its place s is held at q by the force f
+            f"Cmass{k} w{k} 0 {mass}",
+            f"Gforce{k} 0 w{k} f{k} 0 1",
+            f"Gfollow{k} 0 f{k} q{k} s{k} 1",
+            f"Gload{k} q{k} 0 f{k} 0 1",
+            f"Cs{k} s{k} 0 1e-06",
+            f"Gs{k} 0 s{k} w{k} 0 1",
+            f"R{k} a{k} b{k} {ohm}",
+            f"L{k} b{k} 0 {henry}",
+        ]
+        vectors |= {f"p{k}": (f"v(p{k})", 1.0), f"a{k}": (f"v(a{k})", 1.0)}
+    cards += [".options reltol=1e-3 trtol=7 chgtol=1e-10", ".tran 1e-07 4e-05 0 4e-07"]
+    waves = run_deck(bench([part], "\n".join(cards), vectors, 4e-5), tmp_path)
+    decays(waves, [name for name in vectors if name.startswith("p")])
+
+
+def test_all_ports_of_the_emitted_kick_are_positive_real(header, model, tmp_path):
+    """Any passive load is covered at once: j omega H has no negative hermitian part."""
+    scene = Scene(name="h", experiment="harmonic", kick=Kick(),
+                  harmonic=Harmonic(stop=5e6, steps=400))  # fmt: skip
+    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    names = (*RINGS, "anode")
+    response = np.array([[waves[f"{i}>{o}"] for i in names] for o in names]).transpose(2, 0, 1)
+    power = 2j * np.pi * waves["frequency"][:, None, None] * response
+    hermitian = (power + power.conj().transpose(0, 2, 1)) / 2
+    scale = np.sqrt(np.einsum("fii->fi", np.abs(power)).max(axis=0))
+    smallest = np.linalg.eigvalsh(hermitian / np.outer(scale, scale)).min()
+    assert smallest > -1e-9
+
+
+def coils_ring(header, table, tmp_path, values=""):
+    """R, L, C on both coils, a spring, a damper and a mass on the sphere's node, held at y."""
+    rng = np.random.default_rng(4)
+    inductance = np.tile([[43.8e-3, 7.3e-3], [7.3e-3, 43.8e-3]], (table.y.size, 1, 1))
+    still = np.zeros_like(table.y)
+    coils = replace(table, c0=still, c11=still, c22=still, inductance=inductance)
+    cards, vectors = [], {}
+    for k in range(COPIES):
+        ohm, farad, henry, damper, mass = 10 ** rng.uniform([-2, -9, -4, -6, -5], [6, -6, 0, 0, -3])
+        spring = 10 ** rng.uniform(0, 4)
+        cards += [
+            f"Vy{k} y{k} 0 {rng.uniform(-1000, 6000)}",
+            f"Xcoil{k} a{k} 0 b{k} 0 y{k} v{k} 0 coil {values}",
+            f"Ipush{k} 0 a{k} PULSE(0 1e-3 1e-05 1e-06 1e-06 1e-05)",
+            f"R{k} a{k} 0 {ohm}", f"C{k} a{k} 0 {farad}", f"L{k} b{k} 0 {henry}",
+            f"Cm{k} v{k} 0 {mass}", f"Rd{k} v{k} 0 {1 / damper}", f"Ls{k} v{k} 0 {1 / spring}",
+        ]  # fmt: skip
+        vectors[f"i{k}"] = (f"v(xcoil{k}.i1)", 1.0)
+    cards += [".options reltol=1e-3 trtol=7 chgtol=1e-11", ".tran 1e-06 3e-04 0 6e-06"]
+    deck = bench([coil_subcircuit(header, coils, points=21)], "\n".join(cards), vectors, 3e-4)
+    return run_deck(deck, tmp_path), vectors
+
+
+def test_coils_die_away_under_random_passive_parts(header, table, tmp_path):
+    decays(*coils_ring(header, table, tmp_path))
+
+
+def test_coils_with_an_active_part_do_not(header, table, tmp_path):
+    """The test above can fail: a negative resistance feeds the oscillation."""
+    with pytest.raises(AssertionError):
+        decays(*coils_ring(header, table, tmp_path, "resistance_lower=-3000"))
+
+
+# ------------------------------------------------------------------------ a user's own deck
+
+
+@pytest.fixture(scope="module")
+def chip():
+    """The paper's chip for a band of 1 MHz, whole device, with its full model."""
+    system = assemble_kick(Kick())
+    rom = Rom(tolerance=1e-5, band=(0.0, 1e6))
+    return system, whole_device(resonators(reduce_kick(system, rom)), system.sectors)
+
+
+def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
+    """Hand-written deck: current through the clamped ports against modes summed in numpy."""
+    _, model = chip
+    cards = """Vdrive in 0 AC 1
+Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
+.ac dec 200 1 1e6"""
+    vectors = {"i": ("i(vdrive)", -1.0)}
+    waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
+    f, current = waves["frequency"], waves["i"]
+    s = 2j * np.pi * f[:, None]
+    charge = (model.gain[:, 6] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
+    exact = s[:, 0] * (charge + model.D[6, 6])
+    # the leak of 1e-12 S shows at 1 Hz: 1e-6 of the capacitor's admittance
+    assert np.abs(current / exact - 1).max() < 1e-5
+    static = (model.gain[:, 6] ** 2 / model.omega**2).sum() + model.D[6, 6]
+    assert current[0].imag / (2 * np.pi * f[0]) == pytest.approx(static, rel=1e-4)
+    assert static == pytest.approx(143.19e-9, rel=1e-3)  # free capacitance of the chip
+
+
+def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
+    """Largest and smallest current against eigenvalues of the full model, to 0.1 %."""
+    system, model = chip
+    cards = """Vdrive in 0 AC 1
+Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
+.ac lin 2401 260e3 380e3"""
+    vectors = {"i": ("i(vdrive)", -1.0)}
+    waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
+    size, facts = np.abs(waves["i"]), condensed_facts(condense(system))
+    series, parallel = (waves["frequency"][k] for k in (np.argmax(size), np.argmin(size)))
+    assert series == pytest.approx(facts["resonance_short_hz"], rel=1e-3)
+    assert parallel == pytest.approx(facts["resonance_open_hz"], rel=1e-3)
+
+
+def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
+    """Direct solutions of all 16 722 equations at the resonance and far above."""
+    from kc2spice.fem.harmonic import harmonic
+
+    system, model = chip
+    frequency = np.array([270e3, 900e3])
+    full = system.sectors * harmonic(system, frequency)[:, -1, -1]
+    for f, charge in zip(frequency, full, strict=True):
+        cards = f"Vdrive in 0 AC 1\nXkick in 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 1 {f} {f}"
+        deck = bench([realize(model, header)], cards, {"i": ("i(vdrive)", -1.0)})
+        current = run_deck(deck, tmp_path / str(f))["i"][0]
+        assert current / (2j * np.pi * f * charge) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_ring_on_a_users_spring(header, model, tmp_path):
+    """1 kN/m from R0 to a shaker: displacement by the dynamic compliance of the modes."""
+    stiffness = 1e3  # N/m
+    cards = f"""Vshake shaker 0 AC 1
+Rspring shaker R0 {1e6 / stiffness}
+Xkick 0 0 R0 R1 R2 R3 R4 R5 0 kick
+.ac dec 40 1e3 1e6"""
+    waves = run_deck(bench([realize(model, header)], cards, {"u": ("v(r0)", 1.0)}), tmp_path)
+    s = 2j * np.pi * waves["frequency"][:, None]
+    compliance = (model.gain[:, 0] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
+    force = stiffness * compliance
+    np.testing.assert_allclose(waves["u"], force / (1 + force), rtol=1e-8)
