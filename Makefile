@@ -5,13 +5,22 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test setup lint clean
+.PHONY: demo test slow netlists setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
 
 test: setup  ## run the test suite
 	$(PYTEST) -n auto -m "not slow"
+
+slow: setup  ## the tests that take minutes
+	$(PYTEST) -n auto -m slow
+
+netlists: setup  ## write the committed netlists anew
+	for scene in kc2spice/scenes/*.toml; do \
+		name=$$(basename $$scene .toml); rm -rf netlists/$$name; \
+		$(KC2SPICE) export $$name --out netlists/$$name --quiet || exit 1; \
+	done
 
 setup:  ## ngspice, system libraries and the virtual environment
 	@./tools/bootstrap.sh
