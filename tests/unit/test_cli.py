@@ -30,7 +30,7 @@ def study(monkeypatch):
     """Replaces the study, whose own tests are elsewhere, by one that does as told."""
     fake = types.SimpleNamespace(calls=[], error=None)
 
-    def run(scene, out, progress):
+    def run(scene, out, progress, *, trust):
         fake.calls.append((scene, out))
         progress("mesh", None, "building")
         progress("mesh", 0.5, "half [way]")
@@ -47,7 +47,7 @@ def study(monkeypatch):
             "files": ["result.json"],
         }
 
-    def export(scene, out, dialect, progress):
+    def export(scene, out, dialect, progress, *, trust):
         fake.calls.append((scene, out, dialect))
         return [out / "kick.lib"]
 

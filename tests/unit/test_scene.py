@@ -67,7 +67,7 @@ def test_order_and_tolerance_replace_each_other():
     assert (rom.order, rom.tolerance) == (None, 1e-4)
     rom = load_scene("kick_and_catch", ["rom.tolerance=1e-4", "rom.order=12"]).rom
     assert (rom.order, rom.tolerance) == (12, None)
-    assert load_scene("harmonic").rom.order == 30
+    assert load_scene("imprint").rom.order == 30
 
 
 # Every mistake: the overrides, what the message must contain besides the key that was set.
