@@ -35,6 +35,29 @@ class Road:
 
 
 @dataclass(frozen=True)
+class OutputError:
+    """Largest and rms error of one output over all points of one pair of roads, relative to the
+    exact response at each point (harmonic) or to the output's largest value (all others)."""
+
+    pair: str
+    output: str
+    largest: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class StepPoint:
+    """One setting of ngspice: what it cost and how far it is from the exact integration."""
+
+    reltol: float
+    max_step_s: float
+    accepted: int
+    cpu_s: float
+    position: float | None
+    velocity: float | None
+
+
+@dataclass(frozen=True)
 class Findings:
     """Outcome of one scene's verification.
 
@@ -49,6 +72,8 @@ class Findings:
     speedup: dict[str, float]
     roads: tuple[Road, ...]
     metrics: dict[str, Any]
+    outputs: tuple[OutputError, ...] = ()
+    steps: tuple[StepPoint, ...] = ()
     notes: tuple[str, ...] = ()
     curves: dict[str, Waveforms] = field(default_factory=dict)
     pictures: tuple[Picture, ...] = ()

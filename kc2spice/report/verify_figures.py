@@ -6,7 +6,7 @@ are drawn over it, and their errors are against it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from kc2spice.report.plots import (
     name_axes,
     sheet,
 )
+from kc2spice.report.verdict import StepPoint
 from kc2spice.sim.waveforms import Waveforms
 
 Roads = Mapping[str, Waveforms]
@@ -182,6 +183,25 @@ def impact_figures(directory: Path, roads: Roads, radius: float) -> list[Picture
             legend_above(right, 2)
     caption = "Impact of the free sphere, in contact where shaded (Fig. 9)."
     return [Picture(path, "Impact", caption)]
+
+
+def steps_figure(path: Path, points: Sequence[StepPoint], chosen: tuple[float, float]) -> Picture:
+    """Position error over accepted points, a line per step ceiling; ``chosen`` = (reltol, step)."""
+    with sheet(path, size=(6.4, 4.0)) as axes:
+        for ceiling, colour in zip(sorted({p.max_step_s for p in points}), _ERRORS, strict=False):
+            line = [p for p in points if p.max_step_s == ceiling and p.position is not None]
+            counts, errors = [p.accepted for p in line], [p.position for p in line]
+            axes.loglog(counts, errors, "o-", color=colour, ms=4,
+                        label=f"steps up to {ceiling * 1e9:g} ns")  # fmt: skip
+            for p in line:
+                axes.annotate(f"{p.reltol:g}", (p.accepted, p.position), fontsize=8,
+                              textcoords="offset points", xytext=(5, 4))  # fmt: skip
+                if (p.reltol, p.max_step_s) == chosen:
+                    axes.plot(p.accepted, p.position, "o", ms=12, mfc="none", color=BLACK)
+        name_axes(axes, "accepted time points", "largest position error / travel")
+        legend_above(axes, 2)
+    caption = "What steps buy in the impact; numbers are reltol, the ring is the emitted setting."
+    return Picture(path, "Error against steps", caption)
 
 
 def poles_figure(path: Path, poles: Mapping[str, np.ndarray]) -> Picture:

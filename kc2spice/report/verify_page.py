@@ -57,6 +57,19 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
     return [
         Section(f"{scene}: gates", checks, ("check", "value", "limit", "")),
         _roads(scene, findings),
+        Section(
+            f"{scene}: each output",
+            [
+                (
+                    error.pair.replace("_vs_", " to "),
+                    error.output,
+                    f"{error.largest:.2g}",
+                    f"{error.rms:.2g}",
+                )
+                for error in findings.outputs
+            ],
+            ("roads", "output", "largest error", "rms error"),
+        ),
         paper_section(scene, findings.metrics),
         Section(
             f"{scene}: results",

@@ -43,17 +43,18 @@ def _unit(name: str) -> str:
 
 def write_record(record: Mapping[str, Any], directory: Path, name: str = "result.json") -> None:
     """One JSON file; a number that is not finite would not be JSON, so it becomes null."""
-    text = json.dumps(_finite(record), indent=2)
+    text = json.dumps(plain(record), indent=2)
     (directory / name).write_text(text + "\n", encoding="utf-8")
 
 
-def _finite(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """``value`` in types that JSON has; what is not finite becomes None."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [plain(item) for item in value]
     return value

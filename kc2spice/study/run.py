@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import kc2spice
 from kc2spice.errors import SimulationError, UsageError
@@ -29,7 +29,7 @@ from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_facts
 from kc2spice.study.progress import Clock, Progress, silent
-from kc2spice.study.results import write_record, write_waveforms
+from kc2spice.study.results import plain, write_record, write_waveforms
 
 
 def run(
@@ -70,7 +70,7 @@ def run(
         write_record(record, work)
         for spare in (f"{scene.name}.raw", f"{scene.name}.log"):
             (work / spare).unlink(missing_ok=True)
-    return record
+    return cast(dict[str, Any], plain(record))
 
 
 def export(

@@ -12,8 +12,8 @@ from kc2spice.fem.harmonic import harmonic as full_harmonic
 from kc2spice.fem.statics import Electrical, ImprintResult, imprint, imprint_refactorised
 from kc2spice.fem.system import Port
 from kc2spice.report.metrics import metrics
-from kc2spice.report.verdict import Check, Findings, Road
-from kc2spice.rom.response import frequency_response, relative_error
+from kc2spice.report.verdict import Check, Findings, OutputError, Road
+from kc2spice.rom.response import FLOOR, frequency_response, relative_error
 from kc2spice.rom.schur import condense
 from kc2spice.rom.standin import stand_in
 from kc2spice.scene.need import need
@@ -24,7 +24,7 @@ from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.models import Models
 from kc2spice.study.progress import Clock
 from kc2spice.study.verify.fullmodel import full_system
-from kc2spice.study.verify.roads import ngspice_road
+from kc2spice.study.verify.roads import ngspice_road, output_errors
 from kc2spice.study.verify.structure import structure_checks
 
 SAMPLED = 3  # direct solves that are timed, unless all are asked for
@@ -95,6 +95,10 @@ def verify_harmonic(scene: Scene, models: Models, clock: Clock, work: Path, full
             "rom_wall_s": rom_time,
             "rom_error": errors["rom_vs_fom"],
         },
+        outputs=(
+            *_per_output("rom_vs_fom", rom, fom, names),
+            *_per_output("ngspice_vs_fom", waves, fom, names),
+        ),
         notes=(*notes, f"time of the direct road from {direct_at.size} of {frequency.size} solves"),
         curves={"full model": fom, "ROM, numpy": rom, "netlist, ngspice": waves},
     )
@@ -134,6 +138,23 @@ def _matrix(waves: Waveforms) -> np.ndarray:
 
 def _spectral_error(waves: Waveforms, against: Waveforms) -> float:
     return relative_error(_matrix(waves), _matrix(against))
+
+
+def _per_output(
+    pair: str, waves: Waveforms, against: Waveforms, names: list[str]
+) -> list[OutputError]:
+    """Errors of each output over all inputs and frequencies where it answers at all."""
+    found = []
+    for output in names:
+        ours, exact = (
+            np.array([each[f"{source}>{output}"] for source in names]) for each in (waves, against)
+        )
+        size = np.abs(exact)
+        counted = size > FLOOR * size.max(axis=1, keepdims=True)
+        error = np.abs(ours - exact)[counted] / size[counted]
+        rms = float(np.sqrt(np.mean(error**2)))
+        found.append(OutputError(pair, output, float(error.max()), rms))
+    return found
 
 
 def _cut(waves: Waveforms, chosen: np.ndarray) -> Waveforms:
@@ -193,6 +214,10 @@ def verify_imprint(scene: Scene, models: Models, clock: Clock, work: Path, full:
             "full_step_wall_s": refactor / depth.size,
             "rom_step_wall_s": rom_time / depth.size,
         },
+        outputs=(
+            *output_errors("rom_vs_fom", rom, fom, "contact.force"),
+            *output_errors("ngspice_vs_fom", waves, fom, "contact.force"),
+        ),
         notes=(
             f"time of the refactorising road from {timed.size} of {depth.size} depths",
             f"one force per ring differs from one per node by {grouping:.1e} of the largest force",

@@ -11,7 +11,7 @@ import numpy as np
 from kc2spice.fem.system import PiezoSystem
 from kc2spice.fem.transient import Ball, TransientResult, Voltage
 from kc2spice.report.metrics import compare
-from kc2spice.report.verdict import Check
+from kc2spice.report.verdict import Check, OutputError
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice, run_deck
@@ -108,3 +108,24 @@ def contact_energy(waves: Waveforms, scene: Scene) -> float:
         spent += float(force[-1] ** 2 - force[0] ** 2) / (2 * 4 * contact.penalty)
     scale = sphere.mass * float((v**2).max()) / 2
     return abs(kinetic + weight - spent) / scale
+
+
+def output_errors(
+    pair: str, waves: Waveforms, against: Waveforms, *prefixes: str
+) -> list[OutputError]:
+    """Errors of the outputs that both roads have and whose names start with one of ``prefixes``.
+
+    Differences are taken at the points of ``against``, relative to its largest value; an output
+    that never moves is left out.
+    """
+    found = []
+    for name in sorted(set(waves.data) & set(against.data)):
+        exact = against[name]
+        if not name.startswith(prefixes) or not np.ptp(exact):
+            continue
+        ours = waves[name]
+        if "time" in waves:
+            ours = np.interp(against["time"], waves["time"], ours)
+        error = np.abs(ours - exact) / np.abs(exact).max()
+        found.append(OutputError(pair, name, float(error.max()), float(np.sqrt(np.mean(error**2)))))
+    return found

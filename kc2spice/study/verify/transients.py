@@ -23,8 +23,10 @@ from kc2spice.study.verify.roads import (
     full_road,
     gated,
     ngspice_road,
+    output_errors,
     scipy_road,
 )
+from kc2spice.study.verify.steps import step_study
 from kc2spice.study.verify.structure import structure_checks
 
 KICK_ONLY = 12e-6  # s from the pulse's start: the sphere has left after six microseconds
@@ -81,6 +83,11 @@ def verify_impact(scene: Scene, models: Models, clock: Clock, work: Path, full: 
             "full_wall_s": refactor,
             "rom_wall_s": deck_time,
         },
+        steps=step_study(scene, models, rom.waves, clock, work / "steps"),
+        outputs=(
+            *output_errors("rom_vs_fom", rom.waves, fom.waves, "sphere.v", "kick.u"),
+            *output_errors("ngspice_vs_fom", waves, fom.waves, "sphere.v", "kick.u"),
+        ),
         notes=(f"refactorising road timed over {timed} of {steps} steps in contact",),
         curves={"full model": fom.waves, "ROM, scipy": rom.waves, "netlist, ngspice": waves},
     )
@@ -98,12 +105,13 @@ def verify_loop(scene: Scene, models: Models, clock: Clock, work: Path, full: bo
     )
     waves, deck_time = ngspice_road(scene, models, clock, work)
     whole = compare(waves, rom.waves)
-    launch, launch_roads = _launch(scene, kick, clock, work / "launch")
+    launch, launch_roads, kicked = _launch(scene, kick, clock, work / "launch")
     checks = [
         *structure_checks(kick.resonators, _band(scene)),
         Check("launch velocity, ngspice to ROM", whole["velocity_relative"], gates.launch_velocity),
         Check("trajectory, ngspice to ROM", whole["trajectory_m"], gates.trajectory, "m"),
         Check("energy book of the ROM", _book(rom), gates.energy),
+        Check("energy over the kick in ngspice", kicked, gates.energy),
         *gated("launch without catch", launch, "velocity_relative", gates.launch_full_model),
     ]
     return Findings(
@@ -120,6 +128,7 @@ def verify_loop(scene: Scene, models: Models, clock: Clock, work: Path, full: bo
             "setpoint_m": None if scene.control is None else scene.control.setpoint,
             "simulate_wall_s": deck_time,
         },
+        outputs=tuple(output_errors("ngspice_vs_rom", waves, rom.waves, "sphere", "kick.u")),
         notes=(
             "errors are those of the launch velocity, with catch and control left out; "
             "speed-ups over the full model are those of the impact scene",
@@ -128,8 +137,10 @@ def verify_loop(scene: Scene, models: Models, clock: Clock, work: Path, full: bo
     )
 
 
-def _launch(scene: Scene, kick: KickModel, clock: Clock, work: Path) -> tuple[Pairs, list[Road]]:
-    """The kick without catch and control, three ways, from the pulse's start."""
+def _launch(
+    scene: Scene, kick: KickModel, clock: Clock, work: Path
+) -> tuple[Pairs, list[Road], float]:
+    """The kick without catch and control, three ways, and ngspice's energy over its contact."""
     chip = need(scene.kick, "kick")
     drive = chip.drive.model_copy(update={"start": 0.0})
     solver = scene.solver.model_copy(update={"stop": KICK_ONLY})
@@ -148,11 +159,12 @@ def _launch(scene: Scene, kick: KickModel, clock: Clock, work: Path) -> tuple[Pa
     )
     waves, deck_time = ngspice_road(bare, Models(kick, None), clock, work)
     pairs = compared(fom.waves, rom.waves, waves)
-    return pairs, [
+    roads = [
         Road("launch: full model, converged in time", fom.wall_s),
         Road("launch: ROM, scipy", rom_time, "full model", dict(pairs["rom_vs_fom"])),
         Road("launch: netlist, ngspice", deck_time, "full model", dict(pairs["ngspice_vs_fom"])),
     ]
+    return pairs, roads, contact_energy(waves, bare)
 
 
 def _band(scene: Scene) -> np.ndarray:

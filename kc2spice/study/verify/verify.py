@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from kc2spice.output import staged
 from kc2spice.report.figures import verify_figures
 from kc2spice.report.plots import Picture
 from kc2spice.report.verdict import Check, Findings
-from kc2spice.report.verify_figures import poles_figure
+from kc2spice.report.verify_figures import poles_figure, steps_figure
 from kc2spice.report.verify_page import write_verify
 from kc2spice.rom.meshstudy import MeshPoint
 from kc2spice.rom.naive import naive_poles
@@ -23,11 +23,12 @@ from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.study.models import Models, build_models
 from kc2spice.study.progress import Clock, Progress, silent
-from kc2spice.study.results import write_record
+from kc2spice.study.results import plain, write_record
 from kc2spice.study.verify.emforce import verify_em_force
 from kc2spice.study.verify.fullmodel import full_system
 from kc2spice.study.verify.linear import verify_harmonic, verify_imprint
 from kc2spice.study.verify.meshes import compare_meshes, mesh_records, mesh_section
+from kc2spice.study.verify.steps import step_records, step_section
 from kc2spice.study.verify.transients import verify_impact, verify_loop
 
 Verifier = Callable[[Scene, Models, Clock, Path, bool], Findings]
@@ -86,12 +87,14 @@ def verify(
                 studied[scene.name] = compare_meshes(scene, clock, full)
             pictures[scene.name] = _draw(scene, models, found[scene.name], folder, clock)
         drawn = {name: replace(f, pictures=tuple(pictures[name])) for name, f in found.items()}
-        write_verify(work / "verify.html", drawn, [mesh_section(p) for p in studied.values()])
+        more = [step_section(name, f.steps) for name, f in found.items() if f.steps]
+        more += [mesh_section(points) for points in studied.values()]
+        write_verify(work / "verify.html", drawn, more)
         records = {name: _record(findings) for name, findings in found.items()}
         for name, points in studied.items():
             records[name]["meshes"] = mesh_records(points)
         write_record({"passed": _all_passed(records), "scenes": records}, work, "verify.json")
-    return records
+    return cast(dict[str, dict[str, Any]], plain(records))
 
 
 def verifiable(scene: Scene) -> bool:
@@ -109,6 +112,9 @@ def _draw(
 ) -> list[Picture]:
     with clock.stage("report", "plots"):
         drawn = verify_figures(folder, scene, found.curves, models.table)
+        if found.steps:
+            chosen = (scene.solver.reltol, scene.solver.max_step)
+            drawn.append(steps_figure(folder / "steps.png", found.steps, chosen))
         if scene.experiment == "harmonic" and models.kick is not None:
             modal = models.kick.resonators
             root = np.sqrt((modal.damp / 2) ** 2 - modal.omega**2 + 0j)
@@ -126,6 +132,8 @@ def _record(found: Findings) -> dict[str, Any]:
         "errors": found.errors,
         "speedup": found.speedup,
         "metrics": found.metrics,
+        "outputs": [asdict(output) for output in found.outputs],
+        "steps": step_records(found.steps),
         "roads": [asdict(road) for road in found.roads],
         "notes": list(found.notes),
     }
