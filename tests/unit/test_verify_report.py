@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,40 +11,12 @@ from kc2spice.report import verify_figures as figures
 from kc2spice.report.figures import run_figures
 from kc2spice.report.html import quantity
 from kc2spice.report.paper import paper_section
-from kc2spice.report.plots import Picture
+from kc2spice.report.verdict import Check, Findings, Road
 from kc2spice.report.verify_page import write_verify
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.waveforms import Waveforms
 
 NAMES = ["R0", "R1", "anode"]
-
-
-@dataclass(frozen=True)
-class Check:
-    name: str
-    value: float | None
-    limit: float
-    unit: str
-    passed: bool
-
-
-@dataclass(frozen=True)
-class Road:
-    name: str
-    wall_s: float
-    against: str = ""
-    errors: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Findings:
-    checks: tuple[Check, ...] = ()
-    roads: tuple[Road, ...] = ()
-    errors: dict[str, float] = field(default_factory=dict)
-    speedup: dict[str, float] = field(default_factory=dict)
-    metrics: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    pictures: tuple[Picture, ...] = ()
 
 
 def harmonic(error: float) -> Waveforms:
@@ -112,8 +82,8 @@ def test_rings_close_where_their_force_begins() -> None:
 
 
 def test_page_shows_gates_roads_and_the_paper(tmp_path: Path) -> None:
-    met = Check("position error / travel", 3e-5, 1e-4, "1", True)
-    missed = Check("separation time", 4e-8, 2e-8, "s", False)
+    met = Check("position error / travel", 3e-5, 1e-4)
+    missed = Check("separation time", 4e-8, 2e-8, "s")
     found = {
         "impact": Findings(
             checks=(met, missed),
@@ -123,7 +93,7 @@ def test_page_shows_gates_roads_and_the_paper(tmp_path: Path) -> None:
             metrics={"separation_time_s": 9.92e-6, "full_wall_s": 3.0},
             notes=("Mesh error dominates.",),
         ),
-        "imprint": Findings(checks=(met,)),
+        "imprint": Findings(checks=(met,), errors={}, speedup={}, roads=(), metrics={}),
     }
     text = write_verify(tmp_path / "verify.html", found).read_text(encoding="utf-8")
     for words in (
