@@ -44,6 +44,7 @@ def realize(
     header: Header,
     *,
     name: str = "kick",
+    title: str = "piezoelectric actuator, reduced finite-element model of the whole device",
     ports: tuple[str, ...] | None = None,
 ) -> Subcircuit:
     """One ``.subckt`` with the electrical port ``anode cathode``, the rings asked for and ``base``.
@@ -59,6 +60,7 @@ def realize(
     Parameters
     ----------
     model : the whole device, not a symmetry sector.
+    title : what the device is, for the head of the library.
     ports : names of the model's ports to bring out, all by default; the others see no load.
 
     Raises
@@ -83,7 +85,7 @@ def realize(
         "kick.j2",
         header=part_header(
             header,
-            f"{name}: piezoelectric actuator, reduced finite-element model of the whole device",
+            f"{name}: {title}",
             pins,
             rom=rom_line(model.order, model.certificate),
         ),

@@ -117,7 +117,8 @@ def subcircuit(
             got="a dense form" if dense else "a first-order model",
             hint="give the ports as signals, direction 'in' and 'out', in the model's TOML",
         )
-    return realize(resonators(reduced), header, name=name)
+    title = "reduced model with conservative ports"
+    return realize(resonators(reduced), header, name=name, title=title)
 
 
 def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:

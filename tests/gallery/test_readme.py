@@ -1,0 +1,38 @@
+"""The commands that the README shows work as they stand."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+BLOCKS = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+LINES = [line for block in BLOCKS for line in block.splitlines()]
+# NAME stands for the reader's own files.
+COMMANDS = [c for c in LINES if c.startswith("kc2spice ") and "NAME" not in c]
+
+
+def test_readme_shows_the_commands_of_its_table():
+    assert len(COMMANDS) >= 5
+    assert {"make demo", "make test"} <= {line.split("#")[0].strip() for line in LINES}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_works(command, tmp_path):
+    words = shlex.split(command, comments=True)[1:]
+    done = subprocess.run(
+        [sys.executable, "-m", "kc2spice", *words],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_pictures_are_there():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
+        assert (ROOT / picture).stat().st_size > 5_000, picture
