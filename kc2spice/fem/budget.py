@@ -32,14 +32,29 @@ def require_memory(kick: Kick) -> None:
     ------
     UsageError : the model is too large for this machine.
     """
-    need, free = factor_bytes(kick), USABLE * available_bytes()
+    require_bytes(
+        factor_bytes(kick),
+        "the factorised stiffness",
+        where="kick.mesh",
+        hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
+    )
+
+
+def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
+    """Compare ``need`` [B] with the memory that is free now.
+
+    Raises
+    ------
+    UsageError : it is more than this machine can give.
+    """
+    free = USABLE * available_bytes()
     if need > free:
         raise UsageError(
             "model too large for this machine's memory",
-            where="kick.mesh",
-            got=f"about {need / 1e9:.1f} GB for the factorised stiffness",
+            where=where,
+            got=f"about {need / 1e9:.1f} GB for {purpose}",
             expected=f"at most {free / 1e9:.1f} GB",
-            hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
+            hint=hint,
         )
 
 

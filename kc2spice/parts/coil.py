@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.fem.emtable import EMTable, inductances
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
-from kc2spice.parts.electromagnet import POINTS, TERMS, smooth
+from kc2spice.parts.electromagnet import PINS, POINTS, TERMS, coil_resistances, smooth
 
 _MEANING = {
     "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
@@ -48,14 +48,7 @@ def coil_subcircuit(
     the magnets' part of the flux enters as ``c_k(y) v`` with the force's own coefficient, which
     closes the energy balance whatever the lookup's error. Pins as those of the ideal catch.
     """
-    pins = (
-        Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"),
-        Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"),
-    )  # fmt: skip
-    params = (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
-    )
+    params = coil_resistances(table)
     height = np.linspace(table.y[0], table.y[-1], points)
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(inductances(table, height))
@@ -68,9 +61,9 @@ def coil_subcircuit(
     ]  # fmt: skip
     text = render(
         "coil.j2",
-        header=part_header(header, f"{name}: catch actuator with real coils", pins, params),
+        header=part_header(header, f"{name}: catch actuator with real coils", PINS, params),
         name=name,
-        pins=[pin.name for pin in pins],
+        pins=[pin.name for pin in PINS],
         parameters=parameter_list(params),
         points=points,
         lowest=1e6 * height[0],
@@ -79,4 +72,4 @@ def coil_subcircuit(
         coils=[_Coil(1, "lower", "lp", "ln"), _Coil(2, "upper", "up", "un")],
         functions=functions,
     )
-    return Subcircuit(name, pins, params, text)
+    return Subcircuit(name, PINS, params, text)

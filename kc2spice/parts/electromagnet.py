@@ -23,6 +23,11 @@ TERMS: dict[str, tuple[str, ...]] = {
     "c11": ("i1", "i1"), "c12": ("i1", "i2"), "c22": ("i2", "i2"),
 }  # fmt: skip
 
+PINS = (
+    Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"),
+    Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"),
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class _Coefficient:
@@ -54,22 +59,15 @@ def catch_subcircuit(
     current : largest coil current [A] that the circuit drives; decides what is negligible.
     points : heights of the resampled lookups, equally spaced over the table.
     """
-    pins = (
-        Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"),
-        Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"),
-    )  # fmt: skip
-    params = (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
-    )
+    params = coil_resistances(table)
     kept = significant(table, current)
     height = np.linspace(table.y[0], table.y[-1], points)
     splines = dict(zip(TERMS, table.splines(height).T, strict=True))
     text = render(
         "catch.j2",
-        header=part_header(header, f"{name}: electromagnetic catch actuator", pins, params),
+        header=part_header(header, f"{name}: electromagnetic catch actuator", PINS, params),
         name=name,
-        pins=[pin.name for pin in pins],
+        pins=[pin.name for pin in PINS],
         parameters=parameter_list(params),
         points=points,
         lowest=1e6 * height[0],
@@ -82,7 +80,15 @@ def catch_subcircuit(
             for n in kept
         ],
     )
-    return Subcircuit(name, pins, params, text)
+    return Subcircuit(name, PINS, params, text)
+
+
+def coil_resistances(table: EMTable) -> tuple[Param, ...]:
+    """The resistances of both coils, which a deck may change."""
+    return (
+        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+    )
 
 
 def smooth(height: np.ndarray, values: np.ndarray) -> tuple[list[str], list[str]]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.budget import available_bytes
+from kc2spice.fem.budget import require_bytes
 from kc2spice.rom.pencil import Pencil
 
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 28 for solids.
 FILL = 28.0
 ENTRY_BYTES = 24.0  # one complex number, its index, and the work space around it
-USABLE = 0.9
 
 
 def factor_bytes(pencil: Pencil) -> float:
@@ -33,12 +31,9 @@ def require_memory(pencil: Pencil) -> None:
     ------
     UsageError : the model is too large for this machine.
     """
-    need, free = factor_bytes(pencil), USABLE * available_bytes()
-    if need > free:
-        raise UsageError(
-            "model too large for this machine's memory",
-            where="reduction",
-            got=f"about {need / 1e9:.1f} GB for {pencil.size} factorised equations",
-            expected=f"at most {free / 1e9:.1f} GB",
-            hint="use a coarser mesh, or a machine with more memory",
-        )
+    require_bytes(
+        factor_bytes(pencil),
+        f"{pencil.size} factorised equations",
+        where="reduction",
+        hint="use a coarser mesh, or a machine with more memory",
+    )

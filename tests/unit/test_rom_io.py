@@ -261,7 +261,7 @@ def test_damaged_reduced_models_are_refused(tmp_path):
 
 def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
     model = read_model(write_family(tmp_path, chain()))
-    monkeypatch.setattr("kc2spice.rom.memory.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.fem.budget.available_bytes", lambda: 1000.0)
     with pytest.raises(UsageError, match="too large"):
         reduce_model(model, (0.0, 0.1), tolerance=1e-3)
 
