@@ -61,10 +61,10 @@ HOSTILE = {
     "wave file": "V1 a 0 wavefile=../x.wav chan=0",
     "table file": "B1 a 0 V=tablefile(\"/etc/passwd\")",
     "table from a file": "B1 a 0 V={table(\"/etc/passwd\")}",
-    "output bias file": ".savebias /tmp/x",
+    "output bias file": ".savebias x.txt",
     "unknown command": ".exec id",
     "script machinery": "set filetype=ascii",
-    "write": "write /tmp/x v(a)",
+    "write": "write x.txt v(a)",
 }  # fmt: skip
 
 BENIGN = {
