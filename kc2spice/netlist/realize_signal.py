@@ -162,7 +162,7 @@ def _description(block: np.ndarray) -> str:
     texts = []
     for pole in found:
         if pole.imag > 0:
-            ratio = -pole.real / abs(pole)
+            ratio = 0.0 - pole.real / abs(pole)  # never -0
             texts.append(f"{abs(pole) / (2 * np.pi):.6g} Hz, damping ratio {ratio:.6g}")
         else:
             texts.append(f"pole {pole.real:.6g} 1/s")

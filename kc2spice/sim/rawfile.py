@@ -58,7 +58,7 @@ def read_header(path: Path) -> RawHeader | None:
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Vectors of the one plot in ``path``, lower-case names, the scale first.
+    """Vectors of the one plot in ``path``, lower-case names, the scale (always real) first.
 
     Raises
     ------
@@ -79,9 +79,12 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
         )
     kind = np.complex128 if header.is_complex else np.float64
     table = np.frombuffer(body, dtype=kind).reshape(header.points, len(header.names))
-    if not np.isfinite(table).all():
+    # ngspice leaves the imaginary part of an .ac run's frequency to what its stack holds.
+    scale, values = table[:, 0].real, table[:, 1:]
+    if not (np.isfinite(scale).all() and np.isfinite(values).all()):
         raise _corrupt(path, "it holds values that are not finite")
-    return {name: table[:, i].copy() for i, name in enumerate(header.names)}
+    columns = (scale, *values.T)
+    return {name: column.copy() for name, column in zip(header.names, columns, strict=True)}
 
 
 def last_scale_value(path: Path) -> float | None:

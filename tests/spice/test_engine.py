@@ -44,6 +44,16 @@ def test_real_and_complex_files_are_read(tmp_path):
     assert read_raw(path)["v(a)"][0] == 1 - 2j
 
 
+def test_garbage_beside_a_real_frequency_is_not_read(tmp_path):
+    """ngspice writes the frequency's imaginary part uninitialised, now and then as a NaN."""
+    path = tmp_path / "a.raw"
+    values = struct.pack("<4d", 5.0, float("nan"), 1.0, -2.0)
+    path.write_bytes(raw_text(1, "complex", ("frequency", "v(a)")) + values)
+    vectors = read_raw(path)
+    assert vectors["frequency"].dtype == float
+    assert (vectors["frequency"][0], vectors["v(a)"][0]) == (5.0, 1 - 2j)
+
+
 @pytest.mark.parametrize(
     "content",
     [
