@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -135,23 +136,31 @@ def _execute(
             stderr=subprocess.STDOUT,
         ) as process,
     ):
+        # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
+        ended = threading.Event()
+
+        def wait() -> None:
+            process.wait()
+            ended.set()
+
+        waiter = threading.Thread(target=wait, daemon=True)
+        waiter.start()
         try:
-            while True:
-                try:
-                    return process.wait(POLL)
-                except subprocess.TimeoutExpired:
-                    if timeout is not None and time.monotonic() - begin > timeout:
-                        raise SimulationError(
-                            f"ngspice did not finish within {timeout:g} s",
-                            where=str(main.parent),
-                            got=f"time point {last_scale_value(raw)} s of {stop} s",
-                            hint="give it more time, a looser solver.reltol or a shorter stop",
-                        ) from None
-                    if progress is not None and stop:
-                        progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
+            while not ended.wait(POLL):
+                if timeout is not None and time.monotonic() - begin > timeout:
+                    raise SimulationError(
+                        f"ngspice did not finish within {timeout:g} s",
+                        where=str(main.parent),
+                        got=f"time point {last_scale_value(raw)} s of {stop} s",
+                        hint="give it more time, a looser solver.reltol or a shorter stop",
+                    )
+                if progress is not None and stop:
+                    progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
         finally:
-            if process.poll() is None:
+            if not ended.is_set():
                 process.kill()
+            waiter.join()
+        return process.returncode
 
 
 def _judge_log(deck: Deck, directory: Path, code: int, text: str) -> None:
