@@ -214,6 +214,10 @@ class _Lines:
 
 def _show(result: dict[str, Any]) -> None:
     rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
+    if result.get("overhead") is not None:
+        busy, over = (f"{100 * result[name]:.1f} %" for name in ("busy_share", "overhead"))
+        rows.append(("workers busy", busy))
+        rows.append(("CPU over that of ngspice", over))
     for name, share in result.get("yield", {}).items():
         low, high = share["low"], share["high"]
         rows.append((f"{name}: yield", f"{share['share']:.4g} (95 %: {low:.4g} … {high:.4g})"))

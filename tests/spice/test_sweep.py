@@ -71,6 +71,22 @@ def test_table_has_a_row_for_each_point_in_order(local):
         assert (out / name).stat().st_size > 0
 
 
+def test_the_summary_tells_what_the_points_cost(local):
+    """CPU of workers and ngspice cannot exceed what two workers have; ngspice's own word is less.
+
+    Timing decides nothing here: only what must hold on any machine is asked.
+    """
+    _, summary = local
+    ngspice, python = summary["ngspice_cpu_s"], summary["python_cpu_s"]
+    assert ngspice > 0.0
+    assert python > 0.0
+    assert summary["overhead"] == pytest.approx(python / ngspice)
+    parent = 1  # is no worker
+    share = summary["busy_share"]
+    assert share == pytest.approx((ngspice + python) / (2 * summary["wall_s"]))
+    assert 0.0 < share < (2 + parent) / 2
+
+
 def test_a_point_is_the_run_of_that_scene(local, tmp_path):
     _, summary = local
     scene = load_scene("kick_and_catch", [*SHORT, "control.kd=30", "kick.drive.voltage=80"])

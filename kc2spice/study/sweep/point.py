@@ -7,7 +7,7 @@ import tempfile
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_keys
 from kc2spice.study.progress import Clock
+from kc2spice.study.sweep.cost import METER, NOTHING, Cost
 from kc2spice.study.sweep.parameters import with_parameters
 
 _KEPT = 8  # models and decks that a worker holds at a time
@@ -92,11 +93,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Metrics in the order of the job, or in one line why there are none."""
+    """Metrics in the order of the job, or in one line why there are none; what the point cost."""
 
     index: int
     values: tuple[Metric, ...] = ()
     failure: str | None = None
+    cost: Cost = NOTHING
 
 
 def run_point(job: Job, task: Task) -> Outcome:
@@ -106,6 +108,10 @@ def run_point(job: Job, task: Task) -> Outcome:
     ------
     MissingToolError : no ngspice here: no point of this machine could succeed.
     """
+    return replace(_outcome(job, task), cost=METER.since_last())
+
+
+def _outcome(job: Job, task: Task) -> Outcome:
     try:
         scene, deck = bench(job, task.overrides)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:

@@ -13,6 +13,7 @@ import numpy as np
 
 from kc2spice.errors import SimulationError, UsageError
 from kc2spice.study.progress import Progress, silent
+from kc2spice.study.sweep.cost import METER, NOTHING, Cost
 from kc2spice.study.sweep.engines import Call, Engine, Lost, completed
 from kc2spice.study.sweep.point import Outcome, prepare, run_point
 from kc2spice.study.sweep.slurm import write_script
@@ -29,6 +30,7 @@ from kc2spice.study.sweep.table import Journal, columns, need_parquet, publish
 
 JOURNAL = "journal.csv"
 SHARDS = "shards"
+NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
 
 
 @dataclass(frozen=True)
@@ -53,18 +55,18 @@ def sweep(study: Study, out: Path, engine: Engine, progress: Progress = silent) 
     claim(study, out)
     table = _table(study, out)
     if table.exists():
-        resumed, wall = study.plan.size, 0.0
+        resumed, spent = study.plan.size, NO_TIME
     else:
         check_parameters(study)
         journal = Journal(out / JOURNAL, study.plan.size)
         try:
             resumed = int(journal.done.sum())
-            wall = _fill(study, journal, engine, progress, None)
+            spent = _fill(study, journal, engine, progress, None)
         finally:
             journal.close()
         publish([journal.path], table, study.header, study.kinds)
         journal.path.unlink()
-    return {**_conclude(study, out, progress), "resumed": resumed, "wall_s": wall}
+    return {**_conclude(study, out, progress), "resumed": resumed, **spent}
 
 
 def sweep_shard(
@@ -78,13 +80,13 @@ def sweep_shard(
     journal = Journal(path, study.plan.size)
     try:
         resumed = int(journal.done.sum())
-        wall = _fill(study, journal, engine, progress, shard)
+        spent = _fill(study, journal, engine, progress, shard)
         points, failed = int(journal.done.sum()), journal.failed
     finally:
         journal.close()
     return {
         "points": points, "failed": failed, "resumed": resumed, "table": str(path.absolute()),
-        "wall_s": wall,
+        **spent,
     }  # fmt: skip
 
 
@@ -186,13 +188,15 @@ def _table(study: Study, out: Path) -> Path:
 
 def _fill(
     study: Study, journal: Journal, engine: Engine, progress: Progress, shard: Shard | None
-) -> float:
-    """Run the points that the journal lacks; return the wall time [s]."""
+) -> dict[str, float | None]:
+    """Run the points that the journal lacks; return ``wall_s`` and what it cost."""
     start = time.monotonic()
+    METER.since_last()
     mine = _share(study, shard)
     missing = sum(not journal.done[index] for index in _share(study, shard))
     if not missing:
-        return 0.0
+        return NO_TIME
+    spent = NOTHING
     meter = _Meter(progress, missing, start)
     for call, result in completed(engine, _calls(study, journal, mine, missing, engine)):
         if not isinstance(call.name, int):
@@ -204,8 +208,10 @@ def _fill(
             outcome = Outcome(call.name, failure="its worker process died, twice")
         cells = outcome.values or (None,) * len(study.job.metrics)
         journal.record(call.name, (*study.plan.values(call.name), *cells), outcome.failure)
+        spent += outcome.cost
         meter.count(journal.failed)
-    return time.monotonic() - start
+    wall, parent = time.monotonic() - start, Cost(own=METER.since_last().own)
+    return {"wall_s": wall, **(spent + parent).summary(engine.workers, wall)}
 
 
 def _share(study: Study, shard: Shard | None) -> Iterator[int]:
