@@ -16,13 +16,14 @@ from kc2spice.netlist.header import Header
 from kc2spice.netlist.realize import realize
 from kc2spice.netlist.render import render
 from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.drivers import Driver, coil_driver, coil_load, kick_driver
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE, SENSOR, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Scene, Solver
 
 QUARTERS = 4  # the finite-element model is one symmetry sector of this many

@@ -9,15 +9,6 @@ from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
 
 
-def ring_gaps(ring_radii: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Gap [m] of every ring under a sphere that touches the centre: ``R - sqrt(R^2 - r^2)``.
-
-    Written as ``r^2 / (R + sqrt(R^2 - r^2))``, which does not cancel.
-    """
-    r = np.asarray(ring_radii, dtype=float)
-    return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
-
-
 def contact_force(
     displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
 ) -> np.ndarray:

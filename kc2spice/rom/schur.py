@@ -11,7 +11,7 @@ cf. paper 2.3 and its references 47 to 49, which apply it afterwards.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -70,3 +70,18 @@ def condense(system: PiezoSystem) -> CondensedSystem:
     D[-1, -1] = capacitance
     B = np.column_stack([system.B, b])
     return CondensedSystem(system, B, D, potentials, ShiftedSolver(system, 0.0, 1.0))
+
+
+def with_rings(model: CondensedSystem, count: int) -> CondensedSystem:
+    """``model`` with the first ``count`` of its ring ports, the centre's first, and the anode.
+
+    Elimination and factor do not depend on the ports, so they are shared.
+    """
+    keep = [*range(count), len(model.system.ports) - 1]
+    system = replace(
+        model.system,
+        B=model.system.B[:, :count],
+        ports=tuple(model.system.ports[k] for k in keep),
+        ring_radii=model.system.ring_radii[:count],
+    )
+    return replace(model, system=system, B=model.B[:, keep], D=model.D[np.ix_(keep, keep)])

@@ -98,6 +98,10 @@ def _kick(kick: Kick) -> Iterator[UsageError]:
             f"ring radius {outermost:g} m",
             f"less than half the chip's side, {kick.side / 2:g} m",
         )
+    c11, c12, c13, c33, c44, c66 = kick.material.stiffness
+    if min(c11 - abs(c12), (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:
+        limit = "C11 > |C12|, (C11 + C12) C33 > 2 C13^2, C33, C44 and C66 > 0"
+        yield _problem("kick.material.stiffness", "no such material", expected=limit)
     drive = kick.drive
     if drive.edge > drive.width:
         yield _problem(

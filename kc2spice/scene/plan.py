@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kc2spice.scene.rings import kept_rings, mesh_rings, reach, ring_gaps
 from kc2spice.scene.schema import Catch, Control, Kick, Scene, Sphere
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
@@ -52,7 +53,7 @@ def plan(scene: Scene) -> Plan:
 def _ports(scene: Scene) -> tuple[str, ...]:
     if scene.kick is None:
         return ()
-    rings = tuple(f"R{number}" for number in range(scene.kick.mesh.rings + 1))
+    rings = tuple(f"R{number}" for number in range(kept_rings(scene)))
     return (*rings, "anode")
 
 
@@ -61,7 +62,7 @@ def _parts(scene: Scene) -> list[Modelled]:
     if scene.kick:
         found += [_kick(scene, scene.kick)]
     if scene.contact and scene.kick:
-        springs = scene.kick.mesh.rings + 1
+        springs = kept_rings(scene)
         detail = f"{springs} unilateral springs, {4 * scene.contact.penalty:g} N/m per whole ring"
         found += [Modelled("contact", "closed form", detail)]
     if scene.sphere:
@@ -113,7 +114,7 @@ def _kick(scene: Scene, kick: Kick) -> Modelled:
 def _left_out(scene: Scene) -> list[LeftOut]:
     found = []
     if scene.kick:
-        found += _of_kick(scene.kick)
+        found += [*_of_kick(scene.kick), *_rings(scene, scene.kick)]
     if scene.contact and scene.kick and scene.sphere:
         found += [
             _elsewhere("friction, adhesion and plastic flow in the contact"),
@@ -139,10 +140,24 @@ def _of_kick(kick: Kick) -> list[LeftOut]:
         LeftOut("hysteresis and depolarisation", "linear material law", "no estimate"),
         LeftOut(
             "pressure between the rings",
-            f"six ring forces stand for the contact; mesh of {cell:g} m, refine {kick.mesh.refine}",
+            f"one force per ring stands for it; mesh of {cell:g} m, refine {kick.mesh.refine}",
             "run again with kick.mesh.refine raised by one to see it",
         ),
     ]
+
+
+def _rings(scene: Scene, kick: Kick) -> list[LeftOut]:
+    kept, every = kept_rings(scene), kick.mesh.rings + 1
+    if kept == every:
+        return []
+    effect = f"contact at R{kept}" + (f" to R{every - 1}" if kept + 1 < every else "")
+    if kept == 0 or scene.sphere is None:
+        return [LeftOut(effect, "no part connects to these ports", "none")]
+    gap, estimate = float(ring_gaps(mesh_rings(kick)[kept], scene.sphere.radius)), reach(scene)
+    why = f"open up to {gap:.3g} m; {estimate.why}: {estimate.depth:.3g} m"
+    if scene.contact and scene.contact.rings != "needed":
+        why = f"contact.rings = {scene.contact.rings}"
+    return [LeftOut(effect, why, "none while they stay open, checked after the run")]
 
 
 def _rigid_sphere() -> LeftOut:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict
 from pydantic_core import PydanticCustomError
@@ -25,6 +25,13 @@ def _number_with_unit(si: str, value: object) -> float:
         context = {"reason": "needs its unit", "expected": f'a string such as "1 {si}"'}
         raise PydanticCustomError("quantity", "{reason}", context)
     return _number(si, value)
+
+
+def _rings(value: object) -> object:
+    if value in ("needed", "all") or (type(value) is int and value >= 1):
+        return value
+    context = {"reason": "no such choice", "expected": "needed, all, or a whole number from 1 on"}
+    raise PydanticCustomError("quantity", "{reason}", context)
 
 
 def si(unit: str) -> BeforeValidator:
@@ -51,6 +58,7 @@ Capacitance = Annotated[float, si("F")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
+Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
 

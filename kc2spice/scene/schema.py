@@ -30,6 +30,7 @@ from kc2spice.scene.quantities import (
     Rate,
     Ratio,
     Resistivity,
+    Rings,
     Section,
     Stiffness,
     Time,
@@ -109,6 +110,7 @@ class Contact(Section):
     """Penalty contact, one spring per ring (paper eq. 10); ``penalty`` is of the quarter model."""
 
     penalty: Stiffness = Field(1e8, gt=0)
+    rings: Rings = Field("needed", description="needed, all, or how many from the centre on")
 
 
 class Sphere(Section):

@@ -18,8 +18,9 @@ from kc2spice.rom.facts import condensed_facts
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.model import Certificate, ResonatorModel
 from kc2spice.rom.reduce import reduce_condensed
-from kc2spice.rom.schur import CondensedSystem, condense
+from kc2spice.rom.schur import CondensedSystem, condense, with_rings
 from kc2spice.scene.need import need
+from kc2spice.scene.rings import kept_rings
 from kc2spice.scene.schema import Drive, Kick, Scene
 from kc2spice.study.progress import Clock
 
@@ -63,7 +64,10 @@ def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
     keys: dict[str, dict[str, Any]] = {}
     if scene.kick is not None:
         keys["chip"] = scene.kick.model_dump(mode="json", exclude={"drive", "electrical"})
-        keys["reduction"] = {"kick": keys["chip"], "rom": scene.rom.model_dump(mode="json")}
+        keys["reduction"] = {
+            "kick": keys["chip"], "rings": kept_rings(scene),
+            "rom": scene.rom.model_dump(mode="json"),
+        }  # fmt: skip
     if scene.catch is not None:
         catch = scene.catch.model_dump(mode="json", exclude={"remanence"})
         keys["field"] = {"catch": catch, "radius": need(scene.sphere, "sphere").radius}
@@ -97,9 +101,10 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
             system = _assembled(chip)
         with clock.stage("reduce", "factorisation and Krylov basis"):
             condensed, facts = _condensed(chip)
-            modal = resonators(reduce_condensed(condensed, scene.rom))
+            kept = with_rings(condensed, kept_rings(scene))
+            modal = resonators(reduce_condensed(kept, scene.rom))
         whole = whole_device(modal, system.sectors)
-        return KickModel(whole, system.ring_radii, system.sectors, facts)
+        return KickModel(whole, kept.system.ring_radii, system.sectors, facts)
 
     model, _ = cached(
         "kick", model_keys(scene)["reduction"], build,

@@ -24,7 +24,7 @@ from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import Simulator, find_ngspice, run_deck, write_deck, write_files
-from kc2spice.sim.truth import require_truth
+from kc2spice.sim.truth import require, truth_checks
 from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_facts
@@ -55,8 +55,7 @@ def run(
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
         with simulating as share, _kept_on_failure(work, out):
             waves = run_deck(deck, work, progress=share)
-            if scene.experiment in ("loop", "impact"):
-                require_truth(waves, scene, models.table)
+            require(truth_checks(waves, scene, models.table, _chip(models)), scene)
         with clock.stage("report", "metrics, plots and page"):
             record = _record(scene, models, deck, simulator, waves, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, work)]
@@ -121,6 +120,10 @@ def _kept_on_failure(work: Path, out: Path) -> Iterator[None]:
         shutil.copytree(work, kept)
         error.where = None if error.where is None else error.where.replace(str(work), str(kept))
         raise
+
+
+def _chip(models: Models) -> ResonatorModel | None:
+    return None if models.kick is None else models.kick.resonators
 
 
 def _record(

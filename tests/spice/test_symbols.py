@@ -8,11 +8,12 @@ import pytest
 from kc2spice.netlist.kicad import RELEASES
 from kc2spice.netlist.realize import realize
 from kc2spice.netlist.symbol import symbol_files
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Control, Sphere
 
 kicadfiles = pytest.importorskip("kicadfiles")

@@ -12,11 +12,12 @@ from kc2spice.netlist.realize import realize
 from kc2spice.netlist.veriloga import library
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Control, Sphere
 
 openvaf = pytest.importorskip("openvaf_py")

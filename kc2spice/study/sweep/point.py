@@ -21,6 +21,7 @@ from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.truth import require, ring_checks
 from kc2spice.sim.waveforms import Waveforms
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_keys
@@ -117,6 +118,9 @@ def _outcome(job: Job, task: Task) -> Outcome:
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             deck = with_parameters(deck, (*job.parameters, *task.parameters))
             waves = run_deck(deck, Path(directory), timeout=job.timeout)
+        chip = _STORE.models(scene).kick
+        if chip is not None and scene.contact is not None:
+            require(ring_checks(waves, scene, chip.resonators), scene)
         found = metrics(waves, scene)
         return Outcome(task.index, tuple(_plain(found[name]) for name in job.metrics))
     except MissingToolError:
