@@ -115,7 +115,7 @@ def loop_deck(
         parts.append(coil_subcircuit(header, need(table, "field table")))
     elif scene.catch:
         current = scene.control.current_limit if scene.control else 0.0
-        parts.append(catch_subcircuit(header, need(table, "field table"), current))
+        parts.append(catch_subcircuit(header, need(table, "field table"), current, series=True))
     if scene.catch and scene.control and not sampled:
         pid = pid_subcircuit(header, scene.control, output=drivers.coil is None)
         parts += [opamp_subcircuit(header), pid]
@@ -270,8 +270,9 @@ def _vectors(scene: Scene, rings: tuple[str, ...], drivers: _Drivers, sampled: b
         elif not drivers.kick and scene.kick.electrical != "open":
             vectors["kick.current"] = ("i(vkick)", -1.0)
     if scene.catch and scene.control:
-        vectors["coil.lower.current"] = ("v(xcatch.i1)", 1.0)
-        vectors["coil.upper.current"] = ("v(xcatch.i2)", 1.0)
+        lower, upper = ("i1", "i2") if drivers.coil else ("i", "i")
+        vectors["coil.lower.current"] = (f"v(xcatch.{lower})", 1.0 if drivers.coil else -1.0)
+        vectors["coil.upper.current"] = (f"v(xcatch.{upper})", 1.0)
         if not sampled:
             vectors["control.error"] = ("v(xpid.e)", 1.0 / SENSOR)
     if drivers.coil:

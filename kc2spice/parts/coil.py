@@ -13,7 +13,7 @@ from kc2spice.fem.emtable import EMTable, inductances
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
-from kc2spice.parts.electromagnet import PINS, POINTS, TERMS, coil_resistances, smooth
+from kc2spice.parts.electromagnet import COEFFICIENTS, PINS, POINTS, coil_resistances, smooth
 
 _MEANING = {
     "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
@@ -52,8 +52,10 @@ def coil_subcircuit(
     height = np.linspace(table.y[0], table.y[-1], points)
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(inductances(table, height))
-    splines = dict(zip(TERMS, table.splines(height).T, strict=True))
-    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(height, splines[n])) for n in TERMS]
+    splines = dict(zip(COEFFICIENTS, table.splines(height).T, strict=True))
+    functions = [
+        _Function(n, f"{n}(y): {_MEANING[n]}", *smooth(height, splines[n])) for n in COEFFICIENTS
+    ]
     functions += [
         _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L",
                   *smooth(height, inverse[:, k - 1, l - 1]))

@@ -17,16 +17,47 @@ from kc2spice.netlist.render import render
 
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
-# The force is the sum of these coefficients, each times its currents.
-TERMS: dict[str, tuple[str, ...]] = {
-    "c0": (), "c1": ("i1",), "c2": ("i2",),
-    "c11": ("i1", "i1"), "c12": ("i1", "i2"), "c22": ("i2", "i2"),
-}  # fmt: skip
 
+
+@dataclass(frozen=True)
+class Term:
+    """One summand of the force: a function of height times ``currents``.
+
+    The function is the sum of the table's coefficients, each times its entry in ``weights``.
+    """
+
+    name: str
+    currents: tuple[str, ...]
+    weights: dict[str, float]
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """The function where the table's coefficients are ``values``, (positions, 6)."""
+        return np.asarray(
+            sum(w * values[:, COEFFICIENTS.index(k)] for k, w in self.weights.items())
+        )
+
+
+COEFFICIENTS = ("c0", "c1", "c2", "c11", "c12", "c22")
+SEPARATE = (
+    Term("c0", (), {"c0": 1.0}),
+    Term("c1", ("i1",), {"c1": 1.0}),
+    Term("c2", ("i2",), {"c2": 1.0}),
+    Term("c11", ("i1", "i1"), {"c11": 1.0}),
+    Term("c12", ("i1", "i2"), {"c12": 1.0}),
+    Term("c22", ("i2", "i2"), {"c22": 1.0}),
+)
+# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them.
+SERIES = (
+    Term("c0", (), {"c0": 1.0}),
+    Term("d1", ("i",), {"c2": 1.0, "c1": -1.0}),
+    Term("d2", ("i", "i"), {"c11": 1.0, "c12": -1.0, "c22": 1.0}),
+)
+
+PLACE = (Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"))
 PINS = (
-    Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"),
-    Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"),
+    Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"), *PLACE,
 )  # fmt: skip
+SERIES_PINS = (Pin("drive", "V", "A"), Pin("ret", "V", "A"), *PLACE)
 
 
 @dataclass(frozen=True)
@@ -39,48 +70,60 @@ class _Coefficient:
     bends: list[str]
 
 
-def significant(table: EMTable, current: float) -> list[str]:
-    """Names of the coefficients that matter up to ``current`` [A], in the order of ``TERMS``."""
-    share = {
-        name: float(np.max(np.abs(getattr(table, name)))) * current ** len(currents)
-        for name, currents in TERMS.items()
-    }
-    largest = max(share.values())
-    return [name for name, value in share.items() if value > NEGLIGIBLE * largest]
+def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
+    """The terms that matter up to ``current`` [A], in their order."""
+    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    share = [float(np.abs(t.of(values)).max()) * current ** len(t.currents) for t in terms]
+    return [t for t, size in zip(terms, share, strict=True) if size > NEGLIGIBLE * max(share)]
 
 
 def catch_subcircuit(
-    header: Header, table: EMTable, current: float, *, points: int = POINTS, name: str = "catch"
+    header: Header,
+    table: EMTable,
+    current: float,
+    *,
+    series: bool = False,
+    points: int = POINTS,
+    name: str = "catch",
 ) -> Subcircuit:
-    """Two coils ``lp ln`` and ``up un`` and the force they put on the sphere's node ``v``.
+    """The coils and the force they put on the sphere's node ``v``.
+
+    Two coils ``lp ln`` and ``up un``, or with ``series`` both between ``drive`` and ``ret``, the
+    lower one reversed: three functions of height instead of six, and the same force.
 
     Parameters
     ----------
     current : largest coil current [A] that the circuit drives; decides what is negligible.
     points : heights of the resampled lookups, equally spaced over the table.
     """
-    params = coil_resistances(table)
-    kept = significant(table, current)
+    params, pins = coil_resistances(table), SERIES_PINS if series else PINS
+    terms = SERIES if series else SEPARATE
+    kept = significant(table, current, terms)
     height = np.linspace(table.y[0], table.y[-1], points)
-    splines = dict(zip(TERMS, table.splines(height).T, strict=True))
+    values = table.splines(height)
     text = render(
         "catch.j2",
-        header=part_header(header, f"{name}: electromagnetic catch actuator", PINS, params),
+        header=part_header(header, f"{name}: electromagnetic catch actuator", pins, params),
         name=name,
-        pins=[pin.name for pin in PINS],
+        pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
+        series=series,
         points=points,
         lowest=1e6 * height[0],
         spacing=1e6 * (height[1] - height[0]),
-        law=" + ".join(" ".join((f"{name}(y)", *i)) for name, i in TERMS.items()),
-        left_out=[name for name in TERMS if name not in kept],
+        law=" + ".join(" ".join((f"{term.name}(y)", *term.currents)) for term in terms),
+        left_out=[term.name for term in terms if term not in kept],
         negligible=NEGLIGIBLE,
         coefficients=[
-            _Coefficient(n, "".join(f"V({i})*" for i in TERMS[n]), *smooth(height, splines[n]))
-            for n in kept
+            _Coefficient(
+                term.name,
+                "".join(f"V({i})*" for i in term.currents),
+                *smooth(height, term.of(values)),
+            )
+            for term in kept
         ],
     )
-    return Subcircuit(name, PINS, params, text)
+    return Subcircuit(name, pins, params, text)
 
 
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:

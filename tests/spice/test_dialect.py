@@ -243,7 +243,7 @@ def test_ngspice_is_left_alone(loop):
 
 def test_result_names_follow(loop):
     assert translate(loop, "xyce").vectors["contact.force.R1"] == ("I(xcontact:br1)", 1.0)
-    assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i1)", 1.0)
+    assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i)", -1.0)
     whole, _ = translate(loop, "xyce").vectors["contact.force"]
     assert whole.count("+") == 5
 

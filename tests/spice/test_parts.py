@@ -151,6 +151,29 @@ Vy y 0 0
     np.testing.assert_allclose(waves["v"], 159.6, rtol=1e-9)
 
 
+def test_coils_in_series_pull_as_two_coils_with_opposite_currents(header, table, tmp_path):
+    parts = [
+        catch_subcircuit(header, table, 0.1, name="separate"),
+        catch_subcircuit(header, table, 0.1, series=True, name="series"),
+    ]
+    cards = """Xa ret mid drive mid y fa 0 separate
+Idrive 0 drive 0.08
+Rret ret 0 1
+Xb drive2 ret2 y fb 0 series
+Idrive2 0 drive2 0.08
+Rret2 ret2 0 1
+Rfa fa 0 1
+Rfb fb 0 1
+Vy y 0 0
+.dc Vy 900 7400 130"""
+    vectors = {"a": ("v(fa)", 1.0), "b": ("v(fb)", 1.0)}
+    vectors |= {"va": ("v(drive)", 1.0), "vb": ("v(drive2)", 1.0)}
+    waves = run_deck(bench(parts, cards, vectors), tmp_path)
+    # c12, which the series form keeps in d2, is left out of the separate one: 2e-6 of the largest
+    np.testing.assert_allclose(waves["b"], waves["a"], atol=3e-6 * np.abs(waves["a"]).max())
+    np.testing.assert_allclose(waves["va"], waves["vb"], rtol=1e-12)
+
+
 def test_coefficients_that_do_not_matter_leave_no_trace(header, table):
     text = catch_subcircuit(header, table, 0.1).text
     assert "Bc12" not in text
