@@ -8,8 +8,8 @@ import numpy as np
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.cards import name as checked_name
-from kc2spice.netlist.circuit import Pin, Subcircuit
-from kc2spice.netlist.header import Header, part_header, rom_line
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.header import Header, parameter_list, part_header, rom_line
 from kc2spice.netlist.render import render
 from kc2spice.rom.model import ResonatorModel
 
@@ -81,23 +81,32 @@ def realize(
     electrical = anode is not None and model.ports[anode].name in wanted
     clamped = float(model.D[anode, anode]) if anode is not None else 0.0
     pins = _pins(rings, electrical)
+    params = _params(model)
     text = render(
         "kick.j2",
         header=part_header(
             header,
             f"{name}: {title}",
             pins,
+            params,
             rom=rom_line(model.order, model.certificate),
         ),
         name=checked_name(name),
         pins=[pin.name for pin in pins],
+        parameters=parameter_list(params),
         rings=rings,
         modes=_modes(model, anode),
         electrical=electrical,
         clamped=clamped,
         leak=LEAK,
     )
-    return Subcircuit(name, pins, (), text)
+    return Subcircuit(name, pins, params, text)
+
+
+def _params(model: ResonatorModel) -> tuple[Param, ...]:
+    """A scale of all damping where there is any; zero gives the undamped device."""
+    scale = Param("damping", 1.0, "-", "scale of the damping of all modes")
+    return (scale,) if np.any(model.damp > 0) else ()
 
 
 def _pins(rings: tuple[_Ring, ...], electrical: bool) -> tuple[Pin, ...]:

@@ -138,14 +138,13 @@ def linear_subcircuit(header: Header, drive: LinearDrive, load: Load, current: f
 def pwm_subcircuit(header: Header, drive: PwmDrive, load: Load) -> Subcircuit:
     """Coil current ``V(command) / 100 Ohm`` from an H-bridge; needs opamp."""
     resistance = load.resistance + 2 * drive.resistance + 1.0
-    ratio = 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / (drive.rail * SENSE)
+    r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
     params = (
         Param("rail", drive.rail, "V", "supply of the bridge"),
         Param("frequency", drive.frequency, "Hz", "of the carrier"),
         Param("resistance", drive.resistance, "Ohm", "of each switch when on"),
         Param("edge", drive.edge, "s", "of the switched voltage"),
     )
-    r2 = 1e5 * ratio
     return _rendered(
         header, "pwm", "H-bridge for the coils", params, ("drive", "ret"),
         sense=SENSE, inductance=load.inductance, resistance=resistance, bandwidth=drive.bandwidth,

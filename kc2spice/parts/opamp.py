@@ -16,7 +16,7 @@ _NAMES: dict[Level, str] = {"ideal": "opamp_ideal", "pole": "opamp", "slew": "op
 _TITLES: dict[Level, str] = {
     "ideal": "ideal operational amplifier",
     "pole": "operational amplifier",
-    "slew": "operational amplifier with slew rate, offset and current limit",
+    "slew": "operational amplifier with slew rate and current limit",
 }
 
 
@@ -24,7 +24,7 @@ def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
     """``V(out) = A(s) (V(inp) - V(inn))`` behind an output resistance, pins alike at all levels.
 
     ``ideal``: A = a0. ``pole``: A = a0 / (1 + s a0 / (2 pi gbw)) between the rails ``vee`` and
-    ``vcc``. ``slew``: the same with limited slew rate and output current, and an input offset.
+    ``vcc``, with an input offset. ``slew``: the same with limited slew rate and output current.
     The parts are named ``opamp_ideal``, ``opamp`` and ``opamp_slew``.
     """
     name = _NAMES[level]
@@ -47,11 +47,11 @@ def _params(level: Level) -> tuple[Param, ...]:
     if level == "ideal":
         return (gain, output)
     pole = Param("gbw", BANDWIDTH, "Hz", "gain-bandwidth product")
+    offset = Param("offset", 0.0, "V", "input offset")
     if level == "pole":
-        return (gain, pole, output, Param("clip", 1e3, "S", "stiffness of the rails"))
+        return (gain, pole, output, offset, Param("clip", 1e3, "S", "stiffness of the rails"))
     return (
-        gain, pole, output,
+        gain, pole, output, offset,
         Param("slew", 1e9, "V/s", "fastest change of the output"),
-        Param("offset", 0.0, "V", "input offset"),
         Param("current_limit", 1.0, "A", "largest output current"),
     )  # fmt: skip

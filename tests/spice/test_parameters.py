@@ -6,9 +6,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kc2spice.fem.piezo import assemble_kick
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.lint import lint
+from kc2spice.netlist.realize import realize
 from kc2spice.parts.bench import loop_deck
+from kc2spice.rom.modal import resonators, whole_device
+from kc2spice.rom.reduce import reduce_kick
+from kc2spice.scene.drivers import (
+    Amplifier,
+    CatchDriver,
+    ChargeDrive,
+    HalfBridge,
+    KickDriver,
+    LinearDrive,
+    PwmDrive,
+)
+from kc2spice.scene.schema import Damping, Kick, Rom
 from kc2spice.sim.ngspice import run_deck
 
 STOP = 0.7e-3
@@ -57,6 +71,8 @@ CHANGES = {
                {"sphere.mass", "sphere.radius", *(f"contact.gap_R{i}" for i in range(1, 6))}),
     "gravity": (None, {"gravity": 1.62}, {"sphere.gravity"}),
     "set point": ("control", {"setpoint": 2.0e-3}, {"pid.setpoint"}),
+    "gains": ("control", {"kp": 3e4, "ki": 1e3, "kd": 15.0, "rolloff": 2e-7},
+              {"pid.kp", "pid.ki", "pid.kd", "pid.rolloff"}),
     "current limit": ("control", {"current_limit": 0.06}, {"pid.current_limit"}),
 }  # fmt: skip
 
@@ -79,6 +95,62 @@ def test_a_changed_parameter_equals_a_new_export(scene, decks, change, tmp_path)
     assert not np.array_equal(runs[0]["sphere.y"], runs[2]["sphere.y"]), "the change does nothing"
 
 
+RAILS = {
+    "linear": (LinearDrive, CatchDriver, "catch", 24.0),
+    "pwm": (PwmDrive, CatchDriver, "catch", 150.0),
+    "half_bridge": (HalfBridge, KickDriver, "kick", 90.0),
+    "amplifier": (Amplifier, KickDriver, "kick", 95.0),
+    "charge": (ChargeDrive, KickDriver, "kick", 80.0),
+}
+
+
+@pytest.mark.parametrize("name", RAILS)
+def test_a_changed_rail_equals_a_new_export(scene, decks, name, tmp_path):
+    drive, choice, section, rail = RAILS[name]
+
+    def driven(part):
+        inner = getattr(scene, section).model_copy(update={"driver": choice(**{name: part})})
+        return scene.model_copy(update={section: inner})
+
+    base, exported = decks(driven(drive())), decks(driven(drive(rail=rail)))
+    by_hand, given = overridden(base, exported)
+    assert set(given) == {f"{name}.rail"}
+    lint(by_hand)
+    hand, export = (run_deck(short(d), tmp_path / n) for n, d in
+                    (("hand", by_hand), ("export", exported)))  # fmt: skip
+    for key in ("sphere.y", "kick.voltage", "coil.upper.current"):
+        scale = np.max(np.abs(export[key]))
+        np.testing.assert_allclose(hand[key], export[key], rtol=1e-9, atol=1e-9 * scale)
+
+
+def test_damping_of_the_chip_scales(header, tmp_path):
+    """The real chip, reduced anew with three times the damping, against ``damping=3``."""
+    parts = [chip(Damping(ratio=ratio), header) for ratio in (0.01, 0.03)]
+    cases = {"old": (parts[0], ""), "hand": (parts[0], "damping=3"), "export": (parts[1], "")}
+    vectors = {"u": ("v(r0)", 1e-6), "i": ("i(vkick)", -1.0)}
+    waves = {}
+    for case, (part, given) in cases.items():
+        text = f"""* bench
+.include kick.lib
+Vkick anode 0 AC 1
+Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick {given}
+.ac lin 500 1e3 5e5
+.save v(r0) i(vkick)
+.end
+"""
+        deck = Deck("bench", "bench.cir", {"bench.cir": text, "kick.lib": part.text}, vectors, None)
+        waves[case] = run_deck(deck, tmp_path / case)
+    for key in vectors:
+        np.testing.assert_allclose(waves["hand"][key], waves["export"][key], rtol=1e-9)
+        assert np.abs(waves["old"][key] / waves["export"][key]).max() > 2.0  # at the resonance
+
+
+def chip(damping, header):
+    system = assemble_kick(Kick(damping=damping))
+    model = resonators(reduce_kick(system, Rom(order=30)))
+    return realize(whole_device(model, system.sectors), header)
+
+
 def test_gaps_can_be_set_by_hand(scene, decks, tmp_path):
     """A ring with a gap of a millimetre never closes."""
     base = decks(scene)
@@ -87,6 +159,18 @@ def test_gaps_can_be_set_by_hand(scene, decks, tmp_path):
     waves = run_deck(short(deck), tmp_path)
     assert np.max(np.abs(waves["contact.force.R0"])) == 0.0
     assert np.max(waves["contact.force.R2"]) > 1.0
+
+
+def test_a_changed_coil_resistance_equals_a_new_export(scene, decks, header, model, radii, table,
+                                                      tmp_path):  # fmt: skip
+    other = replace(table, resistance=np.array([2e3, 3e3]))
+    base, exported = decks(scene), loop_deck(scene, header, model, radii, other)
+    by_hand, given = overridden(base, exported)
+    assert set(given) == {"catch.resistance_lower", "catch.resistance_upper"}
+    runs = [run_deck(short(d), tmp_path / n) for n, d in (("hand", by_hand), ("export", exported))]
+    for key in ("sphere.y", "coil.upper.current"):
+        scale = np.max(np.abs(runs[1][key]))
+        np.testing.assert_allclose(runs[0][key], runs[1][key], rtol=1e-9, atol=1e-9 * scale)
 
 
 def test_coil_resistance_and_rails_can_be_set_by_hand(scene, decks, tmp_path):

@@ -173,7 +173,9 @@ class Netlist:
         } | {k.lower(): v for k, v in params.items()}
 
         def worth(text):
-            return eval(text.strip("{}").lower(), {}, numbers) if "{" in text else float(text)
+            if "{" not in text:
+                return float(text)
+            return eval(text.strip("{}").lower(), {"sqrt": np.sqrt}, numbers)
 
         def law(text):
             spots = re.sub(r"\b[vV]\((\w+)\)", r"V('\1')", text.strip("{}"))
@@ -194,11 +196,14 @@ class Netlist:
             if kind == ".":
                 continue
             if kind == "x":
+                given = dict(w.split("=") for w in words if "=" in w)
+                words = [w for w in words if "=" not in w]
                 called = self.parts[words[-1]]
                 inner = [w.lower() for w in cards(called.text)[0].split()[2:] if "=" not in w]
                 outer = [pins.get(w.lower(), prefix + w.lower()) for w in words[1:-1]]
                 nested = f"{prefix}{words[0].lower()}_"
-                self.expand(called, dict(zip(inner, outer, strict=True)), {}, nested)
+                values = {name: worth(text) for name, text in given.items()}
+                self.expand(called, dict(zip(inner, outer, strict=True)), values, nested)
                 continue
             (a, va), (b, vb) = (self.node(w, pins, prefix) for w in words[1:3])
             across = va - vb
@@ -295,7 +300,7 @@ def test_contact_is_the_penalty_law(parts, modules, radii):
 def test_the_compiled_kick_has_the_transfer_functions_of_the_model(parts, modules, model):
     """Internal unknowns eliminated from ``G + s C``, the ports are the modal sums."""
     compiled = Compiled(modules["kick"])
-    _, _, G, C = compiled(np.zeros(len(compiled.at)), {})
+    _, _, G, C = compiled(np.zeros(len(compiled.at)), {"damping": 1.0})
     rng = np.random.default_rng(11)
     rings = [p.name.lower() for p in model.ports if p.kind == "mechanical"]
     at = compiled.at
