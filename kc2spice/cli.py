@@ -14,6 +14,7 @@ import typer
 
 from kc2spice import __version__
 from kc2spice.cli_tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.commands_bench import bench
 from kc2spice.commands_reduce import export_rom, reduce
 from kc2spice.commands_sweep import sweep
 from kc2spice.console import print_table, reported_errors, shown_progress
@@ -269,6 +270,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 
 app.command()(reduce)
+app.command()(bench)
 app.command()(sweep)
 
 

@@ -12,7 +12,15 @@ ROOT = Path(kc2spice.__file__).parent
 BASE = ("__init__", "errors", "units", "cache", "output")
 LAYERS = ("scene", "fem", "rom", "netlist", "parts", "sim", "report", "study", "cli")
 # The terminal belongs to the command line.
-TERMINAL = ("console", "cli_tables", "commands_reduce", "commands_sweep", "doctor", "__main__")
+TERMINAL = (
+    "console",
+    "cli_tables",
+    "commands_bench",
+    "commands_reduce",
+    "commands_sweep",
+    "doctor",
+    "__main__",
+)
 SAME_AS = dict.fromkeys(TERMINAL, "cli") | {"pyspice": "study"}
 LAZY = ("gmsh", "PySpice", "matplotlib")
 MODULES = sorted(ROOT.rglob("*.py"))

@@ -1,0 +1,174 @@
+"""The planes of impact and loop: launch or rebound error against CPU time, all roads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from kc2spice.errors import MissingToolError, SimulationError
+from kc2spice.pyspice import run_shared
+from kc2spice.report.metrics import compare
+from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.need import need
+from kc2spice.scene.schema import Rom, Scene
+from kc2spice.sim import reference
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.reference.law import Law, law
+from kc2spice.sim.waveforms import Waveforms
+from kc2spice.study.bench.floor import Floor
+from kc2spice.study.bench.peers import integrate
+from kc2spice.study.bench.points import Plane, Point, Timing, timed
+from kc2spice.study.bench.setup import Setup
+from kc2spice.study.bench.variants import Variant, fixed_steps, variants
+from kc2spice.study.decks import make_deck
+from kc2spice.study.models import Models
+
+REDUCTIONS = (
+    Rom(tolerance=1e-4), Rom(tolerance=1e-5), Rom(tolerance=1e-6), Rom(tolerance=2e-7),
+    Rom(order=21), Rom(order=42),
+)  # fmt: skip
+EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far below all others
+Work = list[tuple[str, Callable[[], Point]]]
+
+METHODS = ("Radau", "LSODA", "BDF", "DOP853")
+SHORT = 1e-4  # s; explicit methods and dense tolerances are tried on runs up to this length
+FIELDS = {"launch": "velocity_relative", "position_m": "trajectory_m"}
+
+
+class Transient:
+    """One scene with its exact solution; points are measured against that."""
+
+    def __init__(self, scene: Scene, setup: Setup) -> None:
+        self.scene, self.setup = scene, setup
+        self.models = setup.models(scene)
+        self.law: Law = law(self._kick(self.models), scene, self.models.table)
+        with setup.clock.stage(scene.name, "exact solution"):
+            self.exact = self.reference(self.models, 1e-10)
+
+    def plane(self) -> Plane:
+        """All roads on the scene's reduced model, and other reductions of the chip."""
+        points, notes = [], []
+        progress = self.setup.clock.progress
+        work = [*self._ngspice(), *self._scipy(), *self._floor(), *self._reductions()]
+        for done, (label, measure) in enumerate(work):
+            progress(self.scene.name, done / len(work), label)
+            try:
+                points.append(measure())
+            except (SimulationError, MissingToolError) as error:
+                notes.append(f"{label}: {error.message}")
+        what = "launch" if self.scene.impact is None else "rebound"
+        notes.append(
+            f"errors against the same reduced model, integrated to 1e-10; those of other "
+            f"reductions against one of tolerance {EXACT.tolerance:g}"
+        )
+        notes.append("time of ngspice is CPU of the whole process, start-up and files included")
+        notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
+        return Plane(
+            self.scene.name, f"{self.scene.title}: {self.scene.solver.stop * 1e3:g} ms",
+            f"relative error of the {what} velocity", "CPU time [s]", tuple(points), tuple(notes),
+        )  # fmt: skip
+
+    def reference(self, models: Models, rtol: float) -> Waveforms:
+        """The event-driven solution of the reduced model."""
+        chip = self._kick(models)
+        if self.scene.impact is not None:
+            return reference.impact(chip, self.scene, rtol=rtol).waves
+        return reference.kick_and_catch(chip, self.scene, models.table, rtol=rtol).waves
+
+    def point(
+        self, family: str, label: str, waves: Waveforms, time: Timing, note: str = "",
+        against: Waveforms | None = None,
+    ) -> Point:  # fmt: skip
+        """A point from its waveforms; ``against`` another exact solution than the plane's."""
+        found = compare(waves, against or self.exact)
+        errors = {name: found[key] for name, key in FIELDS.items()}
+        if errors["launch"] is None:
+            raise SimulationError("the sphere does not leave", where=label)
+        facts = {name: waves.stats[name] for name in ("accepted",) if name in waves.stats}
+        return Point(
+            family, label, errors["launch"], time, errors, facts, note, against is None
+        )  # fmt: skip
+
+    def _ngspice(self) -> Work:
+        found = [*variants(self.scene, self.models, self.setup)]
+        if self.scene.impact is None:
+            found.append(fixed_steps(self.scene, self.models))
+        work: Work = [(v.label, partial(self._deck, v)) for v in found]
+        return [*work, ("shared engine", self._shared)]
+
+    def _deck(self, variant: Variant, against: Waveforms | None = None) -> Point:
+        repeats = 1 if variant.slow else self.setup.repeats
+        folder = self.setup.work / self.scene.name
+        waves, time = timed(lambda: run_deck(variant.deck, folder), repeats, "children")
+        return self.point(
+            variant.family, variant.label, waves, time, variant.note, against
+        )  # fmt: skip
+
+    def _shared(self) -> Point:
+        deck = make_deck(self.scene, self.models)
+        waves, time = timed(lambda: run_shared(deck), self.setup.repeats)
+        note = "within Python through PySpice, each point handed over"
+        return self.point("ngspice, shared engine", "shared engine", waves, time, note)
+
+    def _scipy(self) -> Work:
+        short = self.scene.solver.stop <= SHORT
+        work: Work = []
+        for method in self.setup.some(METHODS, 1):
+            slow = method in ("BDF", "DOP853")
+            if slow and not (short or self.setup.full_sweep):
+                continue
+            for rtol in self.setup.some((1e-3, 1e-4, 1e-5, 1e-6)):
+                label = f"{method}, rtol {rtol:g}"
+                work.append((label, partial(self._solve_ivp, method, rtol, label)))
+        for rtol in self.setup.some((1e-4, 1e-5, 1e-6)):
+            label = f"Radau, events located, modes exact in flight, rtol {rtol:g}"
+            work.append((label, partial(self._located, rtol, label)))
+        return work
+
+    def _solve_ivp(self, method: str, rtol: float, label: str) -> Point:
+        waves, time = timed(
+            lambda: integrate(self.law, self.scene, method, rtol), min(2, self.setup.repeats)
+        )
+        return self.point(f"scipy, {method}", label, waves, time, "restarted at the pulse's edges")
+
+    def _located(self, rtol: float, label: str) -> Point:
+        waves, time = timed(lambda: self.reference(self.models, rtol), min(2, self.setup.repeats))
+        note = "not a general integrator: knows that nothing but contact couples the modes"
+        return self.point("scipy, specialised", label, waves, time, note)
+
+    def _floor(self) -> Work:
+        def whole() -> Point:
+            run = timed(lambda: Floor(self.law).run(self.scene), self.setup.repeats)
+            note = "eigenvectors of every contact set, then exact steps; flight compiled"
+            return self.point("floor", "floor", *run, note)
+
+        def kept() -> Point:
+            floor = Floor(self.law)
+            floor.run(self.scene)
+            run = timed(lambda: floor.run(self.scene), self.setup.repeats)
+            return self.point("floor", "floor, eigenvectors kept", *run)
+
+        return [("floor", whole), ("floor, eigenvectors kept", kept)]
+
+    def _reductions(self) -> Work:
+        best: list[Waveforms] = []
+
+        def measure(rom: Rom) -> Point:
+            if not best:
+                best.append(self.reference(self.setup.models(self.scene, EXACT), 1e-9))
+            models = self.setup.models(self.scene, rom)
+            order = self._kick(models).order
+            target = (
+                f"order {order}" if rom.order else f"tolerance {rom.tolerance:g}, {order} modes"
+            )
+            variant = Variant("ngspice, reduction", target, make_deck(self.scene, models))
+            return self._deck(variant, best[0])
+
+        return [(f"{rom.order or rom.tolerance}", partial(measure, rom)) for rom in self._roms()]
+
+    def _roms(self) -> tuple[Rom, ...]:
+        return REDUCTIONS[2:3] if self.setup.quick else REDUCTIONS
+
+    @staticmethod
+    def _kick(models: Models) -> ResonatorModel:
+        return need(models.kick, "kick").resonators

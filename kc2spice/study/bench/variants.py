@@ -1,0 +1,91 @@
+"""Decks of a transient scene with one thing changed, as points of speed against error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from kc2spice.netlist.circuit import Deck
+from kc2spice.netlist.header import Header
+from kc2spice.parts.electromagnet import catch_subcircuit
+from kc2spice.scene.need import need
+from kc2spice.scene.schema import Scene
+from kc2spice.study.bench.forms import with_form
+from kc2spice.study.bench.setup import Setup
+from kc2spice.study.decks import make_deck
+from kc2spice.study.models import Models
+
+RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
+CHGTOL = (1e-7, 1e-9, 1e-10)
+CEILINGS = (1e-6, 50e-6)
+LOOKUPS = (51, 101, 401)
+PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A deck to run: its place in the plane, and how often a slow one is repeated at most."""
+
+    family: str
+    label: str
+    deck: Deck
+    note: str = ""
+    slow: bool = False
+
+
+def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
+    """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
+    for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
+        for reltol in setup.some(tolerances):
+            deck = make_deck(_solver(scene, reltol=reltol, method=method), models)
+            slow = reltol < 1e-5
+            yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck, slow=slow)
+    own = make_deck(scene, models)
+    for reltol in setup.some((1e-3, 1e-4), 1):
+        for chgtol in setup.some(CHGTOL, 1):
+            deck = _option(make_deck(_solver(scene, reltol=reltol), models), "chgtol", chgtol)
+            yield Variant("ngspice, chgtol", f"reltol {reltol:g}, chgtol {chgtol:g}", deck)
+    for ceiling in setup.some(CEILINGS, 0):
+        deck = make_deck(_solver(scene, max_step=ceiling), models)
+        yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
+    if scene.catch is not None:
+        for points in setup.some(LOOKUPS, 1):
+            yield Variant("ngspice, lookup", f"lookup of {points} heights",
+                          _lookup(scene, models, own, points))  # fmt: skip
+    model = need(models.kick, "kick").resonators
+    for form in setup.some(("second order", "first order"), 0):
+        deck = with_form(own, model, form)
+        yield Variant("ngspice, dense", f"dense {form}", deck, "as generic exporters write", True)
+    deck = with_form(own, model, "resonators", behavioural=True)
+    yield Variant("ngspice, behavioural", "behavioural sources", deck, slow=True)
+
+
+def fixed_steps(scene: Scene, models: Models) -> Variant:
+    """The paper's fixed system step: ngspice with its error control switched off."""
+    deck = make_deck(_solver(scene, max_step=PAPER_STEP), models)
+    deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
+    return Variant(
+        "fixed 10 us steps", "fixed 10 us steps, as in the paper", deck,
+        "no error control; the pulse's corners are still met",
+    )  # fmt: skip
+
+
+def _solver(scene: Scene, **changes: object) -> Scene:
+    return scene.model_copy(update={"solver": scene.solver.model_copy(update=changes)})
+
+
+def _option(deck: Deck, name: str, value: float) -> Deck:
+    """``deck`` with one simulator option set to another value, wherever it was set before."""
+    card = f".options {name}={value!r}"
+    text = re.sub(rf"\b{name}=\S+", "", deck.files[deck.main])
+    text = text.replace("\n.tran ", f"\n{card}\n.tran ", 1)
+    return replace(deck, files={**deck.files, deck.main: text})
+
+
+def _lookup(scene: Scene, models: Models, deck: Deck, points: int) -> Deck:
+    """``deck`` with other lookups of the magnets' force."""
+    limit = scene.control.current_limit if scene.control else 0.0
+    table = need(models.table, "field table")
+    part = catch_subcircuit(Header(scene.name, "bench"), table, limit, points=points)
+    return replace(deck, files={**deck.files, part.filename: part.text})
