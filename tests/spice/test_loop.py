@@ -101,7 +101,7 @@ def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(
     system = assemble_kick(Kick())
     chip = whole_device(resonators(reduce_kick(system, Rom())), system.sectors)
     outcomes = []
-    for voltage, edge, penalty in ((120, 2e-7, 9e9), (140, 1e-7, 5e9), (80, 2e-8, 9e9)):
+    for voltage, edge, penalty in ((120, 2e-8, 2e10), (140, 2e-7, 2e10), (160, 1e-7, 2e10)):
         varied = scene.model_copy(
             update={
                 "kick": Kick.model_validate({"drive": {"voltage": voltage, "edge": edge}}),
