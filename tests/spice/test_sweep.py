@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,12 +14,13 @@ from pathlib import Path
 
 import pytest
 
+import kc2spice
 from kc2spice.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.study import run as run_scene
 from kc2spice.study.sweep import run
 from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.point import SceneText
+from kc2spice.study.sweep.source import SceneText, scene_text
 from kc2spice.study.sweep.study import Request, make_study
 
 # A kick and its first 0.1 ms of flight: 0.2 s of ngspice.
@@ -197,3 +199,34 @@ def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(tmp_path)
         sweep(tmp_path / "o", "control.kd=10,20", engine=DaskEngine("tcp://127.0.0.1:9", 1, 1.0))
     assert caught.value.exit_code == 3
     assert sweep(tmp_path / "o", "control.kd=10,20")["failed"] == 0
+
+
+@pytest.fixture
+def own_scene(tmp_path):
+    """The gallery's scene with a user's driver, as two files in one directory; then they vanish."""
+    name, folder = "bring_your_own", tmp_path / "mine"
+    folder.mkdir()
+    for suffix in ("toml", "lib"):
+        text = (Path(kc2spice.__file__).parent / "scenes" / f"{name}.{suffix}").read_text()
+        (folder / f"{name}.{suffix}").write_text(text)
+    early = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=120 us")
+    found = make_study(Request(scene_text(str(folder / f"{name}.toml")),
+                               ("kick.drive.voltage=80,100", *early)))  # fmt: skip
+    shutil.rmtree(folder)  # as on another machine
+    return found
+
+
+@pytest.mark.parametrize("kind", ["processes", "array", "dask"])
+def test_a_scene_file_takes_its_netlists_along(own_scene, tmp_path, kind):
+    if kind == "array":
+        run.write_array(own_scene, tmp_path, 1)
+        run.sweep_shard(tmp_path, run.Shard(0, 1), Inline())  # knows the directory alone
+        summary = run.collect(tmp_path)
+    else:
+        if kind == "dask":
+            pytest.importorskip("distributed")
+        engine = LocalEngine(2) if kind == "processes" else DaskEngine("local", 2)
+        summary = run.sweep(own_scene, tmp_path / "o", engine)
+    assert (summary["points"], summary["failed"]) == (2, 0)
+    slow, fast = (float(row["launch_velocity_m_s"]) for row in rows(summary["table"]))
+    assert 0.1 < slow < fast

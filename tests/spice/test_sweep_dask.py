@@ -9,7 +9,7 @@ import pytest
 
 from kc2spice.study.sweep import run
 from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.point import SceneText
+from kc2spice.study.sweep.source import SceneText
 from kc2spice.study.sweep.study import Request, make_study
 
 pytest.importorskip("distributed")

@@ -9,8 +9,8 @@ import pytest
 from kc2spice.errors import UsageError
 from kc2spice.study.sweep.definition import request_of, studies
 from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.point import SceneText, scene_text
 from kc2spice.study.sweep.ranges import parse
+from kc2spice.study.sweep.source import SceneText, scene_text
 from kc2spice.study.sweep.stages import shared_models, slow_blocks
 from kc2spice.study.sweep.study import Request, make_study, read_plan, write_plan
 
@@ -178,10 +178,12 @@ def test_a_circuit_of_your_own_decides_the_table_too(tmp_path):
     folder = resources.files("kc2spice") / "scenes"
     for name in ("bring_your_own.toml", "bring_your_own.lib"):
         (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8"), encoding="utf-8")
-    request = Request(
-        scene_text(str(tmp_path / "bring_your_own.toml")), ("solver.reltol=1e-3,1e-4",)
-    )
-    before = make_study(request).digest
+
+    def digest():
+        scene = scene_text(str(tmp_path / "bring_your_own.toml"))
+        return make_study(Request(scene, ("solver.reltol=1e-3,1e-4",))).digest
+
+    before = digest()
     with (tmp_path / "bring_your_own.lib").open("a", encoding="utf-8") as file:
         file.write("* changed\n")
-    assert make_study(request).digest != before
+    assert digest() != before

@@ -11,7 +11,7 @@ from typing import Any
 
 from kc2spice.errors import UsageError
 from kc2spice.scene.load import MAX_BYTES
-from kc2spice.study.sweep.point import scene_text
+from kc2spice.study.sweep.source import scene_text
 from kc2spice.study.sweep.study import Request
 
 _KEYS: dict[str, type | tuple[type, ...]] = {

@@ -17,7 +17,6 @@ import numpy as np
 from kc2spice.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.netlist.circuit import Deck
 from kc2spice.report.metrics import metrics
-from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
@@ -28,44 +27,10 @@ from kc2spice.study.models import Models, build_models, model_keys
 from kc2spice.study.progress import Clock
 from kc2spice.study.sweep.cost import METER, NOTHING, Cost
 from kc2spice.study.sweep.parameters import with_parameters
+from kc2spice.study.sweep.source import SceneText
 
 _KEPT = 8  # models and decks that a worker holds at a time
 Metric = float | bool | None
-
-
-@dataclass(frozen=True)
-class SceneText:
-    """A scene that can be sent to another machine: a gallery name, or a name and its TOML.
-
-    Without its TOML the name may be a path that all machines share.
-    """
-
-    name: str
-    text: str | None
-
-    def load(self, overrides: Sequence[str]) -> Scene:
-        """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
-        if self.text is None:
-            return load_scene(self.name, overrides)
-        with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            path = Path(directory) / f"{self.name}.toml"
-            path.write_text(self.text, encoding="utf-8")
-            return load_scene(path, overrides)
-
-
-def scene_text(name_or_path: str) -> SceneText:
-    """The scene as it stands now.
-
-    Raises
-    ------
-    UsageError : no such scene.
-    """
-    if name_or_path in gallery():
-        return SceneText(name_or_path, None)
-    path = Path(name_or_path).absolute()
-    if load_scene(path).include:  # netlists that lie beside it
-        return SceneText(str(path), None)
-    return SceneText(path.stem, path.read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)

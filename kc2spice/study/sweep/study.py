@@ -15,8 +15,9 @@ from kc2spice.scene.keys import did_you_mean
 from kc2spice.scene.schema import Scene
 from kc2spice.study.sweep.parameters import with_parameters
 from kc2spice.study.sweep.plan import Plan, make_plan
-from kc2spice.study.sweep.point import Job, SceneText, bench, scalar_metrics
+from kc2spice.study.sweep.point import Job, bench, scalar_metrics
 from kc2spice.study.sweep.ranges import PARAMETER, parameter, parse
+from kc2spice.study.sweep.source import SceneText
 from kc2spice.study.sweep.stages import Stages, stages
 from kc2spice.study.sweep.table import FORMATS
 
@@ -148,9 +149,10 @@ def read_plan(directory: Path) -> tuple[Request, str]:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         digest, _ = content.pop("digest"), content.pop("points")
-        scene = SceneText(**content.pop("scene"))
+        scene = content.pop("scene")
+        scene["netlists"] = tuple((name, text) for name, text in scene["netlists"])
         sets, metrics = tuple(content.pop("sets")), tuple(content.pop("metrics"))
-        return Request(scene, sets, metrics=metrics, **content), digest
+        return Request(SceneText(**scene), sets, metrics=metrics, **content), digest
     except FileNotFoundError:
         raise UsageError("holds no sweep", where=str(directory), expected=f"a {PLAN}") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
