@@ -81,8 +81,20 @@ def show_plan(plan: Plan) -> None:
     print_table("modelled", rows, header=("part", "model", "detail"))
     if plan.ports:
         print(f"\nports of the reduced chip: {', '.join(plan.ports)}\n")
+    title = "errors, relative"
+    if plan.error_budget is not None:
+        title += f"; error_budget {plan.error_budget:g} divided"
+    errors = [
+        (each.stage, _ratio(each.share), _ratio(each.expected), each.settings, each.why)
+        for each in plan.errors
+    ]
+    print_table(title, errors, header=("stage", "share", "expected", "settings", ""))
     left = [(item.effect, item.why, item.error) for item in plan.left_out]
     print_table("left out", left, header=("effect", "why", "size"))
+
+
+def _ratio(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
 
 
 def show_keys(keys: Iterable[Key]) -> None:

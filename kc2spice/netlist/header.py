@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 
 import kc2spice
 from kc2spice.netlist.cards import comment, name, number
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.rom.model import Certificate
+from kc2spice.scene.plan import Plan
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,25 @@ class Header:
             f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}\n"
             "* licence: GPL-3.0-or-later"
         )
+
+
+def plan_lines(found: Plan) -> str:
+    """What a deck models, what it leaves out and at what errors, as comment lines; no details."""
+    errors = [
+        f"{each.stage} {'unknown' if each.expected is None else f'{each.expected:.2g}'}"
+        + ("" if each.share is None else f" of {each.share:.2g}")
+        for each in found.errors
+    ]
+    budget = "" if found.error_budget is None else f", error_budget {found.error_budget:g}"
+    facts = {
+        "modelled": ", ".join(part.part for part in found.parts),
+        "ports": ", ".join(found.ports),
+        f"relative errors expected{budget}": ", ".join(errors),
+        "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
+    }
+    lines = [f"{head}: {text}" for head, text in facts.items() if text]
+    wrapped = [textwrap.fill(comment(line), 96, subsequent_indent="  ") for line in lines]
+    return textwrap.indent("\n".join(wrapped), "* ")
 
 
 def rom_line(order: int, certificate: Certificate) -> str:

@@ -12,7 +12,7 @@ from kc2spice.errors import UsageError
 from kc2spice.fem.emtable import EMTable
 from kc2spice.netlist.cards import name, number
 from kc2spice.netlist.circuit import Deck, Subcircuit
-from kc2spice.netlist.header import Header
+from kc2spice.netlist.header import Header, plan_lines
 from kc2spice.netlist.realize import realize
 from kc2spice.netlist.render import render
 from kc2spice.parts.coil import coil_subcircuit
@@ -23,6 +23,7 @@ from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE, SENSOR, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.plan import plan
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Scene, Solver
 
@@ -64,7 +65,10 @@ def transient_options(solver: Solver) -> list[Option]:
     return [
         Option(f"reltol={number(solver.reltol)}", "error per step; decides the launch velocity"),
         Option("trtol=1", "trust the error estimate: contact needs every step it asks for"),
-        Option("chgtol=1e-08", "C on 1 uF, thus 0.01 um: displacement error that a step may make"),
+        Option(
+            f"chgtol={number(solver.chgtol)}",
+            f"C on 1 uF, thus {1e6 * solver.chgtol:g} um: displacement error of a step",
+        ),
         Option(f"method={solver.method}", "of integration"),
         Option("acct", "print accepted and rejected steps, iterations and time"),
     ]
@@ -112,10 +116,12 @@ def loop_deck(
         parts.append(contact(scene, header, rings, need(ring_radii, "ring radii")))
     drivers = _drivers(scene, header, table)
     if scene.catch and drivers.coil:
-        parts.append(coil_subcircuit(header, need(table, "field table")))
+        table = need(table, "field table")
+        parts.append(coil_subcircuit(header, table, points=scene.catch.points))
     elif scene.catch:
         current = scene.control.current_limit if scene.control else 0.0
-        parts.append(catch_subcircuit(header, need(table, "field table"), current, series=True))
+        table, points = need(table, "field table"), scene.catch.points
+        parts.append(catch_subcircuit(header, table, current, series=True, points=points))
     if scene.catch and scene.control and not sampled:
         pid = pid_subcircuit(header, scene.control, output=drivers.coil is None)
         parts += [opamp_subcircuit(header), pid]
@@ -171,7 +177,7 @@ def frontmatter(
     """What every bench template has at its head and foot."""
     return {
         "title": f"{scene.name}: {scene.title}",
-        "origin": header.origin(),
+        "origin": f"{header.origin()}\n{plan_lines(plan(scene))}",
         "name": name(scene.name),
         "libraries": [part.filename for part in parts]
         + [path.name for path in scene.netlists if included],

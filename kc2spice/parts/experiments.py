@@ -131,7 +131,8 @@ def em_force_deck(scene: Scene, header: Header, table: EMTable) -> Deck:
     """
     cases = current_cases(scene)
     largest = max(abs(current) for case in cases for current in (case.lower, case.upper))
-    parts = [catch_subcircuit(header, table, largest)]
+    points = need(scene.catch, "catch").points
+    parts = [catch_subcircuit(header, table, largest, points=points)]
     vectors: Vectors = {"sphere.y": ("v(y)", 1e-6)}
     vectors |= {f"catch.force.{k}": (f"v(force{k})", 1.0) for k in range(len(cases))}
     low, high = 1e6 * float(table.y[0]), 1e6 * float(table.y[-1])

@@ -39,6 +39,7 @@ def write_run(
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
         _facts("Reduced model", result.get("rom", {})),
         _modelled(scene),
+        _errors(scene),
         _left_out(scene),
         Section("Figures", pictures=pictures),
         Section("Files", [(name,) for name in result.get("files", ())]),
@@ -127,3 +128,20 @@ def _modelled(scene: Scene) -> Section:
 def _left_out(scene: Scene) -> Section:
     rows = [(item.effect, item.why, item.error) for item in plan(scene).left_out]
     return Section("What is left out", rows, ("effect", "why", "size"))
+
+
+def _errors(scene: Scene) -> Section:
+    found = plan(scene)
+    rows = [
+        (each.stage, _share(each.share), _share(each.expected), each.settings, each.why)
+        for each in found.errors
+    ]
+    note = "Relative; a stage without a share is no part of the budget."
+    if found.error_budget is not None:
+        note = f"error_budget {found.error_budget:g}. {note}"
+    head = ("stage", "share", "expected", "settings", "")
+    return Section("Expected errors", rows, head, note)
+
+
+def _share(value: float | None) -> str:
+    return "—" if value is None else f"{value:.2g}"

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from itertools import combinations
 
 from kc2spice.errors import UsageError
+from kc2spice.scene.budget import smallest
+from kc2spice.scene.division import parts
 from kc2spice.scene.schema import Catch, Kick, Part, Scene, Sphere
 
 # What each experiment needs, and what it may have besides. Anything else in the file would be
@@ -38,6 +40,7 @@ def problems(scene: Scene) -> Iterator[UsageError]:
     if missing:
         return
     yield from _reduction(scene)
+    yield from _budget(scene)
     if scene.kick is not None:
         yield from _kick(scene.kick)
     if scene.kick is not None and scene.sphere is not None:
@@ -87,6 +90,18 @@ def _reduction(scene: Scene) -> Iterator[UsageError]:
     low, high = scene.rom.band
     if not 0 <= low < high:
         yield _problem("rom.band", "empty band", f"{low:g} … {high:g} Hz", "0 <= low < high")
+
+
+def _budget(scene: Scene) -> Iterator[UsageError]:
+    least = smallest(scene.experiment, parts(scene))
+    if scene.error_budget is not None and scene.error_budget < least:
+        yield _problem(
+            "error_budget",
+            "no settings are known that keep within it",
+            f"{scene.error_budget:g}",
+            f"at least {least:.2g}",
+            "set rom.order or tolerance, solver.reltol, solver.chgtol and catch.points yourself",
+        )
 
 
 def _kick(kick: Kick) -> Iterator[UsageError]:

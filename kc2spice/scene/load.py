@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from kc2spice.errors import UsageError
 from kc2spice.scene.checks import problems
+from kc2spice.scene.division import KEYS
 from kc2spice.scene.keys import did_you_mean, scene_keys, submodel
 from kc2spice.scene.schema import Scene
 
@@ -48,6 +49,8 @@ def load_scene(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scene
     data.setdefault("name", source.stem)
     for override in overrides:
         _override(data, override, source)
+    if ("error_budget",) in source.overrides:
+        _make_way(data, source)
     try:
         scene = Scene.model_validate(data)
     except ValidationError as error:
@@ -136,6 +139,14 @@ def _override(data: dict[str, Any], text: str, source: _Source) -> None:
             raise UsageError(f"{prefix} is a value, not a table", where=source.where(path))
     table.pop(_ALTERNATIVES.get(name, ""), None)
     table[path[-1]] = _toml_value(value)
+
+
+def _make_way(data: dict[str, Any], source: _Source) -> None:
+    """Drop what the file says about keys that an overriding error_budget sets."""
+    for name in (name for names in KEYS.values() for name in names):
+        section, key = name.split(".")
+        if (section, key) not in source.overrides and isinstance(data.get(section), dict):
+            data[section].pop(key, None)
 
 
 def _toml_value(text: str) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kc2spice.scene.division import Share, division
 from kc2spice.scene.rings import kept_rings, mesh_rings, reach, ring_gaps
 from kc2spice.scene.schema import Catch, Control, Kick, Scene, Sphere
 
@@ -38,16 +39,27 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Plan:
-    """What runs for a scene. ``ports`` are those that the reduced model of the chip keeps."""
+    """What runs for a scene. ``ports`` are those that the reduced model of the chip keeps.
+
+    ``error_budget`` is what the scene asks for, ``errors`` its division over the stages.
+    """
 
     parts: tuple[Modelled, ...]
     ports: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
+    error_budget: float | None
+    errors: tuple[Share, ...]
 
 
 def plan(scene: Scene) -> Plan:
     """Parts, ports and omissions of a checked scene."""
-    return Plan(tuple(_parts(scene)), _ports(scene), tuple(_left_out(scene)))
+    return Plan(
+        parts=tuple(_parts(scene)),
+        ports=_ports(scene),
+        left_out=tuple(_left_out(scene)),
+        error_budget=scene.error_budget,
+        errors=division(scene),
+    )
 
 
 def _ports(scene: Scene) -> tuple[str, ...]:

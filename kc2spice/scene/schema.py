@@ -11,12 +11,14 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
+from kc2spice.scene.budget import fill
 from kc2spice.scene.drivers import CatchDriver, KickDriver
 from kc2spice.scene.quantities import (
     Acceleration,
+    Charge,
     Count,
     Current,
     Density,
@@ -151,6 +153,7 @@ class Catch(Section):
     y_min: Length = -2.5e-3
     y_max: Length = 7.5e-3
     positions: Count = Field(41, ge=4, le=2001)
+    points: Count = Field(201, ge=21, le=2001, description="of the force lookup in the netlist")
     refine: Count = Field(1, ge=1, le=8)
     driver: CatchDriver | None = None
 
@@ -189,6 +192,7 @@ class Solver(Section):
     """ngspice settings that are written into the deck."""
 
     reltol: Ratio = Field(1e-4, gt=0, lt=1)
+    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a state is 1 um of displacement")
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)
@@ -264,11 +268,30 @@ class Scene(Section):
     imprint: Imprint | None = None
     harmonic: Harmonic | None = None
     em_force: EmForce | None = None
+    error_budget: Ratio | None = Field(
+        None, gt=0, lt=1, description="relative; sets what the scene leaves open, see explain"
+    )
     rom: Rom = Rom()
     solver: Solver = Solver()
     gates: Gates = Gates()
     include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
     _home: Path | None = PrivateAttr(None)
+    _budgeted: frozenset[str] = PrivateAttr(frozenset())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _divide(cls, data: Any, validate: ModelWrapValidatorHandler[Scene]) -> Scene:
+        if not isinstance(data, dict) or data.get("error_budget") is None:
+            return validate(data)
+        filled, names = fill(data)
+        scene = validate(filled)
+        scene._budgeted = frozenset(names)
+        return scene
+
+    @property
+    def budgeted(self) -> frozenset[str]:
+        """The keys that ``error_budget`` has set."""
+        return self._budgeted
 
     @property
     def netlists(self) -> tuple[Path, ...]:

@@ -17,6 +17,7 @@ from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
 
 WORK = 1e-4  # share of the work that may be unexplained; then the launch is wrong by about 1e-3
+WORK_SHARE = 0.03  # ... or of a larger error_budget, a tenth of what its time stepping gets
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 
 
@@ -139,7 +140,8 @@ def _work(waves: Waveforms, scene: Scene, table: EMTable | None) -> TruthCheck:
     turnover = sum(float(trapezoid(np.abs(f * v), t)) for f in forces)
     work = sum(float(trapezoid(f * v, t)) for f in forces)
     missing = abs(mass * float(v[-1] ** 2 - v[0] ** 2) / 2 - work)
+    limit = max(WORK, WORK_SHARE * scene.error_budget) if scene.error_budget else WORK
     return TruthCheck(
-        "work", missing / turnover if turnover else missing, WORK, "of the work",
+        "work", missing / turnover if turnover else missing, limit, "of the work",
         "the steps are too coarse for the contact: lower solver.reltol or max_step",
     )  # fmt: skip

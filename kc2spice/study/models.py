@@ -69,7 +69,7 @@ def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
             "rom": scene.rom.model_dump(mode="json"),
         }  # fmt: skip
     if scene.catch is not None:
-        catch = scene.catch.model_dump(mode="json", exclude={"remanence"})
+        catch = scene.catch.model_dump(mode="json", exclude={"remanence", "points"})
         keys["field"] = {"catch": catch, "radius": need(scene.sphere, "sphere").radius}
     return keys
 

@@ -101,7 +101,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
         "Metrics", "Time and error", "Wall time", "Simulator", "Model: kick", "Model: catch",
-        "Reduced model", "What is modelled", "What is left out", "Figures", "Files",
+        "Reduced model", "What is modelled", "Expected errors", "What is left out", "Figures",
+        "Files",
     ]  # fmt: skip
 
 

@@ -1,0 +1,156 @@
+"""The error budget: shares that add up, keys that follow, explicit keys that stay."""
+
+import dataclasses
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kc2spice.errors import UsageError
+from kc2spice.netlist.header import plan_lines
+from kc2spice.scene.budget import REDUCTION, STEPPING, lookup_error
+from kc2spice.scene.hash import scene_hash
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.plan import plan
+from kc2spice.scene.schema import Catch, Kick, Rom, Scene, Solver, Sphere
+
+SCENES = ["kick_and_catch", "impact", "imprint", "harmonic", "em_force", "coil_rails"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(SCENES), st.floats(1e-4, 0.5))
+def test_shares_add_up_to_the_budget_and_are_kept(name, budget):
+    found = plan(load_scene(name, [f"error_budget={budget!r}"]))
+    parts = [each for each in found.errors if each.share is not None]
+    assert sum(each.share for each in parts) == pytest.approx(budget, rel=1e-12)
+    assert all(each.expected <= each.share for each in parts)
+    assert {each.stage for each in found.errors} - {each.stage for each in parts} <= {
+        "mesh", "field mesh", "controller",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "stages"),
+    [
+        ("kick_and_catch", ["reduction", "time stepping", "lookup"]),
+        ("impact", ["reduction", "time stepping"]),
+        ("imprint", ["reduction"]),
+        ("harmonic", ["reduction"]),
+        ("em_force", ["lookup"]),
+    ],
+)
+def test_only_stages_of_the_scene_have_a_share(name, stages):
+    errors = plan(load_scene(name, ["error_budget=1e-3"])).errors
+    assert [each.stage for each in errors if each.share is not None] == stages
+    harmonic = load_scene("harmonic", ["error_budget=1e-3"])
+    assert harmonic.rom.tolerance == 1e-3  # the response's own error, nothing else to share with
+    assert harmonic.rom.band == (0.0, 500e3)
+
+
+def test_a_smaller_budget_asks_for_more():
+    budgets = [0.1, 1e-2, 1e-3, 1e-4]
+    scenes = [load_scene("kick_and_catch", [f"error_budget={each}"]) for each in budgets]
+    for key in ("reltol", "chgtol"):
+        values = [getattr(scene.solver, key) for scene in scenes]
+        assert values == sorted(values, reverse=True)
+    assert [scene.catch.points for scene in scenes] == sorted(s.catch.points for s in scenes)
+    bands = [scene.rom.band[1] for scene in scenes]
+    assert bands == sorted(bands)
+    assert all(scene.rom.order is None for scene in scenes)
+    assert len({scene_hash(scene) for scene in scenes}) == len(budgets)
+
+
+@pytest.mark.parametrize("rows", [REDUCTION, STEPPING])
+def test_rows_go_from_loose_to_tight(rows):
+    errors = [row.error for row in rows]
+    assert errors == sorted(errors, reverse=True)
+    assert len({tuple(row.keys) for row in rows}) == 1
+
+
+def test_the_lookups_error_falls_with_the_third_power():
+    assert lookup_error("loop", 201) / lookup_error("loop", 401) == pytest.approx(8)
+
+
+def test_the_budget_of_a_file_leaves_its_explicit_keys(tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text(
+        "error_budget = 1e-3\n[kick]\n[contact]\n[sphere]\n[catch]\npoints = 77\n"
+        "[rom]\norder = 20\n[solver]\nreltol = 1e-5\n"
+    )
+    scene = load_scene(file)
+    assert (scene.rom.order, scene.rom.tolerance) == (20, None)
+    assert (scene.solver.reltol, scene.solver.chgtol, scene.catch.points) == (1e-5, 1e-8, 77)
+    errors = {each.stage: each for each in plan(scene).errors}
+    assert errors["time stepping"].share is None
+    assert errors["time stepping"].expected == 3e-4  # chgtol is that of this row
+    assert errors["lookup"].why == "set by the scene"
+    assert errors["reduction"].expected is None  # the order's error is known after the reduction
+
+
+def test_a_budget_on_the_command_line_replaces_the_files_keys_but_no_other_override():
+    budget = "error_budget=1e-3"
+    base = load_scene("kick_and_catch")
+    assert (base.rom.order, base.solver.reltol) == (30, 1e-4)
+    replaced = load_scene("kick_and_catch", [budget])
+    assert (replaced.rom.order, replaced.solver.reltol) == (None, 3e-3)
+    for overrides in (["rom.order=21", budget], [budget, "rom.order=21"]):
+        scene = load_scene("kick_and_catch", overrides)
+        assert (scene.rom.order, scene.rom.tolerance) == (21, None)
+        assert scene.solver.reltol == 3e-3
+
+
+def test_scenes_made_in_python_take_a_budget_too():
+    scene = Scene(name="a", sphere=Sphere(), kick=Kick(), catch=Catch(), error_budget=1e-3)
+    assert scene.rom.tolerance == 1e-3
+    assert scene.solver.reltol == 3e-3
+    own = Scene(name="a", sphere=Sphere(), error_budget=1e-3, rom=Rom(), solver=Solver())
+    assert (own.rom.order, own.solver.reltol) == (30, 1e-4)
+    assert own.budgeted == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "match"),
+    [
+        ("kick_and_catch", "1e-5", "no settings are known"),
+        ("impact", "1e-9", "no settings are known"),
+        ("impact", "0", "out of range"),
+        ("impact", "2", "out of range"),
+        ("impact", "tiny", "not a quantity"),
+        ("impact", "[1]", "error_budget"),
+    ],
+)
+def test_a_budget_that_cannot_be_had_is_one_clear_error(name, value, match):
+    with pytest.raises(UsageError, match=match):
+        load_scene(name, [f"error_budget={value}"])
+
+
+def test_the_mesh_is_named_and_not_pretended_to_be_part():
+    errors = {e.stage: e for e in plan(load_scene("kick_and_catch", ["error_budget=1e-3"])).errors}
+    assert errors["mesh"].share is None
+    assert "not part of the budget" in errors["mesh"].why
+
+
+def test_the_netlists_head_tells_what_explain_tells():
+    found = plan(load_scene("kick_and_catch", ["error_budget=1e-3"]))
+    lines = plan_lines(found).splitlines()
+    assert all(line.startswith("* ") and len(line) <= 100 for line in lines)
+    text = " ".join(line.removeprefix("* ").strip() for line in lines)
+    assert "modelled: kick, contact, sphere, catch, pid" in text
+    assert "ports: R0, R1, anode" in text
+    assert "error_budget 0.001" in text
+    for item in found.left_out:
+        assert item.effect in text
+    for each in found.errors:
+        assert each.stage in text
+
+
+@pytest.mark.parametrize("parts", [("control",), ("control", "catch"), ("kick", "contact")])
+def test_what_a_scene_lacks_is_not_in_its_record(parts):
+    scene = load_scene("kick_and_catch")
+    scene = scene.model_copy(update=dict.fromkeys(parts))
+    record = str(dataclasses.asdict(plan(scene))).lower()
+    words = {"control": "op-amp", "catch": "coil", "kick": "chip", "contact": "unilateral"}
+    for part in parts:
+        assert words[part] not in record
+    if "kick" in parts:
+        assert plan(scene).ports == ()
