@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +28,34 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
         ]
         print_table("reduced model", rows)
     print_facts("metrics", result.get("metrics", {}))
+    _show_checks(result.get("checks", ()))
+    _show_attempts(result.get("simulator", {}).get("attempts", ()))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            "ok" if check["passed"] else "VIOLATED",
+            check["name"],
+            f"{check['value']:.3g} {check['unit']}",
+            f"limit {check['limit']:.3g}",
+        )
+        for check in checks
+    ]
+    if rows:
+        print_table("truth checks", rows)
+
+
+def _show_attempts(attempts: Sequence[Mapping[str, Any]]) -> None:
+    """The rungs of the retry ladder, where more than the first was needed."""
+    rows = [
+        (each["rung"], each["settings"], each["cause"] or "held", f"{each['wall_s']:.3g} s")
+        for each in attempts
+    ]
+    if len(rows) > 1:
+        print_table("retry ladder", rows, header=("rung", "settings", "outcome", "time"))
 
 
 def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:

@@ -34,8 +34,11 @@ def write_run(
     sections = [
         _facts("Metrics", result.get("metrics", {})),
         _roads(errors),
+        _checks(result),
+        *(_energy(book, entries) for book, entries in result.get("energy_j", {}).items()),
         _wall(result),
         _simulator(result, scene),
+        _attempts(result),
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
         _facts("Reduced model", result.get("rom", {})),
         _modelled(scene),
@@ -99,6 +102,42 @@ def _roads(errors: Sequence[Mapping[str, Any]]) -> Section:
     return Section("Time and error", rows, head, note)
 
 
+def _checks(result: Mapping[str, Any]) -> Section:
+    rows = [
+        (
+            "ok" if check["passed"] else "VIOLATED",
+            check["name"],
+            f"{check['value']:.3g} {check['unit']}",
+            f"{check['limit']:.3g}",
+            check["action"],
+        )
+        for check in result.get("checks", ())
+    ]
+    note = "Physics that the simulator was not told; the last column is what a violation does."
+    return Section("Truth checks", rows, ("", "check", "value", "limit", "action"), note)
+
+
+def _energy(book: str, entries: Mapping[str, float]) -> Section:
+    rows = [(name, quantity(value, "J")) for name, value in entries.items()]
+    return Section(f"Energy: {book}", rows)
+
+
+def _attempts(result: Mapping[str, Any]) -> Section:
+    rows = [
+        (
+            attempt["rung"],
+            attempt["settings"],
+            attempt["cause"] or "held",
+            attempt["part"] or "",
+            quantity(attempt["wall_s"], "s", 3),
+        )
+        for attempt in result.get("simulator", {}).get("attempts", ())
+    ]
+    head = ("rung", "settings", "outcome", "blamed", "time")
+    note = "Every setting that was tried; the last one gave this result."
+    return Section("Retry ladder", rows if len(rows) > 1 else [], head, note)
+
+
 def _wall(result: Mapping[str, Any]) -> Section:
     stages = result.get("wall_s", {})
     rows = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in stages.items()]
@@ -108,7 +147,7 @@ def _wall(result: Mapping[str, Any]) -> Section:
 
 
 def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
-    rows = [(k, str(v)) for k, v in result.get("simulator", {}).items()]
+    rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
     rows += [(f"{k} time points", _words(v, "")) for k, v in result.get("steps", {}).items()]
     solver = scene.solver
     rows += [

@@ -9,10 +9,12 @@ from kc2spice.scene.schema import Scene
 
 
 def scene_hash(scene: Scene) -> str:
-    """First 16 hex digits of the SHA-256 of all numbers and choices; names and titles are free.
+    """First 16 hex digits of the SHA-256 of all numbers and choices that a netlist depends on.
 
-    Floats enter with all their digits, so equal hashes mean bit-equal scenes.
+    Names and titles are free, and so is what is done about a run that fails. Floats enter with
+    all their digits, so equal hashes mean bit-equal netlists.
     """
-    content = scene.model_dump(mode="json", exclude={"name", "title"})
+    content = scene.model_dump(mode="json", exclude={"name", "title", "checks"})
+    del content["solver"]["retries"]
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from kc2spice.scene.budget import fill
 from kc2spice.scene.drivers import CatchDriver, KickDriver
+from kc2spice.scene.limits import Checks, Gates
 from kc2spice.scene.quantities import (
     Acceleration,
     Charge,
@@ -24,8 +25,6 @@ from kc2spice.scene.quantities import (
     Density,
     FluxDensity,
     Frequency,
-    GateLength,
-    GateTime,
     Length,
     Polarisation,
     Pressure,
@@ -196,6 +195,7 @@ class Solver(Section):
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)
+    retries: Count = Field(3, ge=0, le=4, description="with other settings, after a failure")
 
 
 class Impact(Section):
@@ -226,32 +226,6 @@ class EmForce(Section):
     currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
 
 
-class Gates(Section):
-    """Largest errors that a result may have; those with a dimension must be given with a unit."""
-
-    launch_velocity: Ratio = Field(1e-4, gt=0, description="relative, ngspice against scipy")
-    trajectory: GateLength = Field(  # type: ignore[assignment]  # validated like a file's value
-        default="1 um", gt=0, description="largest, ngspice against scipy"
-    )
-    launch_full_model: Ratio = Field(1e-3, gt=0, description="relative, against the full model")
-    position: Ratio = Field(1e-4, gt=0, description="of the travel in an impact, any two roads")
-    rebound_velocity: Ratio = Field(1e-4, gt=0, description="relative, any two roads")
-    separation_time: GateTime = Field(  # type: ignore[assignment]
-        default="20 ns", gt=0, description="end of the impact, any two roads"
-    )
-    energy: Ratio = Field(1e-4, gt=0, description="unexplained part of the energy turned over")
-    imprint_rom: Ratio = Field(1e-9, gt=0, description="static force, ROM against full model")
-    imprint_ngspice: Ratio = Field(1e-6, gt=0, description="static force, ngspice against full")
-    harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
-    harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
-    harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
-    superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
-    lookup_slope: Ratio = Field(
-        0.05, gt=0, description="jump of the EM lookup's slope, of the largest"
-    )
-    lookup: Ratio = Field(1e-4, gt=0, description="EM force, ngspice lookup to largest FE force")
-
-
 class Scene(Section):
     """One study. A part that a scene does not name is not modelled."""
 
@@ -273,6 +247,7 @@ class Scene(Section):
     )
     rom: Rom = Rom()
     solver: Solver = Solver()
+    checks: Checks = Checks()
     gates: Gates = Gates()
     include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
     _home: Path | None = PrivateAttr(None)

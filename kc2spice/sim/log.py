@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["timestep", "singular", "operating point"]
 
 # Said by ngspice in a run that has failed, whatever its exit code.
 _FATAL = re.compile(
@@ -21,7 +24,11 @@ _STRUGGLE = re.compile(
     re.IGNORECASE,
 )
 _WARNING = re.compile(r"\bwarning\b", re.IGNORECASE)
-_NODE = re.compile(r'trouble with (?:node )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I)
+# A node, or an instance as in 'trouble with b-instance b.x1.b2'.
+_NODE = re.compile(
+    r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
+)
+_NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
 _TIME = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
 _STATS = {
     "accepted": r"Accepted timepoints = (\d+)",
@@ -35,8 +42,8 @@ _STATS = {
 class LogReport:
     """Lines of a log by class, and what they say about a failure.
 
-    ``cause`` is the line that names the failure, ``node`` and ``time`` [s] what it blames;
-    None where the log does not tell.
+    ``cause`` is the line that names the failure, ``node`` and ``time`` [s] what it blames, ``kind``
+    what other settings might cure; None where the log does not tell.
     """
 
     errors: tuple[str, ...]
@@ -45,6 +52,7 @@ class LogReport:
     cause: str | None
     node: str | None
     time: float | None
+    kind: Kind | None
 
 
 def classify(text: str) -> LogReport:
@@ -67,7 +75,18 @@ def classify(text: str) -> LogReport:
         cause,
         next((m.group(1) or m.group(2) for m in map(_NODE.search, suspects) if m), None),
         next((float(m.group(1)) for m in map(_TIME.search, suspects) if m), None),
+        _kind(text, errors, struggles),
     )
+
+
+def _kind(text: str, errors: list[str], struggles: list[str]) -> Kind | None:
+    """What failed: a time step, or, before any, the matrix or the search for a start."""
+    if any("timestep too small" in line.lower() and _TIME.search(line) for line in errors):
+        return "timestep"
+    if not (errors and _NO_START.search(text)):
+        return None
+    singular = any("singular matrix" in line.lower() for line in struggles)
+    return "singular" if singular else "operating point"
 
 
 def statistics(text: str) -> dict[str, float]:

@@ -17,8 +17,9 @@ import numpy as np
 
 from kc2spice.errors import MissingToolError, SimulationError
 from kc2spice.netlist.circuit import Deck
+from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
-from kc2spice.sim.rawfile import last_scale_value, read_raw
+from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
 from kc2spice.sim.waveforms import Waveforms
 
 POLL = 0.05  # s between two looks at the growing raw file
@@ -89,9 +90,10 @@ def run_deck(
     Raises
     ------
     MissingToolError : no ngspice.
-    SimulationError : ngspice failed, stopped early, or its raw file is not complete. The message
-        holds the cause, node and time from the log, and the directory with ``NAME.log``. Such
-        a run leaves no raw file.
+    FailedRunError : ngspice failed or stopped early. The message holds cause, node, time and part,
+        and the directory with ``NAME.log``; the error has the waveforms up to there.
+    SimulationError : no time left, or the raw file is not complete. No failed run leaves a raw
+        file.
     """
     simulator = find_ngspice()
     main = write_deck(deck, directory)
@@ -102,7 +104,7 @@ def run_deck(
     try:
         code = _execute(simulator, main, unfinished, log, deck.stop, progress, timeout)
         text = log.read_text(encoding="utf-8", errors="replace")
-        _judge_log(deck, directory, code, text)
+        _judge_log(deck, directory, code, text, unfinished)
         vectors = read_raw(unfinished)
         _judge_end(deck, directory, vectors, text)
         waveforms = Waveforms(_named(deck, vectors), statistics(text))
@@ -163,20 +165,35 @@ def _execute(
         return process.returncode
 
 
-def _judge_log(deck: Deck, directory: Path, code: int, text: str) -> None:
+def _judge_log(deck: Deck, directory: Path, code: int, text: str, raw: Path) -> None:
     """Refuse a run whose log holds a failure, or whose process was killed."""
     report = classify(text)
     if not report.errors and code == 0:
         return
-    blame = [f"node {report.node}"] if report.node else []
-    blame += [f"t = {report.time:g} s"] if report.time is not None else []
+    failure = diagnose(deck, report, f"exit code {code}", _partial(deck, raw, text))
+    blame = [f"node {failure.node}"] if failure.node else []
+    blame += [failure.part] if failure.part else []
+    blame += [f"t = {failure.time:g} s"] if failure.time is not None else []
     tail = " | ".join(text.strip().splitlines()[-3:])
-    raise SimulationError(
-        f"ngspice failed: {report.cause or f'exit code {code}'}",
+    error = FailedRunError(
+        f"ngspice failed: {failure.cause}",
         where=str(directory / deck.main),
         got=", ".join(blame) or tail,
         hint=f"the whole log is {Path(deck.main).with_suffix('.log')} in the same directory",
     )
+    error.failure = failure
+    raise error
+
+
+def _partial(deck: Deck, raw: Path, text: str) -> Waveforms | None:
+    """What a failed run had saved; None where nothing, or not all that the deck asks for."""
+    vectors = read_partial(raw)
+    if vectors is None:
+        return None
+    try:
+        return Waveforms(_named(deck, vectors), statistics(text))
+    except SimulationError:
+        return None
 
 
 def _judge_end(deck: Deck, directory: Path, vectors: dict[str, np.ndarray], text: str) -> None:
@@ -186,12 +203,15 @@ def _judge_end(deck: Deck, directory: Path, vectors: dict[str, np.ndarray], text
     last = float(vectors["time"][-1]) if "time" in vectors else float("nan")
     if not abs(last - deck.stop) <= 1e-9 * deck.stop:
         report = classify(text)
-        raise SimulationError(
+        error = FailedRunError(
             "ngspice stopped before the end of the transient",
             where=str(directory / deck.main),
             got=f"last time point {last:g} s" + (f", node {report.node}" if report.node else ""),
             expected=f"{deck.stop:g} s",
         )
+        partial = Waveforms(_named(deck, vectors), statistics(text))
+        error.failure = diagnose(deck, report, error.message, partial)
+        raise error
 
 
 def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -69,21 +69,55 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     header = read_header(path)
     if header is None:
         raise _corrupt(path, "its header is cut off")
-    with path.open("rb") as stream:
-        stream.seek(header.offset)
-        body = stream.read()
+    body = _body(path, header)
     expected = header.points * header.record
     if header.points < 1 or len(body) != expected:
         raise _corrupt(
             path, f"it promises {header.points} points ({expected} bytes) and holds {len(body)}"
         )
-    kind = np.complex128 if header.is_complex else np.float64
-    table = np.frombuffer(body, dtype=kind).reshape(header.points, len(header.names))
-    # ngspice leaves the imaginary part of an .ac run's frequency to what its stack holds.
-    scale, values = table[:, 0].real, table[:, 1:]
-    if not (np.isfinite(scale).all() and np.isfinite(values).all()):
+    table = _table(header, body)
+    if not _finite(table).all():
         raise _corrupt(path, "it holds values that are not finite")
-    columns = (scale, *values.T)
+    return _columns(header, table)
+
+
+def read_partial(path: Path) -> dict[str, np.ndarray] | None:
+    """What an aborted run wrote: its complete points up to the first that is not finite.
+
+    None where there are fewer than two.
+    """
+    try:
+        header = read_header(path)
+    except (OSError, SimulationError):
+        return None
+    if header is None:
+        return None
+    body = _body(path, header)
+    table = _table(header, body[: len(body) // header.record * header.record])
+    good = int(np.argmin(np.append(_finite(table), False)))
+    return _columns(header, table[:good]) if good > 1 else None
+
+
+def _body(path: Path, header: RawHeader) -> bytes:
+    with path.open("rb") as stream:
+        stream.seek(header.offset)
+        return stream.read()
+
+
+def _table(header: RawHeader, body: bytes) -> np.ndarray:
+    """One row a point."""
+    kind = np.complex128 if header.is_complex else np.float64
+    return np.frombuffer(body, dtype=kind).reshape(-1, len(header.names))
+
+
+def _finite(table: np.ndarray) -> np.ndarray:
+    """Which rows are finite; of the scale, the first column, only the real part counts."""
+    # ngspice leaves the imaginary part of an .ac run's frequency to what its stack holds.
+    return np.isfinite(table[:, 0].real) & np.isfinite(table[:, 1:]).all(axis=1)
+
+
+def _columns(header: RawHeader, table: np.ndarray) -> dict[str, np.ndarray]:
+    columns = (table[:, 0].real, *table[:, 1:].T)
     return {name: column.copy() for name, column in zip(header.names, columns, strict=True)}
 
 

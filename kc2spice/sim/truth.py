@@ -2,93 +2,162 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from kc2spice.errors import SimulationError
-from kc2spice.fem.emtable import EMTable, force
+from kc2spice.fem.emtable import EMTable
 from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.limits import Action
 from kc2spice.scene.need import need
 from kc2spice.scene.rings import mesh_rings, ring_gaps
 from kc2spice.scene.schema import Scene
+from kc2spice.sim.energy import Book, chip_book, contact_book, contact_rings, sphere_book
 from kc2spice.sim.waveforms import Waveforms
 
 WORK = 1e-4  # share of the work that may be unexplained; then the launch is wrong by about 1e-3
 WORK_SHARE = 0.03  # ... or of a larger error_budget, a tenth of what its time stepping gets
+CONTACT = 1e-3  # energy that the springs may make or lose, of what went through them
+CHIP = 0.05  # of the stored energy: the chip rings on after the pulse at up to 30 MHz
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
+SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
 
 
 @dataclass(frozen=True)
 class TruthCheck:
-    """One check: ``value`` must not exceed ``limit``; ``advice`` is for the case that it does."""
+    """One check: ``value`` must not exceed ``limit``; ``advice`` is for the case that it does.
+
+    ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
+    which closer tolerances may cure.
+    """
 
     name: str
     value: float
     limit: float
     unit: str
     advice: str
+    action: Action
+    coarse: bool = False
 
     @property
     def passed(self) -> bool:
         """False also for a value that is not a number."""
         return self.value <= self.limit
 
+    @property
+    def fatal(self) -> bool:
+        """Does it fail the run?"""
+        return self.action == "fail" and not self.passed
 
-def truth_checks(
-    waves: Waveforms, scene: Scene, table: EMTable | None, chip: ResonatorModel | None
-) -> tuple[TruthCheck, ...]:
-    """All checks that apply to the parts of ``scene``; ``chip`` is the whole device.
+    def record(self) -> dict[str, object]:
+        """Its row of ``result.json``."""
+        names = ("name", "value", "limit", "unit", "passed", "action", "advice")
+        return {name: getattr(self, name) for name in names}
 
-    *table_left*: the sphere stays where the force is known. *outer_ring*: the contact patch does
-    not reach the last ring of the mesh, beyond which there is no more contact (an imprint may: its
-    depth is the user's). *ring_left_out*: nor does it reach a ring that was left out. *work*: the
-    change of the sphere's kinetic energy equals the work of all forces on it.
+
+@dataclass(frozen=True)
+class Truth:
+    """All checks of a run, and the energy books behind some of them."""
+
+    checks: tuple[TruthCheck, ...] = ()
+    books: tuple[tuple[str, Book], ...] = ()
+
+
+def find_truth(
+    waves: Waveforms, scene: Scene, table: EMTable | None, chip: ResonatorModel | None = None
+) -> Truth:
+    """The checks that apply to the parts of ``scene``, without those that it turns off.
+
+    ``chip`` is the whole device. *table_left*: the sphere stays where the force is known.
+    *outer_ring*: the contact patch does not reach the last ring of the mesh, beyond which there is
+    no more contact (an imprint may: its depth is the user's). *ring_left_out*: nor does it reach a
+    ring that was left out. *penetration*: the penalty springs give less than the sphere curves
+    away at the first ring. *work*, *contact*, *chip*: the energy books of
+    :mod:`kc2spice.sim.energy` balance. *saturation*: the controller is not at its limit all the
+    time.
     """
-    if scene.sphere is None or scene.experiment not in ("loop", "impact", "imprint"):
-        return ()
-    checks = []
-    if table is not None:
-        checks.append(_table_left(waves, table))
-    if scene.kick is not None and scene.contact is not None:
-        checks += ring_checks(waves, scene, need(chip, "kick"))
+    if scene.experiment not in ("loop", "impact", "imprint") or scene.sphere is None:
+        return Truth()
+    checks = [*_ranges(waves, scene, table, chip)]
     if scene.experiment == "imprint":
-        return tuple(checks)
-    if table is None or checks[0].passed:  # the force is unknown outside the table
-        checks.append(_work(waves, scene, table))
-    return tuple(checks)
+        return Truth(tuple(check for check in checks if check.action != "off"))
+    known = all(check.passed for check in checks if check.name == "table_left")
+    books = dict(_books(waves, scene, table, chip, known))
+    checks += _balances(books, scene)
+    if scene.contact is not None:
+        checks.append(_penetration(waves, scene))
+    if scene.control is not None and "coil.upper.current" in waves:
+        checks.append(_saturation(waves, scene))
+    kept = tuple(check for check in checks if check.action != "off")
+    return Truth(kept, tuple(books.items()))
 
 
-def require(checks: Sequence[TruthCheck], scene: Scene) -> None:
-    """Nothing, if all ``checks`` are passed.
+def require(checks: tuple[TruthCheck, ...], where: str) -> None:
+    """Raise for the first violated check that fails the run.
 
     Raises
     ------
-    SimulationError : the first check that is violated.
+    SimulationError : a violated check.
     """
     for check in checks:
-        if not check.passed:
+        if check.fatal:
             raise SimulationError(
                 f"the result contradicts physics: {check.name}",
-                where=scene.name,
+                where=where,
                 got=f"{check.value:g} {check.unit}",
                 expected=f"at most {check.limit:g} {check.unit}",
                 hint=check.advice,
             )
 
 
-def _table_left(waves: Waveforms, table: EMTable) -> TruthCheck:
-    y = waves["sphere.y"]
-    beyond = max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
-    return TruthCheck(
-        "table_left", beyond, 0.0, "m",
-        "the sphere left the field table: widen catch.y_min and y_max, or kick it less",
-    )  # fmt: skip
+def _books(
+    waves: Waveforms,
+    scene: Scene,
+    table: EMTable | None,
+    chip: ResonatorModel | None,
+    known: bool,
+) -> Iterator[tuple[str, Book]]:
+    if scene.checks.energy == "off":
+        return
+    if known:  # outside the table nobody knows the force
+        yield "work", sphere_book(waves, scene, table)
+    if scene.contact is not None:
+        yield "contact", contact_book(waves, scene)
+    if chip is not None and "kick.voltage" in waves:
+        yield "chip", chip_book(waves, chip)
 
 
-def ring_checks(waves: Waveforms, scene: Scene, chip: ResonatorModel) -> list[TruthCheck]:
+def _balances(books: dict[str, Book], scene: Scene) -> Iterator[TruthCheck]:
+    advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
+    limits = {
+        "work": (WORK, "of the work", advice),
+        "contact": (CONTACT, "of the energy in contact", advice),
+        "chip": (CHIP, "of the stored energy", "the steps are too coarse: lower solver.reltol"),
+    }
+    # A larger error_budget loosens all books alike.
+    slack = max(1.0, WORK_SHARE * (scene.error_budget or 0.0) / WORK)
+    for name, book in books.items():
+        limit, unit, hint = limits[name]
+        yield TruthCheck(
+            name, book.share, slack * limit, unit, hint, scene.checks.energy, coarse=True
+        )
+
+
+def _ranges(
+    waves: Waveforms, scene: Scene, table: EMTable | None, chip: ResonatorModel | None
+) -> Iterator[TruthCheck]:
+    if table is not None:
+        y = waves["sphere.y"]
+        beyond = max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
+        advice = "the sphere left the field table: widen catch.y_min and y_max, or kick it less"
+        yield TruthCheck("table_left", beyond, 0.0, "m", advice, scene.checks.range)
+    if scene.contact is not None and chip is not None:
+        yield from ring_checks(waves, scene, chip)
+
+
+def ring_checks(waves: Waveforms, scene: Scene, chip: ResonatorModel) -> Iterator[TruthCheck]:
     """*outer_ring* or *ring_left_out*: the first ring without a spring stays open.
 
     Nothing records that ring. Without contact it would rise with the outermost kept ring and the
@@ -101,17 +170,16 @@ def ring_checks(waves: Waveforms, scene: Scene, chip: ResonatorModel) -> list[Tr
     rings = [k for k, port in enumerate(chip.ports) if port.kind == "mechanical"]
     names = [chip.ports[k].name for k in rings]
     force = np.array([waves[f"contact.force.{name}"] for name in names])
-    radii = mesh_rings(kick)
+    radii, action = mesh_rings(kick), scene.checks.range
     if len(rings) < len(radii):
         static = (chip.gain[:, rings] / chip.omega[:, None] ** 2).T @ chip.gain[:, rings[-1]]
         rise = waves[f"kick.u.{names[-1]}"] + static @ force - _lowest_point(waves, sphere.radius)
         gap = float(ring_gaps(radii[len(rings)], sphere.radius))
         advice = f"set contact.rings to more than {len(rings)}, or to 'all'"
-        return [TruthCheck("ring_left_out", float(rise.max()), OPEN * gap, "m", advice)]
-    if scene.experiment == "imprint":
-        return []
-    advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
-    return [TruthCheck("outer_ring", float(force[-1].max()), 0.0, "N", advice)]
+        yield TruthCheck("ring_left_out", float(rise.max()), OPEN * gap, "m", advice, action)
+    elif scene.experiment != "imprint":
+        advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
+        yield TruthCheck("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
 
 def _lowest_point(waves: Waveforms, radius: float) -> np.ndarray:
@@ -121,27 +189,24 @@ def _lowest_point(waves: Waveforms, radius: float) -> np.ndarray:
     return waves["sphere.y"] - radius
 
 
-def _work(waves: Waveforms, scene: Scene, table: EMTable | None) -> TruthCheck:
-    """Unexplained share of the work, by the trapezoidal rule over the accepted points.
-
-    ngspice's own trapezoidal rule conserves momentum whatever the step; work it does not, by
-    ``h dF dv / 4`` a step, so this sees the steps that were too coarse.
-    """
-    assert scene.sphere is not None
-    t, v, mass = waves["time"], waves["sphere.v"], scene.sphere.mass
-    forces = [np.full_like(t, -mass * scene.gravity)]
-    if "contact.force" in waves:
-        forces.append(waves["contact.force"])
-    if table is not None:
-        zero = np.zeros_like(t)
-        lower = waves.data.get("coil.lower.current", zero)
-        upper = waves.data.get("coil.upper.current", zero)
-        forces.append(force(table, waves["sphere.y"], lower, upper))
-    turnover = sum(float(trapezoid(np.abs(f * v), t)) for f in forces)
-    work = sum(float(trapezoid(f * v, t)) for f in forces)
-    missing = abs(mass * float(v[-1] ** 2 - v[0] ** 2) / 2 - work)
-    limit = max(WORK, WORK_SHARE * scene.error_budget) if scene.error_budget else WORK
+def _penetration(waves: Waveforms, scene: Scene) -> TruthCheck:
+    sphere, stiffness = need(scene.sphere, "sphere"), 4 * need(scene.contact, "contact").penalty
+    deepest = max(float(waves[f"contact.force.{r}"].max()) for r in contact_rings(waves))
+    first = float(ring_gaps(mesh_rings(need(scene.kick, "kick")), sphere.radius)[1])
     return TruthCheck(
-        "work", missing / turnover if turnover else missing, limit, "of the work",
-        "the steps are too coarse for the contact: lower solver.reltol or max_step",
+        "penetration", deepest / stiffness, first, "m",
+        "the penalty springs give more than the surfaces curve: raise contact.penalty",
+        scene.checks.penetration,
+    )  # fmt: skip
+
+
+def _saturation(waves: Waveforms, scene: Scene) -> TruthCheck:
+    control = need(scene.control, "control")
+    t, current = waves["time"], np.abs(waves["coil.upper.current"])
+    limited = (current >= 0.999 * control.current_limit) & (t >= control.enable_at)
+    share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - control.enable_at)
+    return TruthCheck(
+        "saturation", share, SATURATED, "of the time",
+        "the coils cannot give what the controller asks for: raise control.current_limit",
+        scene.checks.saturation,
     )  # fmt: skip

@@ -21,11 +21,16 @@ _UNITS = {
 
 def write_waveforms(waves: Waveforms, directory: Path) -> list[str]:
     """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
-    np.savez_compressed(directory / "waveforms.npz", **waves.data)  # type: ignore[arg-type]
+    save_arrays(waves, directory / "waveforms.npz")
     columns = {head: values for name in waves.data for head, values in _columns(name, waves[name])}
     head, table = ",".join(columns), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
+
+
+def save_arrays(waves: Waveforms, path: Path) -> None:
+    """All arrays of ``waves`` in one npz file."""
+    np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
 def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
 import kc2spice
-from kc2spice.errors import SimulationError, UsageError
+from kc2spice.errors import UsageError
 from kc2spice.fem import emtable
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.dialect import DIALECTS, dialect_files
@@ -23,13 +20,13 @@ from kc2spice.report.run_page import write_run
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.ngspice import Simulator, find_ngspice, run_deck, write_deck, write_files
-from kc2spice.sim.truth import require, truth_checks
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.sim.ladder import Climb
+from kc2spice.sim.ngspice import Simulator, find_ngspice, write_deck, write_files
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models, build_models, model_facts
 from kc2spice.study.progress import Clock, Progress, silent
 from kc2spice.study.results import plain, write_record, write_waveforms
+from kc2spice.study.simulate import kept_on_failure, simulate, warn_of
 
 
 def run(
@@ -53,11 +50,12 @@ def run(
             deck = _linted(scene, models, trust)
             write_deck(deck, work)
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
-        with simulating as share, _kept_on_failure(work, out):
-            waves = run_deck(deck, work, progress=share)
-            require(truth_checks(waves, scene, models.table, _chip(models)), scene)
+        with simulating as share, kept_on_failure(work, out, scene.name):
+            climbed = simulate(scene, models, deck, work, progress=share)
+        deck, waves = climbed.deck, climbed.waves
+        warn_of(climbed.truth.checks)
         with clock.stage("report", "metrics, plots and page"):
-            record = _record(scene, models, deck, simulator, waves, clock)
+            record = _record(scene, models, simulator, climbed, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, work)]
             if models.table is not None:
                 emtable.save(models.table, work / "em_table.npz")
@@ -67,8 +65,8 @@ def run(
         record["files"] = [*files, "report.html", "result.json"]
         write_run(work / "report.html", record, scene, pictures)
         write_record(record, work)
-        for spare in (f"{scene.name}.raw", f"{scene.name}.log"):
-            (work / spare).unlink(missing_ok=True)
+        for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
+            spare.unlink(missing_ok=True)
     return cast(dict[str, Any], plain(record))
 
 
@@ -109,36 +107,25 @@ def _linted(scene: Scene, models: Models, trust: bool) -> Deck:
     return deck
 
 
-@contextmanager
-def _kept_on_failure(work: Path, out: Path) -> Iterator[None]:
-    """Keep the deck and log of a failed run beside ``out``, where no result is looked for."""
-    try:
-        yield
-    except SimulationError as error:
-        kept = Path(out).absolute().with_name(f"{Path(out).name}.failed")
-        shutil.rmtree(kept, ignore_errors=True)
-        shutil.copytree(work, kept)
-        error.where = None if error.where is None else error.where.replace(str(work), str(kept))
-        raise
-
-
-def _chip(models: Models) -> ResonatorModel | None:
-    return None if models.kick is None else models.kick.resonators
-
-
 def _record(
     scene: Scene,
     models: Models,
-    deck: Deck,
     simulator: Simulator,
-    waves: Waveforms,
+    climbed: Climb,
     clock: Clock,
 ) -> dict[str, Any]:
+    waves, attempts, truth = climbed.waves, climbed.attempts, climbed.truth
     record: dict[str, Any] = {
         "scene": scene.name,
         "version": kc2spice.__version__,
-        "netlist": deck.main,
-        "simulator": {"name": simulator.name, "version": simulator.version, "engine": "batch"},
+        "netlist": climbed.deck.main,
+        "simulator": {
+            "name": simulator.name,
+            "version": simulator.version,
+            "engine": "batch",
+            "rung": attempts[-1].rung,
+            "attempts": [attempt.record() for attempt in attempts],
+        },
         "model": model_facts(models),
     }
     if models.kick is not None:
@@ -148,6 +135,8 @@ def _record(
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
         "simulator_cpu_s": waves.stats.get("cpu_s"),
         "metrics": metrics(waves, scene),
+        "checks": [check.record() for check in truth.checks],
+        "energy_j": {name: book.entries for name, book in truth.books},
         "plan": asdict(plan(scene)),
         "wall_s": clock.wall_s,
     }

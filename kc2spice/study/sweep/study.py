@@ -66,7 +66,8 @@ class Study:
         """Hash of everything that decides the table."""
         context = [
             scene_hash(self.base), included_netlists(self.base), self.job.parameters,
-            self.job.metrics, self.request.format,
+            self.job.metrics, self.base.checks.model_dump(), self.base.solver.retries,
+            self.request.format,
         ]  # fmt: skip
         return self.plan.digest(context)
 
