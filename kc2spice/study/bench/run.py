@@ -20,7 +20,9 @@ from kc2spice.study.progress import Clock, Progress, silent
 from kc2spice.study.results import plain, write_record
 
 # Each part is the function of its own name in the module of that name.
-PARTS = ("loop",)
+PARTS = (
+    "loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "scaling", "start",
+)  # fmt: skip
 
 
 def bench(

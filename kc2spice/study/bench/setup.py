@@ -16,6 +16,7 @@ T = TypeVar("T")
 # A chip of a tenth of the unknowns and a field table of a quarter of the heights.
 COARSE = ("kick.mesh.sectors=2", "kick.mesh.outer_rings=2", "kick.layers=33")
 COARSE_CATCH = ("catch.positions=11",)
+SHORT = ("solver.stop=2 ms",)
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class Setup:
         """A gallery scene, coarse in a quick run."""
         if not self.quick:
             return load_scene(name)
-        catch = COARSE_CATCH if name in ("kick_and_catch", "em_force") else ()
-        return load_scene(name, [*(COARSE if name != "em_force" else ()), *catch])
+        sets = {"em_force": COARSE_CATCH, "kick_and_catch": (*COARSE, *COARSE_CATCH, *SHORT)}
+        return load_scene(name, sets.get(name, COARSE))
 
     def models(self, scene: Scene, rom: Rom | None = None) -> Models:
         """Models of ``scene``, or of another reduction of it."""

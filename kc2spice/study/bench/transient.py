@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 
 from kc2spice.errors import MissingToolError, SimulationError
 from kc2spice.pyspice import run_shared
@@ -43,7 +43,13 @@ class Transient:
         self.models = setup.models(scene)
         self.law: Law = law(self._kick(self.models), scene, self.models.table)
         with setup.clock.stage(scene.name, "exact solution"):
-            self.exact = self.reference(self.models, 1e-10)
+            self.exact = self.reference(self.models, 1e-9)
+
+    @cached_property
+    def own(self) -> Waveforms:
+        """The scene's own netlist in ngspice."""
+        folder = self.setup.work / self.scene.name
+        return run_deck(make_deck(self.scene, self.models), folder)
 
     def plane(self) -> Plane:
         """All roads on the scene's reduced model, and other reductions of the chip."""
@@ -58,13 +64,14 @@ class Transient:
                 notes.append(f"{label}: {error.message}")
         what = "launch" if self.scene.impact is None else "rebound"
         notes.append(
-            f"errors against the same reduced model, integrated to 1e-10; those of other "
+            f"errors against the same reduced model, integrated to 1e-9; those of other "
             f"reductions against one of tolerance {EXACT.tolerance:g}"
         )
         notes.append("time of ngspice is CPU of the whole process, start-up and files included")
         notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
         return Plane(
-            self.scene.name, f"{self.scene.title}: {self.scene.solver.stop * 1e3:g} ms",
+            "loop" if self.scene.impact is None else "impact",
+            f"{self.scene.title}: {self.scene.solver.stop * 1e3:g} ms",
             f"relative error of the {what} velocity", "CPU time [s]", tuple(points), tuple(notes),
         )  # fmt: skip
 

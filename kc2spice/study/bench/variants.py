@@ -37,7 +37,7 @@ class Variant:
 def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
     """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
-        for reltol in setup.some(tolerances):
+        for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
             deck = make_deck(_solver(scene, reltol=reltol, method=method), models)
             slow = reltol < 1e-5
             yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck, slow=slow)
