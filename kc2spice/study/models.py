@@ -58,18 +58,19 @@ def build_models(scene: Scene, clock: Clock) -> Models:
 def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
     """What the chip's matrices, their reduction and the catch's field depend on, where present.
 
-    Scenes with equal entries share that model. The drive pulse and the electrical boundary act on
-    the circuit, and the field is linear in the remanence: neither is part of a model.
+    Scenes with equal entries share that model. Pulse, drivers and electrical boundary act on the
+    circuit, and the field is linear in the remanence: neither is part of a model.
     """
     keys: dict[str, dict[str, Any]] = {}
     if scene.kick is not None:
-        keys["chip"] = scene.kick.model_dump(mode="json", exclude={"drive", "electrical"})
+        keys["chip"] = scene.kick.model_dump(mode="json", exclude={"drive", "electrical", "driver"})
         keys["reduction"] = {
             "kick": keys["chip"], "rings": kept_rings(scene),
             "rom": scene.rom.model_dump(mode="json"),
         }  # fmt: skip
     if scene.catch is not None:
-        catch = scene.catch.model_dump(mode="json", exclude={"remanence", "points"})
+        apart = {"remanence", "points", "driver"}
+        catch = scene.catch.model_dump(mode="json", exclude=apart)
         keys["field"] = {"catch": catch, "radius": need(scene.sphere, "sphere").radius}
     return keys
 
@@ -92,7 +93,9 @@ def _condensed(chip: Kick) -> tuple[CondensedSystem, dict[str, float]]:
 
 
 def _kick(scene: Scene, clock: Clock) -> KickModel:
-    chip = need(scene.kick, "kick").model_copy(update={"drive": Drive(), "electrical": "driven"})
+    chip = need(scene.kick, "kick").model_copy(
+        update={"drive": Drive(), "electrical": "driven", "driver": None}
+    )
 
     def build() -> KickModel:
         with clock.stage("mesh", "chip mesh"):
@@ -116,7 +119,7 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
 
 def _table(scene: Scene, clock: Clock) -> EMTable:
     catch, sphere = need(scene.catch, "catch"), need(scene.sphere, "sphere")
-    unit = catch.model_copy(update={"remanence": 1.0})
+    unit = catch.model_copy(update={"remanence": 1.0, "driver": None})
 
     def build() -> EMTable:
         with clock.stage("magnetics", "field of the catch actuator") as share:

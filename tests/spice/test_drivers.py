@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from kc2spice.netlist.circuit import Deck
 from kc2spice.netlist.included import included_netlists
@@ -120,6 +121,10 @@ def test_amplifier_slews_and_limits(header, tmp_path):
     assert np.polyfit(slow["time"][up], slow["out"][up], 1)[0] == pytest.approx(2e7, rel=0.01)
     weak = charging(header, parts, "amplifier", "current_limit=2 resistance=0.1", tmp_path / "weak")
     assert np.abs(weak["i"]).max() == pytest.approx(2.0, rel=0.01)
+    up = (weak["out"] > 20) & (weak["out"] < 80) & (weak["time"] < 8e-6)
+    rate = np.polyfit(weak["time"][up], weak["out"][up], 1)[0]
+    # dV/dt = I/C; at 50 V the feedback's 20 kOhm take a thousandth of the 2 A
+    assert rate == pytest.approx(2.0 / 100e-9, rel=2e-3)
 
 
 def test_charge_drive_sets_the_charge_whatever_the_capacitance(header, tmp_path):
@@ -211,7 +216,44 @@ def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
 # --------------------------------------------------------------------------------- in the loop
 
 
-@pytest.mark.parametrize("name", ["half_bridge_kick", "charge_kick", "bring_your_own"])
+@pytest.mark.parametrize("limit", [5.0, 1.0])
+def test_amplifier_kick_shows_slew_rate_and_current_limit(header, model, radii, table, tmp_path,
+                                                          limit):  # fmt: skip
+    """The voltage rises at the slew rate, or as the largest current charges clamped C and modes."""
+    scene = load_scene("amplifier_kick", [f"kick.driver.amplifier.current_limit={limit}",
+                                          "solver.stop=0.51 ms"])  # fmt: skip
+    amplifier, clamped = scene.kick.driver.amplifier, model.D[6, 6]
+    waves = run_deck(loop_deck(scene, header, model, radii, table), tmp_path)
+    t, u, i = waves["time"] - scene.kick.drive.start, waves["kick.voltage"], waves["kick.current"]
+    assert i.max() == pytest.approx(limit, rel=1e-3)
+    begin = (t > 0.1e-6) & (t < 0.25e-6)
+    if limit / clamped > amplifier.slew:
+        inner = u + amplifier.resistance * i  # the amplifier's own voltage, behind its resistance
+        assert np.polyfit(t[begin], inner[begin], 1)[0] == pytest.approx(amplifier.slew, rel=0.02)
+        assert np.ptp(t[i > 0.999 * limit]) > 1e-6  # reached when the chip's modes give way
+        return
+    assert i[begin] == pytest.approx(limit, rel=1e-3)
+    first = np.interp(0.5 * limit, i[t < 0.1e-6], t[t < 0.1e-6])  # the current's step: 20 ns
+    grid, want = charged(model, limit, 1.5e-6)
+    assert np.diff(want[:20]).mean() / grid[1] == pytest.approx(limit / clamped, rel=0.03)  # I/C
+    have = np.interp(first + grid, t, u)
+    np.testing.assert_allclose(have, want, atol=0.02 * want.max())  # and the sphere's weight
+
+
+def charged(model, current, stop):
+    """Voltage of the resting device under a constant current, from its modal equations."""
+    gain, q = model.gain[:, 6], model.order
+    stiff = np.diag(model.omega**2) + np.outer(gain, gain) / model.D[6, 6]
+    matrix = np.block([[np.zeros((q, q)), np.eye(q)], [-stiff, -np.diag(model.damp)]])
+    drive = np.concatenate([np.zeros(q), gain / model.D[6, 6]])[:, None]  # by the charge I t
+    out = np.concatenate([-gain, np.zeros(q)])[None] / model.D[6, 6]
+    t = np.linspace(0.0, stop, 601)
+    _, u, _ = lsim((matrix, drive, out, [[1 / model.D[6, 6]]]), current * t, t)
+    return t, u
+
+
+@pytest.mark.parametrize("name", ["half_bridge_kick", "amplifier_kick", "charge_kick",
+                                  "bring_your_own"])  # fmt: skip
 def test_driven_kicks_launch_and_are_caught(header, model, radii, table, tmp_path, name):
     scene = load_scene(name)
     files = included_netlists(scene)

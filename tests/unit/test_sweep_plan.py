@@ -81,6 +81,14 @@ def test_runs_are_counted_by_what_the_keys_reach(sets, chip, catch, rom, netlist
     assert (runs["netlists"], runs["ngspice"]) == (netlists, study(*sets).plan.size)
 
 
+def test_drivers_are_circuits_and_need_no_new_models():
+    request = Request(SceneText("amplifier_kick", None),
+                      ("kick.driver.amplifier.current_limit=2 A,5 A",))  # fmt: skip
+    assert make_study(request).stages.runs == {
+        "chip_fe": 1, "catch_fe": 1, "rom": 1, "netlists": 2, "ngspice": 2,
+    }  # fmt: skip
+
+
 def test_models_are_prepared_once_each_with_one_group_for_each_chip():
     found = study("control.kd=10,20,30", "rom.order=20,30", "kick.damping.ratio=0.01,0.02")
     groups = list(shared_models(found.plan, found.stages))
