@@ -237,7 +237,7 @@ def test_amplifier_kick_shows_slew_rate_and_current_limit(header, model, radii, 
     grid, want = charged(model, limit, 1.5e-6)
     assert np.diff(want[:20]).mean() / grid[1] == pytest.approx(limit / clamped, rel=0.03)  # I/C
     have = np.interp(first + grid, t, u)
-    np.testing.assert_allclose(have, want, atol=0.02 * want.max())  # and the sphere's weight
+    np.testing.assert_allclose(have, want, atol=0.04 * want.max())  # the sphere is no part of it
 
 
 def charged(model, current, stop):
