@@ -50,7 +50,8 @@ def realize(
     """One ``.subckt`` with the electrical port ``anode cathode``, the rings asked for and ``base``.
 
     With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
-    mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um::
+    mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
+    model without mechanical ports, in uC)::
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k,    C = 1 uF
 
@@ -120,7 +121,7 @@ def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
     modes: list[_Mode] = []
     for j in np.argsort(model.omega):
         omega, damp, gain = model.omega[j], model.damp[j], model.gain[j]
-        scale = np.max(np.abs(gain[mechanical]), initial=0.0) or 1.0
+        scale = np.max(np.abs(gain[mechanical]), initial=0.0) or np.abs(gain).max() or 1.0
         drive = STATE * scale * gain / (omega * MICRO)  # A into p per newton or volt
         modes.append(
             _Mode(

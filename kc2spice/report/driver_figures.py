@@ -24,7 +24,7 @@ from kc2spice.sim.waveforms import Waveforms
 def driver_figures(directory: Path, waves: Waveforms, scene: Scene) -> list[Picture]:
     """Voltage and current of the chip's driver, voltage and currents of the coils' driver."""
     pictures = []
-    if scene.kick and scene.kick.driver:
+    if scene.kick and (scene.kick.driver or not scene.sphere):
         pictures.append(kick_driver(directory / "kick_driver.png", waves, scene))
     if scene.catch and scene.catch.driver:
         pictures.append(coil_driver(directory / "coil_driver.png", waves))

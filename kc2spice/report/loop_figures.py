@@ -36,11 +36,12 @@ def loop_figures(
     reference: Waveforms | None = None,
 ) -> list[Picture]:
     """Draw what the run has: path, kick, contact, coil currents, force map, error to scipy."""
-    pictures = [
-        trajectory(directory / "trajectory.png", waves, scene, reference),
-        kick(directory / "kick_stroke.png", waves, scene, reference),
-        contact(directory / "contact_force.png", waves, scene),
-    ]
+    pictures = []
+    if scene.sphere:
+        pictures.append(trajectory(directory / "trajectory.png", waves, scene, reference))
+    if scene.contact:
+        pictures.append(kick(directory / "kick_stroke.png", waves, scene, reference))
+        pictures.append(contact(directory / "contact_force.png", waves, scene))
     if "coil.upper.current" in waves:
         pictures.append(currents(directory / "coil_currents.png", waves, scene))
     pictures += driver_figures(directory, waves, scene)

@@ -64,25 +64,27 @@ def loop_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | Non
     ``sphere.y``; ``final_error_m`` is set point less position, ``hold_current_a`` the upper
     coil's mean current over the last twentieth of the run (the derivative term makes single
     samples noisy), ``kick_stroke_m`` the centre node's largest displacement. ``caught``:
-    inside the settling band for the last tenth of the run at least. Scenes without control have
-    no metrics of it, scenes with drivers also the peaks of what those give.
+    inside the settling band for the last tenth of the run at least. Scenes without control, contact
+    or sphere have no metrics of it, scenes with drivers also the peaks of what those give.
     """
-    y, launch = waves["sphere.y"], separation(waves)
-    found: dict[str, float | bool | None] = {
-        "launch_velocity_m_s": launch.velocity if launch else None,
-        "launch_time_s": launch.time if launch else None,
-        "peak_height_m": float(y.max()),
-        "final_position_m": float(y[-1]),
-        "kick_stroke_m": float(waves["kick.u.R0"].max()),
-    }
+    found: dict[str, float | bool | None] = {}
+    if scene.contact:
+        launch = separation(waves)
+        found["launch_velocity_m_s"] = launch.velocity if launch else None
+        found["launch_time_s"] = launch.time if launch else None
+    if scene.sphere:
+        found["peak_height_m"] = float(waves["sphere.y"].max())
+        found["final_position_m"] = float(waves["sphere.y"][-1])
+    if scene.contact:
+        found["kick_stroke_m"] = float(waves["kick.u.R0"].max())
     found |= _driver_metrics(waves, scene)
     return found if scene.control is None else found | _control_metrics(waves, scene)
 
 
 def _driver_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | None]:
-    """What real drivers have to give: peaks of current, charge and voltage."""
+    """What real drivers, or the ideal one of a chip alone, give: current, charge and voltage."""
     found: dict[str, float | bool | None] = {}
-    if scene.kick and scene.kick.driver:
+    if scene.kick and (scene.kick.driver or not scene.sphere):
         found["kick_voltage_peak_v"] = float(np.abs(waves["kick.voltage"]).max())
         if "kick.current" in waves:
             current = waves["kick.current"]

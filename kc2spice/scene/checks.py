@@ -13,13 +13,13 @@ from kc2spice.scene.schema import Catch, Kick, Part, Scene, Sphere
 # What each experiment needs, and what it may have besides. Anything else in the file would be
 # ignored, so it is refused.
 NEEDED = {
-    "loop": ("sphere",),
+    "loop": (),
     "impact": ("kick", "contact", "sphere", "impact"),
     "imprint": ("kick", "contact", "sphere", "imprint"),
     "harmonic": ("kick", "harmonic"),
     "em_force": ("sphere", "catch", "em_force"),
 }
-OPTIONAL = {"loop": ("kick", "contact", "catch", "control")}
+OPTIONAL = {"loop": ("kick", "contact", "sphere", "catch", "control")}
 # A part is of use only with these others.
 PARTNERS = {"contact": ("kick", "sphere"), "catch": ("sphere",), "control": ("catch",)}
 SECTIONS = (
@@ -78,6 +78,8 @@ def _parts(scene: Scene) -> Iterator[UsageError]:
         for partner in PARTNERS.get(part, ()):
             if partner not in present:
                 yield _absent(partner, f"{part} needs this part")
+    if experiment == "loop" and not scene.kick and not scene.sphere:
+        yield _absent("sphere", "experiment 'loop' needs a sphere or a chip")
     if scene.kick and scene.sphere and not scene.contact:
         yield _absent("contact", "without it the sphere falls through the chip")
 

@@ -90,13 +90,14 @@ def _short(value: Any) -> str:
 def _meshes(scene: Scene) -> Iterator[Share]:
     """Meshes are the user's: that of the chip is the paper's, and finer rings are another model."""
     if scene.kick is not None:
-        mesh = scene.kick.mesh
+        mesh, why = scene.kick.mesh, "fixed by kick.mesh, not part of the budget"
+        contact = scene.contact is not None and scene.experiment in TRANSIENT
         yield Share(
             "mesh",
             None,
-            0.02 if scene.experiment in TRANSIENT else None,
+            0.02 if contact else None,
             f"kick.mesh.refine {mesh.refine}, ring_spacing {mesh.ring_spacing:g} m",
-            "fixed by kick.mesh, not part of the budget; finer rings move launch and impact by 2 %",
+            f"{why}; finer rings move launch and impact by 2 %" if contact else why,
         )
     if scene.catch is not None:
         yield Share(

@@ -168,7 +168,7 @@ def test_errors_in_a_file_give_the_line(scene_file):
     [
         ("[kick]\n[contact]\n[sphere]\n[control]\n", "key catch: control needs this part"),
         ("[sphere]\n[contact]\n", "key kick: contact needs this part"),
-        ("[kick]\n[contact]\n", "key sphere: experiment 'loop' needs this part"),
+        ("[kick]\n[contact]\n", "key sphere: contact needs this part"),
         ("[kick]\n[sphere]\n", "key contact: without it the sphere falls"),
         ("experiment = 'harmonic'\n[kick]", "key harmonic: experiment 'harmonic' needs this part"),
         ("kick = 10 V", "not valid TOML"),
