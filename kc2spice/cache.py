@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
@@ -27,6 +28,7 @@ from scipy import sparse
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
+_ABANDONED = 3600.0  # s
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
 
 
@@ -141,7 +143,14 @@ def _store(path: Path, archive: bytes) -> None:
 
 
 def _prune(root: Path) -> None:
-    """Drop the entries that were unused for longest once the cache is larger than its limit."""
+    """Drop the entries that were unused for longest once the cache is larger than its limit.
+
+    What a killed process left half written goes after an hour.
+    """
+    for part in root.glob("*/.*.part"):
+        with contextlib.suppress(OSError):  # another process may have finished or dropped it
+            if time.time() - part.stat().st_mtime > _ABANDONED:
+                part.unlink()
     entries = [(entry, entry.stat()) for entry in root.glob("*/*.entry")]
     total = sum(stat.st_size for _, stat in entries)
     for entry, stat in sorted(entries, key=lambda pair: pair[1].st_mtime):

@@ -1,5 +1,9 @@
 """The cache: equal back, rebuilt when anything it depends on changes or the entry is damaged."""
 
+import os
+import resource
+import signal
+import time
 import warnings
 from dataclasses import dataclass
 
@@ -158,3 +162,48 @@ def test_old_entries_make_room(folder, monkeypatch):
         cached("kind", {"n": 6}, Builder(np.zeros(1000)))
         assert len(list(folder.rglob("*.entry"))) == 3
         assert cached("kind", {"n": 6}, Builder(None))[1]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.001, 0.003, 0.01, 0.02])
+def test_the_cache_survives_a_kill(folder, delay):
+    """Whatever moment the writer dies at, the next reader gets a whole entry or builds it."""
+    big = np.arange(400_000.0)
+    child = os.fork()
+    if child == 0:
+        for n in range(1000):
+            cached("kind", {"n": n % 2}, Builder(big + n % 2))
+            for entry in folder.rglob("*.entry"):
+                entry.unlink()
+        os._exit(0)
+    while not list(folder.rglob("*")):
+        time.sleep(0.001)
+    time.sleep(delay)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no entry may be damaged
+        for n in range(2):
+            found, _ = cached("kind", {"n": n}, Builder(big + n))
+            np.testing.assert_array_equal(found, big + n)
+
+
+def test_what_a_killed_writer_left_goes_after_an_hour(folder):
+    cached("kind", {"n": 0}, Builder(1))
+    old, young = folder / "kind" / ".old.part", folder / "kind" / ".young.part"
+    for part in (old, young):
+        part.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    cached("kind", {"n": 1}, Builder(1))
+    assert not old.exists()
+    assert young.exists()
+
+
+def test_a_full_disk_costs_time_only(folder):
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+        with pytest.warns(UserWarning, match="cannot write the cache"):
+            found, hit = cached("kind", {}, Builder(np.zeros(10_000)))
+        os._exit(7 if found.size == 10_000 and not hit else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    assert not [path for path in folder.rglob("*") if path.is_file()]

@@ -1,6 +1,8 @@
 """Staged output: all files at the end, or the directory as it was."""
 
 import os
+import resource
+import signal
 import threading
 
 import pytest
@@ -105,3 +107,87 @@ def test_out_cannot_be_written(tmp_path, name, mode):
     with pytest.raises(UsageError, match="cannot be written"), staged(tmp_path / name):
         pass
     (tmp_path / "locked").chmod(0o700)
+
+
+FILES = ("a.lib", "b.lib", "bench.cir", "waves.npz", "result.json")
+
+
+def in_a_child(work):
+    """Exit status of a forked process that does ``work``, negative for a signal."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def publish(out, label):
+    with staged(out) as work:
+        for name in FILES:
+            (work / name).write_text(label)
+
+
+@pytest.mark.parametrize("kill_at", range(len(FILES)))
+def test_a_kill_between_two_renames_never_leaves_a_mixture(kill_at, tmp_path, monkeypatch):
+    """The record and the deck go first and come last, so what they stand for is whole."""
+    out = tmp_path / "out"
+    publish(out, "old")
+
+    def die():
+        moved, replace = [], os.replace
+
+        def counted(source, target):
+            if len(moved) == kill_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            moved.append(target)
+            replace(source, target)
+
+        monkeypatch.setattr(os, "replace", counted)
+        publish(out, "new")
+
+    assert in_a_child(die) == -signal.SIGKILL
+    found = {path.name: path.read_text() for path in out.iterdir()}
+    assert "result.json" not in found
+    if "bench.cir" in found:
+        assert {found[name] for name in FILES[:-1]} == {"new"}
+    publish(out, "third")
+    assert {path.read_text() for path in out.iterdir()} == {"third"}
+
+
+def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_path):
+    out = tmp_path / "out"
+
+    def die():
+        with staged(out):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    assert in_a_child(die) == -signal.SIGKILL
+    (dead,) = tmp_path.glob(".out.*.part")
+    os.utime(dead, (0, 0))
+    with staged(out) as living:
+        os.utime(living, (0, 0))
+        assert not dead.exists()
+        publish(out, "x")
+        assert living.exists()
+
+
+def test_a_full_disk_is_told_and_spares_the_earlier_result(tmp_path):
+    """A limit on the size of files stands for the disk; Python then gets EFBIG."""
+    out = tmp_path / "out"
+    publish(out, "old")
+
+    def fill():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        with (
+            pytest.raises(UsageError, match="cannot be written: File too large"),
+            staged(out) as work,
+        ):
+            (work / "a.lib").write_text("new")
+            (work / "waves.npz").write_bytes(bytes(5000))
+        os._exit(7)
+
+    assert in_a_child(fill) == 7
+    assert {path.read_text() for path in out.iterdir()} == {"old"}
+    assert names(tmp_path) == ["out"]
