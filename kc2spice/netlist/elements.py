@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.statements import Statement, beside, statements
@@ -210,6 +211,8 @@ def element(s: Statement) -> Element:
         count = 2
     if kind == "q" and len(rest) > 4 and "=" not in rest[4] and not _number(rest[4]):
         count = 4
+    if kind == "m" and len([*takewhile(lambda w: "=" not in w, rest)]) == 4:
+        count = 3  # a VDMOS has no bulk
     controls = {"f": 1, "h": 1, "w": 1, "k": 2}.get(kind, 0)
     needed = count + controls + (kind in _MODELLED or kind not in "vi")
     if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
