@@ -67,8 +67,8 @@ def sweep(
         list[str] | None,
         typer.Option(
             metavar="KEY=a:b",
-            help="Search KEY between two positive values for the least --minimise over all points, "
-            "at none of them worse than the scene as it is. Repeatable.",
+            help="Search KEY between two positive values for the least --minimise, as a ratio to "
+            "the scene as it is, at the worst of all points. Repeatable.",
         ),
     ] = None,
     minimise: Annotated[

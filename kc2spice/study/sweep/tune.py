@@ -21,7 +21,7 @@ from kc2spice.study.sweep.study import Study
 from kc2spice.study.sweep.table import Journal
 
 MISSED = 3.0  # ratio of a run that has no such metric: it was not caught, or it failed
-SLOWER = 10.0  # weight of the largest loss against the scene as it is, over the mean gain
+MEAN = 0.1  # weight of the mean ratio beside the worst one
 CANDIDATES = 16  # of one generation
 SIMPLEX = 0.05  # first edge of the final search, a share of each value
 REFINEMENTS = 60  # candidates of the final search
@@ -69,11 +69,11 @@ def tune(
     study: Study, bounds: Sequence[Bound], metric: str, generations: int, directory: Path,
     engine: Engine, progress: Progress = silent,
 ) -> Tuned:  # fmt: skip
-    """Minimise ``metric`` over all points of ``study``, its conditions, and lose at none of them.
+    """Minimise ``metric`` over all points of ``study``, its conditions, the worst of them first.
 
     With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
 
-        mean_k r_k + SLOWER max(0, max_k r_k - 1)
+        max_k r_k + MEAN mean_k r_k
 
     Differential evolution (Storn and Price 1997) with the study's seed, then the simplex of Nelder
     and Mead (1965): a search that was killed takes its recorded runs from ``directory`` and goes
@@ -95,7 +95,7 @@ def tune(
         def cost(logs: np.ndarray) -> np.ndarray:
             found = np.array(runs.evaluate([_values(bounds, x) for x in logs.T]))
             ratio = np.where(np.isfinite(found), found / before, MISSED)
-            return ratio.mean(axis=1) + SLOWER * np.maximum(0.0, ratio.max(axis=1) - 1.0)
+            return ratio.max(axis=1) + MEAN * ratio.mean(axis=1)
 
         def tell(best: np.ndarray, convergence: float) -> None:
             text = ", ".join(f"{key} = {value:g}" for key, value in _values(bounds, best).items())

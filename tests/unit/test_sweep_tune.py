@@ -1,0 +1,91 @@
+"""The tuner against a metric whose best point is known, and what it records."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from kc2spice.errors import SimulationError, UsageError
+from kc2spice.study.sweep import tune
+from kc2spice.study.sweep.point import Outcome
+from kc2spice.study.sweep.source import SceneText
+from kc2spice.study.sweep.study import Request, make_study
+
+BOUNDS = ["control.kp=1e4:1e6", "control.kd=2:200"]
+BEST = {90.0: (1e5, 10.0), 110.0: (1e5, 40.0)}  # of each condition alone
+
+
+class Threads:
+    workers = 1
+    pool = None
+
+    def open(self):
+        self.pool = ThreadPoolExecutor(1)
+        return self.pool
+
+    def close(self):
+        if self.pool is not None:
+            self.pool.shutdown()
+
+
+def settling(kp, kd, voltage):
+    """A bowl in the logarithms around each condition's own best."""
+    a, b = BEST[voltage]
+    return 1e-3 * (1 + np.log(kp / a) ** 2 + np.log(kd / b) ** 2)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Every point that is run, by what it asks for; none reaches ngspice."""
+    made = []
+
+    def run_point(job, task):
+        asked = dict(text.split("=") for text in task.overrides)
+        values = {"control.kp": 5e4, "control.kd": 20.0} | {k: float(v) for k, v in asked.items()}
+        made.append(asked)
+        found = settling(values["control.kp"], values["control.kd"], values["kick.drive.voltage"])
+        return Outcome(task.index, (float(found),))
+
+    monkeypatch.setattr(tune, "run_point", run_point)
+    return made
+
+
+def tuned(tmp_path, metric="settling_time_s"):
+    sets = ("kick.drive.voltage=90,110",)
+    study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=(metric,)))
+    bounds = [tune.bound(text) for text in BOUNDS]
+    return tune.tune(study, bounds, metric, 6, tmp_path, Threads())
+
+
+def test_the_worst_condition_decides(calls, tmp_path):
+    found = tuned(tmp_path)
+    # By symmetry kp is at its best for both. kd must weigh them: the worst ratio has its least
+    # where both are equal, as long as one rises and the other falls.
+    kd = np.geomspace(10.0, 40.0, 100_001)
+    before = {v: settling(5e4, 20.0, v) for v in BEST}
+    ratio = np.array([settling(1e5, kd, v) / before[v] for v in BEST])
+    best = kd[np.argmin(ratio.max(axis=0) + tune.MEAN * ratio.mean(axis=0))]
+    assert found.best["control.kp"] == pytest.approx(1e5, rel=0.02)
+    assert found.best["control.kd"] == pytest.approx(best, rel=0.02)
+    assert (found.after / found.before).max() < 0.9
+    np.testing.assert_allclose(found.before, list(before.values()))
+
+
+def test_a_search_goes_on_where_it_was(calls, tmp_path):
+    first = tuned(tmp_path)
+    made = len(calls)
+    again = tuned(tmp_path)
+    assert len(calls) == made  # every run was recorded
+    assert again.best == first.best
+
+
+def test_a_scene_without_the_metric_is_refused(calls, tmp_path, monkeypatch):
+    monkeypatch.setattr(tune, "run_point", lambda job, task: Outcome(task.index, failure="lost"))
+    with pytest.raises(SimulationError, match="no such metric"):
+        tuned(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["control.kp", "control.kp=5", "control.kp=0:1", "control.kp=2:1"])
+def test_bad_bounds_are_refused(text):
+    with pytest.raises(UsageError):
+        tune.bound(text)
