@@ -151,6 +151,9 @@ class Catch(Section):
     air_height: Length = Field(30e-3, gt=0)
     y_min: Length = -2.5e-3
     y_max: Length = 7.5e-3
+    shift: Length = Field(
+        0.0, gt=-1e-3, lt=1e-3, description="of ring, coils and table upwards: mounting error"
+    )
     positions: Count = Field(41, ge=4, le=2001)
     points: Count = Field(201, ge=21, le=2001, description="of the force lookup in the netlist")
     refine: Count = Field(1, ge=1, le=8)

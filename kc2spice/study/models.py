@@ -59,7 +59,7 @@ def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
     """What the chip's matrices, their reduction and the catch's field depend on, where present.
 
     Scenes with equal entries share that model. Pulse, drivers and electrical boundary act on the
-    circuit, and the field is linear in the remanence: neither is part of a model.
+    circuit, the field is linear in the remanence and moves with its parts: none is part of a model.
     """
     keys: dict[str, dict[str, Any]] = {}
     if scene.kick is not None:
@@ -69,7 +69,7 @@ def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
             "rom": scene.rom.model_dump(mode="json"),
         }  # fmt: skip
     if scene.catch is not None:
-        apart = {"remanence", "points", "driver"}
+        apart = {"remanence", "shift", "points", "driver"}
         catch = scene.catch.model_dump(mode="json", exclude=apart)
         keys["field"] = {"catch": catch, "radius": need(scene.sphere, "sphere").radius}
     return keys
@@ -119,7 +119,7 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
 
 def _table(scene: Scene, clock: Clock) -> EMTable:
     catch, sphere = need(scene.catch, "catch"), need(scene.sphere, "sphere")
-    unit = catch.model_copy(update={"remanence": 1.0, "driver": None})
+    unit = catch.model_copy(update={"remanence": 1.0, "shift": 0.0, "driver": None})
 
     def build() -> EMTable:
         with clock.stage("magnetics", "field of the catch actuator") as share:
@@ -127,17 +127,18 @@ def _table(scene: Scene, clock: Clock) -> EMTable:
 
     key = model_keys(scene)["field"]
     table, _ = cached("catch", key, build, classes=(EMTable,), sources=("kc2spice.fem",))
-    return magnetised(table, catch.remanence)
+    return mounted(table, catch.remanence, catch.shift)
 
 
-def magnetised(table: EMTable, factor: float) -> EMTable:
-    """The table for ``factor`` times the remanence of ring and sphere, exact in linear materials.
+def mounted(table: EMTable, factor: float, shift: float) -> EMTable:
+    """The table for ``factor`` times the remanence, of an actuator ``shift`` [m] higher; exact.
 
-    The pull between the magnets grows with the square, what a current adds in proportion, and
-    what currents do alone not at all.
+    In linear materials the pull between the magnets grows with the square, what a current adds in
+    proportion, and what currents do alone not at all. Air box and ring move together.
     """
     return replace(
         table,
+        y=table.y + shift,
         c0=factor**2 * table.c0,
         c1=factor * table.c1,
         c2=factor * table.c2,

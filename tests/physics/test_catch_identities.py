@@ -9,6 +9,7 @@ from kc2spice.fem import magforms, magmesh, magsystem
 from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
 from kc2spice.fem.magnetics import brute_force, catch_table
 from kc2spice.scene.schema import Catch, Sphere
+from kc2spice.study.models import mounted
 
 RADIUS = Sphere().radius
 
@@ -156,3 +157,21 @@ def test_condensing_the_surrounding_changes_nothing(bore: magmesh.Bore) -> None:
     scale = np.max(np.abs(products), axis=0)
     assert np.all(np.abs(small.energy + reduced.loads.T @ b - products) < 1e-11 * scale)
     np.testing.assert_allclose(b[reduced.mover], a[full.mover], rtol=0, atol=1e-10 * np.max(a))
+
+
+def test_remanence_and_mounting_need_no_new_field():
+    """A stronger actuator mounted higher, solved anew, against the table of the plain one."""
+    catch, shift = Catch(remanence=1.0, positions=9), 100e-6
+    higher = {
+        name: getattr(catch, name).model_copy(update={"y": getattr(catch, name).y + shift})
+        for name in ("ring", "lower", "upper")
+    }
+    moved = catch.model_copy(update={
+        **higher, "remanence": 0.3, "y_min": catch.y_min + shift, "y_max": catch.y_max + shift,
+    })  # fmt: skip
+    want, have = catch_table(moved, Sphere()), mounted(catch_table(catch, Sphere()), 0.3, shift)
+    np.testing.assert_allclose(have.y, want.y, rtol=0, atol=1e-15)
+    for name in ("c0", "c1", "c2", "c11", "c12", "c22"):
+        exact = getattr(want, name)
+        # another mesh, and the air box stays where it is while the parts move by 1 % of its half
+        assert np.abs(getattr(have, name) - exact).max() < 2e-3 * np.abs(exact).max(), name

@@ -161,8 +161,8 @@ class _Store:
         self._models: OrderedDict[str, Models] = OrderedDict()
 
     def models(self, scene: Scene) -> Models:
-        remanence = None if scene.catch is None else scene.catch.remanence
-        key = repr((model_keys(scene), remanence))
+        placed = None if scene.catch is None else (scene.catch.remanence, scene.catch.shift)
+        key = repr((model_keys(scene), placed))
         with self._lock:  # threads of one worker must not build the same model side by side
             if key not in self._models:
                 self._models[key] = build_models(scene, Clock())
