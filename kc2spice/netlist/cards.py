@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from kc2spice.errors import UsageError
 
@@ -42,6 +43,26 @@ def name(text: str, *, where: str = "netlist") -> str:
             expected="a letter, then letters, digits or _ (64 at most), no reserved word",
         )
     return text
+
+
+def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
+    """Nothing, if ``names`` can all be pins: case does not tell them apart, and none fully matches
+    the pattern ``inner`` of the nodes that the subcircuit has itself.
+
+    Raises
+    ------
+    UsageError : a name that would tie two nodes to each other.
+    """
+    low = [text.lower() for text in names]
+    for text, plain in zip(names, low, strict=True):
+        if low.count(plain) > 1 or re.fullmatch(inner, plain):
+            raise UsageError(
+                "this name is taken in the subcircuit",
+                where=where,
+                got=text,
+                expected="names of ports that differ in more than case",
+                hint="rename the port",
+            )
 
 
 def comment(text: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.errors import UsageError
+from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header, rom_line
@@ -15,6 +16,7 @@ from kc2spice.rom.model import ResonatorModel
 
 MICRO = 1e-6  # 1 V on a mechanical pin is 1 um
 STATE = 1e-6  # farad of every state: one chgtol is then one tolerance of displacement
+_INNER = r"tick|inner|current|charge|[qp]\d+"  # nodes of the template
 LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 
 
@@ -66,7 +68,8 @@ def realize(
 
     Raises
     ------
-    UsageError : an unknown port, or a port that is neither mechanical nor electrical.
+    UsageError : an unknown port, one that is neither mechanical nor electrical, or one whose name
+        the subcircuit has for itself.
     """
     wanted = tuple(p.name for p in model.ports) if ports is None else ports
     known = {p.name: p for p in model.ports}
@@ -82,6 +85,8 @@ def realize(
     electrical = anode is not None and model.ports[anode].name in wanted
     clamped = float(model.D[anode, anode]) if anode is not None else 0.0
     pins = _pins(rings, electrical)
+    inner = "|".join([_INNER, *(f"[uf]{ring.pin.lower()}" for ring in rings)])
+    distinct([pin.name for pin in pins], inner, where=name)
     params = _params(model)
     text = render(
         "kick.j2",

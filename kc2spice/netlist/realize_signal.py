@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.errors import UsageError
+from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.header import Header, part_header, rom_line
@@ -14,6 +15,7 @@ from kc2spice.netlist.render import render
 from kc2spice.rom.blocks import BlockModel, block_model
 from kc2spice.rom.model import FirstOrderModel, ReducedModel
 
+_INNER = r"ref|tick|sum\d+|z\d+"  # nodes of the template
 LEAK = 1e-12  # S; an order above the conductances that ngspice takes for zero
 # A block whose smallest singular value is this far below the band integrates constant inputs.
 FREE = 1e-11
@@ -101,9 +103,7 @@ def _split(model: ReducedModel | FirstOrderModel) -> tuple[list[str], list[str]]
     m, names = model.B.shape[1], [port.name for port in model.ports]
     if any(port.kind != "signal" for port in model.ports) or len(names) != m + model.C.shape[0]:
         raise UsageError("its ports are not signals", where="signal subcircuit", got=names)
-    low = [name.lower() for name in names]
-    if len(set(low)) < len(low) or "ref" in low:
-        raise UsageError("pins need different names, none 'ref'", where="ports", got=names)
+    distinct(names, _INNER, where="ports")
     return names[:m], names[m:]
 
 
