@@ -35,6 +35,7 @@ def contact_subcircuit(
         *(Pin(ring, "um", "N") for ring in rings),
         Pin("v", "m/s", "N"),
         Pin("bottom", "um", "-"),
+        Pin("base", "um", "N"),
     )
     params = (
         Param("eps", eps, "N/m", "contact penalty of a whole ring"),

@@ -43,7 +43,7 @@ V1 R1 0 0.2
 V2 R2 0 0
 Vv v 0 0
 Vbottom bottom 0 0
-Xcontact R0 R1 R2 v bottom contact
+Xcontact R0 R1 R2 v bottom 0 contact
 .dc Vbottom -6 1 0.05"""
     vectors = {
         "bottom": ("v(bottom)", 1e-6),
@@ -91,7 +91,7 @@ def test_elastic_bounce_keeps_its_energy(header, tmp_path):
     ground = contact_subcircuit(header, ("R0",), np.zeros(1), 4e8)
     deck = flight(
         header, 0.0, 4e-6, -1.0, 1e-6, "reltol=1e-5 trtol=1 chgtol=1e-10",
-        "Vground R0 0 0\nXcontact R0 v bottom contact", [ground],
+        "Vground R0 0 0\nXcontact R0 v bottom 0 contact", [ground],
     )  # fmt: skip
     waves = run_deck(deck, tmp_path)
     energy = MASS * waves["v"] ** 2 / 2 + 4e8 * np.minimum(0.0, waves["bottom"]) ** 2 / 2
@@ -107,7 +107,7 @@ def test_resting_contact_rests(header, tmp_path):
     sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81)
     cards = """Xsphere v bottom y 0 sphere
 Vground R0 0 0
-Xcontact R0 v bottom contact
+Xcontact R0 v bottom 0 contact
 .options reltol=1e-4 trtol=1
 .tran 1e-05 0.005 0 1e-05"""
     vectors = {"bottom": ("v(bottom)", 1e-6), "v": ("v(v)", 1.0)}

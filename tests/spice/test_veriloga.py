@@ -279,7 +279,7 @@ def test_contact_is_the_penalty_law(parts, modules, radii):
     rng = np.random.default_rng(5)
     gaps = 1e-3 - np.sqrt(1e-6 - radii**2)
     for _ in range(20):
-        x = rng.normal(size=8) * 20
+        x = rng.normal(size=len(compiled.at)) * 20
         x[compiled.at["bottom"]] = rng.uniform(-30, 5)
         eps = rng.uniform(1e8, 1e9)
         rings = [compiled.at[f"r{k}"] for k in range(6)]
