@@ -1,61 +1,35 @@
-"""A device small enough for fast tests, made from formulas: no FE, no reduction."""
+"""Fixtures of the ngspice tests: the made-up device and the loop around it."""
 
 from __future__ import annotations
+
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.system import Port
 from kc2spice.netlist.header import Header
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
+
+sys.path.insert(0, str(Path(__file__).parent))
+import device
 
 
 @pytest.fixture(scope="session")
 def radii() -> np.ndarray:
-    return 50e-6 * np.arange(6)
+    return device.RADII
 
 
 @pytest.fixture(scope="session")
 def model() -> ResonatorModel:
-    """Thirty modes from 270 kHz to 30 MHz with the chip's stroke, capacitance and compliances."""
-    rng = np.random.default_rng(1)
-    omega = 2 * np.pi * np.geomspace(270e3, 30e6, 30)
-    gain = np.zeros((30, 7))
-    gain[0, :6] = 120.0  # the piston mode moves all rings alike
-    gain[0, 6] = 2.35e-8 * omega[0] ** 2 / 120.0  # 2.35 um per 100 V
-    for ring in range(6):
-        share = rng.normal(size=29) * 0.5 + 0.5
-        compliance = 2e-7 / (1 + ring)
-        gain[1:, ring] = omega[1:] * np.sqrt(compliance) * share / np.linalg.norm(share)
-    gain[1:, 6] = omega[1:] * 6e-6 * rng.normal(size=29)
-    ports = tuple(Port(f"R{i}", "mechanical", "um", "N") for i in range(6))
-    return ResonatorModel(
-        omega,
-        0.02 / (2 * np.pi * 250e3) * omega**2,
-        gain,
-        np.diag([0.0] * 6 + [34.87e-9]),
-        (*ports, Port("anode", "electrical", "V", "A")),
-        Certificate((0.0, 500e3), 1e-3, "made up", True, True),
-    )
+    return device.chip()
 
 
 @pytest.fixture(scope="session")
 def table() -> EMTable:
-    """Two coils around 1 and 4 mm, 0.65 N/A together in the middle, a small magnet force."""
-    y = np.linspace(-2.5e-3, 7.5e-3, 41)
-
-    def coil(u: np.ndarray) -> np.ndarray:
-        return -u / 1.5e-3 / (1 + (u / 2.5e-3) ** 2) ** 2.5
-
-    scale = 0.325 / abs(coil(np.array(1.5e-3)))
-    none = np.zeros_like(y)
-    return EMTable(
-        y=y, c0=1e-4 * coil(y - 2.5e-3), c1=scale * coil(y - 1e-3), c2=scale * coil(y - 4e-3),
-        c11=0.01 * coil(y - 1e-3), c12=none, c22=0.01 * coil(y - 4e-3), flux0=np.zeros((41, 2)),
-        inductance=np.zeros((41, 2, 2)), resistance=np.array([1596.0, 1596.0]), unknowns=0,
-    )  # fmt: skip
+    return device.magnets()
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,183 @@
+"""Contact: stiffness, grazing, rest, chatter, bounces; oracles: scipy, closed forms, energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from device import RADII, chip
+from hard_cases.kit import HEADER, bench_deck, case, kick, relative, scene
+from hard_cases.oracle import Plain
+
+from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.experiments import scene_deck
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.report.metrics import compare, separation
+from kc2spice.sim import reference
+
+MASS = scene("impact").sphere.mass
+
+
+def launch_error(bench, study, model=None):
+    """Launch velocity of a kick against scipy, relative."""
+    model = model or chip()
+    waves = bench.scene(study, model)
+    exact = reference.kick_and_catch(model, study, None, rtol=1e-8)
+    return relative(separation(waves).velocity, separation(exact.waves).velocity)
+
+
+def impact_error(bench, study, model, radii=RADII):
+    """Largest distance from scipy's trajectory over its travel."""
+    waves = bench.scene(study, model, radii=radii)
+    exact = reference.impact(model, study)
+    return compare(waves, exact.waves)["trajectory_relative"]
+
+
+def _penalty(value, slow=False):
+    def measure(bench):
+        return launch_error(bench, kick(f"contact.penalty={value} N/m"))
+
+    measure.__name__ = f"penalty_{value}"
+    case("penalty 1e6 to 1e11 N/m", "launch, relative", 2e-4, slow=slow)(measure)
+
+
+for value in ("1e6", "1e7", "1e8", "1e9", "1e10"):
+    _penalty(value)
+_penalty("1e11", slow=True)
+
+
+@case("all six rings at once", "rebound velocity, relative", 1e-4)
+def flat_contact(bench):
+    """A chip flat under the sphere, all gaps zero: six springs close in one instant.
+
+    The truth check would rightly refuse this contact patch, so the deck is run without it.
+    """
+    study, model = scene("impact", "kick.electrical=short", "solver.stop=10 us"), chip(6)
+    waves = bench.run(scene_deck(study, HEADER, model, np.zeros(6)))
+    start = np.zeros(2 * 6 + 2)
+    start[-2:] = study.impact.gap, study.impact.velocity
+    plain = Plain.of(model, np.zeros(6), 1e-3, MASS, stiffness=4e8, gravity=0.0)
+    still = np.array([0.0, 1.0])
+    _, states = plain.run(start, still, 0.0 * still, study.solver.stop)
+    return relative(waves["sphere.v"][-1], states[-1, -1])
+
+
+@case("all six rings at once", "contact patch beyond the rings", refused="outer_ring")
+def patch_outgrows_the_rings(bench):
+    study = scene("impact", "impact.velocity=-100 m/s", "impact.gap=1 um")
+    bench.scene(study)
+    return 0.0
+
+
+@case("all six rings at once", "static force, relative", 1e-8)
+def deep_imprint(bench):
+    study, model = scene("imprint", "imprint.depth=200 um", "imprint.steps=50"), chip()
+    waves = bench.scene(study, model)
+    exact = reference.imprint(model, study)["contact.force"]
+    assert waves["contact.force.R5"][-1] > 0.0
+    return np.abs(waves["contact.force"][1:] / exact[1:] - 1.0).max()
+
+
+def _grazing(speed, gap, stop):
+    def measure(bench):
+        study = scene("impact", f"impact.velocity=-{speed} mm/s", f"impact.gap={gap} nm",
+                      f"solver.stop={stop} us", "kick.electrical=short")  # fmt: skip
+        return impact_error(bench, study, chip())
+
+    measure.__name__ = f"grazing_at_{speed}_mm_s"
+    case("grazing contact", "trajectory over travel", 1e-4)(measure)
+
+
+_grazing("1", "1", "15")
+_grazing("10", "10", "15")
+
+
+@case("resting contact", "penetration m g / k, relative", 1e-4)
+def rest_for_50_ms(bench):
+    """On a rigid plane; the weight presses the spring in by less than a picometre."""
+    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), 4e8)
+    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81)
+    cards = """Xsphere v bottom y 0 sphere
+Vground R0 0 0
+Xcontact R0 v bottom 0 contact
+.options reltol=1e-4 trtol=1 chgtol=1e-08
+.tran 1e-05 0.05 0 1e-05"""
+    deck = bench_deck([sphere, ground], cards, {"bottom": ("v(bottom)", 1e-6)}, 0.05)
+    bottom = bench.run(deck)["bottom"]
+    return np.abs(bottom / (-MASS * 9.81 / 4e8) - 1.0).max()
+
+
+@case("resting contact", "chatter of nanometres", refused="work")
+def chatter_after_a_kick_of_one_volt(bench):
+    """The sphere hops by nanometres, less than the steps resolve: the run must notice."""
+    bench.scene(kick("kick.drive.voltage=1 V", "solver.stop=0.2 ms"))
+    return 0.0
+
+
+@case("resting contact", "height after 50 ms [m]", 1e-6, slow=True)
+def ten_landings_in_50_ms(bench):
+    """No catch: the sphere falls back again and again and settles into chatter."""
+    study = kick("kick.drive.voltage=2 V", "solver.stop=50 ms", "solver.reltol=1e-5")
+    waves = bench.scene(study)
+    exact = reference.kick_and_catch(chip(), study, None, rtol=1e-8)
+    return compare(waves, exact.waves)["final_m"]
+
+
+def bounced(bench, options, ceiling="1e-5", landings=100):
+    """Energy change of a sphere that falls 5 um a hundred times onto a rigid plane."""
+    speed, height, stiffness = 0.01, 1e-7, 4e8
+    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), stiffness)
+    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-speed, height=height)
+    stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / stiffness))
+    cards = f"""Xsphere v bottom y 0 sphere
+Vground R0 0 0
+Xcontact R0 v bottom 0 contact
+.options {options}
+.tran 1e-4 {stop} 0 {ceiling} uic"""
+    vectors = {"v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
+    waves = bench.run(bench_deck([sphere, ground], cards, vectors, stop))
+    bottom = waves["bottom"]
+    energy = MASS * (waves["v"] ** 2 / 2 + 9.81 * bottom)
+    energy += stiffness / 2 * np.minimum(bottom, 0.0) ** 2
+    missed = landings - np.count_nonzero((bottom[:-1] > 0.0) & (bottom[1:] <= 0.0))
+    return abs(energy[-1] / (MASS * (speed**2 / 2 + 9.81 * height)) - 1.0) + abs(missed)
+
+
+@case("100 elastic bounces", "energy gained or lost, relative", 1e-3)
+def hundred_bounces_on_a_rigid_plane(bench):
+    return bounced(bench, "reltol=1e-4 trtol=1 chgtol=1e-08")
+
+
+@case("100 elastic bounces", "energy of sphere and chip, relative", 1e-3)
+def bounces_on_an_undamped_chip(bench):
+    """A strong pull brings the sphere down again and again; what it loses the chip must hold."""
+    pull = 1e4
+    study = scene("impact", f"gravity={pull} m/s2", "impact.velocity=-10 mm/s",
+                  "impact.gap=100 nm", "kick.electrical=short", "solver.stop=20 us",
+                  "solver.reltol=1e-5")  # fmt: skip
+    waves = bench.scene(study, chip(6, damping=0.0))
+    y, v = waves["sphere.y"], waves["sphere.v"]
+    energy = MASS * (v**2 / 2 + pull * (y - y[0]))
+    given = sum(np.trapezoid(waves[f"contact.force.R{k}"], waves[f"kick.u.R{k}"]) for k in range(6))
+    return abs(energy[-1] - energy[0] - given) / energy.max()
+
+
+@case("two kicks 50 us apart", "launch, relative", 2e-4)
+def two_kicks(bench):
+    """The second pulse meets a chip that still rings; oracle: plain equations by DOP853."""
+    few = chip(6)
+    study = kick("kick.drive.voltage=20 V", "solver.stop=0.11 ms")
+    deck = scene_deck(study, HEADER, few, RADII)
+    pulse = "2.4900000000000002e-05)"
+    assert pulse in deck.files[deck.main]
+    twice = deck.files[deck.main].replace(pulse, pulse.replace(")", " 5e-05)"))
+    waves = bench.run(replace(deck, files=deck.files | {deck.main: twice}))
+    plain = Plain.of(few, RADII, 1e-3, study.sphere.mass, stiffness=4e8)
+    edges = np.array([0.0, 0.1, 25.0, 25.1]) * 1e-6
+    corners = np.concatenate((10e-6 + edges, 60e-6 + edges, 110e-6 + edges))
+    rest = np.zeros(2 * 6 + 2)
+    rest[:6] = -few.gain[:6, 0] / few.omega**2 * plain.mass * 9.81
+    rest[-2] = rest[:6] @ few.gain[:6, 0] - plain.mass * 9.81 / 4e8
+    volts = np.tile([0.0, 20.0, 20.0, 0.0], 3)
+    _, states = plain.run(rest, corners, volts, study.solver.stop, rtol=1e-9)
+    return relative(waves["sphere.v"][-1], states[-1, -1])

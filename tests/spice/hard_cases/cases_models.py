@@ -1,0 +1,218 @@
+"""Models of other tools and circuits of users; oracles: full matrices in numpy, closed forms."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from device import RADII, chip
+from hard_cases import kit
+from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
+
+from kc2spice.netlist.included import included_netlists
+from kc2spice.netlist.realize_signal import realize_signal
+from kc2spice.parts.experiments import scene_deck
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.rom.foreign import make_model
+from kc2spice.rom.general import reduce_model
+from kc2spice.scene.checks import check
+from kc2spice.scene.load import load_scene
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "physics"))
+import mor_families as families
+
+RESPONSE = "worst response over peak"
+SIZE = 40
+
+
+def chain(**changed: np.ndarray) -> dict[str, np.ndarray]:
+    """Forty masses between springs, pushed at one end and in the middle."""
+    stiffness = 2 * np.eye(SIZE) - np.eye(SIZE, k=1) - np.eye(SIZE, k=-1)
+    ports = np.zeros((SIZE, 2))
+    ports[0, 0] = ports[SIZE // 2, 1] = 1.0
+    return {"M": np.eye(SIZE), "E": 0.02 * stiffness, "K": stiffness, "B": ports, **changed}
+
+
+def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
+    """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
+    model = make_model(families.as_files(matrices), None, "hard", "hard")
+    rom = reduce_model(model, (0.0, top), tolerance=1e-6)
+    part = realize_signal(rom, HEADER, name="part")
+    frequency = np.linspace(top / 50, top, 50)
+    inputs, outputs = rom.B.shape[1], rom.C.shape[0]
+    columns = []
+    pins = [pin.name for pin in part.pins]
+    for j in range(inputs):
+        cards = [f"Vin{i} {pins[i]} 0 dc 0 ac {int(i == j)}" for i in range(inputs)]
+        cards += [f"X1 {' '.join(pins[:-1])} 0 part", f".ac lin 50 {frequency[0]!r} {top!r}"]
+        vectors = {pin: (f"v({pin.lower()})", 1.0) for pin in pins[inputs : inputs + outputs]}
+        text = "\n".join(cards).replace("np.float64", "")
+        waves = bench.run(bench_deck([part], text, vectors))
+        columns.append(np.stack([waves[pin] for pin in vectors], axis=1))
+    found, expected = np.stack(columns, axis=2), families.full_response(matrices, frequency)
+    return float((np.abs(found - expected) / np.abs(expected).max(axis=0)).max())
+
+
+@case("nearly parallel Krylov vectors", RESPONSE, 1e-5)
+def inputs_that_differ_by_1e_12(bench):
+    ports = chain()["B"][:, [0, 0, 1]]
+    ports[3, 1] = 1e-12
+    return response_error(bench, chain(B=ports))
+
+
+@case("nearly parallel Krylov vectors", RESPONSE, 1e-5)
+def every_pole_twice(bench):
+    """Two equal chains: the second block adds no new direction for either input alone."""
+    single, zero = chain(), np.zeros((SIZE, SIZE))
+    square = {k: np.block([[v, zero], [zero, v]]) for k, v in single.items() if k != "B"}
+    return response_error(bench, {**square, "B": np.vstack([single["B"], single["B"][:, ::-1]])})
+
+
+@case("a port repeated twice", RESPONSE, 1e-5)
+def port_repeated(bench):
+    return response_error(bench, chain(B=chain()["B"][:, [0, 0, 1]]))
+
+
+@case("an unconstrained model", RESPONSE, 1e-5)
+def rigid_body(bench):
+    free = chain()["K"]
+    free[0, 0] = free[-1, -1] = 1.0
+    return response_error(bench, chain(K=free, E=0.02 * free))
+
+
+@case("singular K", RESPONSE, 1e-5)
+def masses_that_nothing_holds(bench):
+    """Ten of forty masses hang in the air by dashpots: K has rank 30."""
+    loose = chain()["K"]
+    loose[30:, :] = loose[:, 30:] = 0.0
+    drag = chain()["E"] + np.diag(np.r_[np.zeros(30), np.ones(10)])
+    drag[29, 30] = drag[30, 29] = 0.0
+    return response_error(bench, chain(K=loose, E=drag))
+
+
+@case("indefinite K", RESPONSE, 1e-5)
+def indefinite_stiffness(bench):
+    """Unstable, and the certificate says so; its response is right all the same."""
+    bent = chain()["K"] - np.diag(np.r_[0.0, 5.0, np.zeros(SIZE - 2)])
+    return response_error(bench, chain(K=bent))
+
+
+@case("non-symmetric K", RESPONSE, 1e-5)
+def unsymmetric_stiffness(bench):
+    return response_error(bench, chain(K=chain()["K"] + 0.01 * np.eye(SIZE, k=1)))
+
+
+def _scaled(name: str, mass: float, stiffness: float) -> None:
+    def measure(bench):
+        rate = np.sqrt(stiffness / mass)
+        given = chain()
+        matrices = {"M": mass * given["M"], "E": stiffness / rate * given["E"],
+                    "K": stiffness * given["K"], "B": given["B"]}  # fmt: skip
+        return response_error(bench, matrices, 0.1 * rate)
+
+    measure.__name__ = name
+    case("unit scale extremes", RESPONSE, 1e-5)(measure)
+
+
+_scaled("a_chain_of_attograms", 1e-21, 1e3)
+_scaled("a_chain_of_buildings", 1e9, 1e-3)
+
+
+@case("op-amp at its rails", "output to rail, relative", 1e-3)
+def opamp_at_its_rails(bench):
+    """Gain 11 on 5 V between rails of 15 V, then back: the output leaves the rail without delay."""
+    cards = """Vin in 0 PWL(0 5 1e-5 5 1.1e-5 1)
+Vcc vcc 0 15
+Vee vee 0 -15
+Xop in n out vcc vee 0 opamp gbw=1e7
+R1 n 0 1000
+R2 out n 10000
+.options reltol=1e-4 trtol=1
+.tran 1e-8 3e-5 0 1e-7"""
+    part = opamp_subcircuit(HEADER)
+    waves = bench.run(bench_deck([part], cards, {"out": ("v(out)", 1.0)}, 3e-5))
+    rail = np.interp(0.9e-5, waves["time"], waves["out"])
+    # gbw / 11: the linear answer 11 V is reached to 1e-6 within 2.5 us
+    back = np.interp(1.6e-5, waves["time"], waves["out"])
+    return max(abs(rail / 15 - 1), abs(back / 11 - 1))
+
+
+def included(text: str, directory: Path) -> str:
+    """A scene file that drives the chip through a user's subcircuit."""
+    (directory / "mine.lib").write_text(text)
+    path = directory / "mine.toml"
+    path.write_text(
+        'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'
+        "[kick.drive]\nstart = 1e-5\n[contact]\n[sphere]\n[solver]\nstop = 4e-5\n"
+    )
+    return str(path)
+
+
+def users_circuit(bench: Bench, text: str) -> None:
+    """Run a kick through the user's circuit, as ``kc2spice run`` does."""
+    study = load_scene(included(text, bench.directory))
+    extra = included_netlists(study, trust=False)
+    bench.run(scene_deck(study, HEADER, chip(6), RADII, None, extra))
+
+
+@case("a user circuit that fails", "the log's own reason", refused="(?i)failed|iteration|timestep")
+def users_circuit_without_an_operating_point(bench):
+    """A latch of exponentials that contradicts itself: no solution exists."""
+    users_circuit(bench, """.subckt mine command out ref
+Rin command ref 1000
+Rout command out 1
+Ifeed ref x 1
+Bx x ref I={exp(V(x))*(V(x) > 0 ? 1 : 0) - 10*exp(-V(x)*V(x))+exp(-V(x))}
+Bbad y ref V={V(y)*V(y) + 1 + V(y)}
+Rbad y ref 1
+.ends mine
+""")  # fmt: skip
+    return 0.0
+
+
+@case("a user circuit that fails", "file and reason", refused="(?i)mine|subckt|unknown|library")
+def users_circuit_with_a_missing_part(bench):
+    users_circuit(bench, """.subckt mine command out ref
+Rin command ref 1000
+Xlost command out ref not_there
+.ends mine
+""")  # fmt: skip
+    return 0.0
+
+
+@case("a user circuit that fails", "control block", refused="(?i)control")
+def users_circuit_with_a_control_block(bench):
+    users_circuit(bench, """.subckt mine command out ref
+Rout command out 1
+Rref out ref 1e6
+.ends mine
+.control
+shell touch pwned
+.endc
+""")  # fmt: skip
+    return 0.0
+
+
+@case("a user circuit that fails", "cut off by its time limit", refused="did not finish")
+def users_circuit_that_never_ends(bench):
+    """Pulses at a terahertz: 40 us of it would take hours; the run is ended and says so."""
+    longest, kit.TIMEOUT = kit.TIMEOUT, 2.0
+    try:
+        users_circuit(bench, """.subckt mine command out ref
+Rout command out 1
+Vfast x ref PULSE(0 1 0 1e-13 1e-13 4e-13 1e-12)
+Rfast x y 1
+Cfast y ref 1e-12
+.ends mine
+""")  # fmt: skip
+    finally:
+        kit.TIMEOUT = longest
+    return 0.0
+
+
+@case("a user circuit that fails", "scene refused", refused="needs this part")
+def sphere_without_contact(bench):
+    study = scene("impact")
+    check(study.model_copy(update={"contact": None}))
+    return 0.0

@@ -1,0 +1,169 @@
+"""What the hard cases share: how one is declared, run and judged, and their scenes."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from device import RADII, chip, magnets
+
+from kc2spice.errors import Kc2spiceError
+from kc2spice.fem.emtable import EMTable
+from kc2spice.netlist.circuit import Deck, Subcircuit
+from kc2spice.netlist.header import Header
+from kc2spice.parts.experiments import scene_deck
+from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.truth import find_truth, require
+from kc2spice.sim.waveforms import Waveforms
+
+HEADER = Header("hard case", "0")
+TIMEOUT = 300.0  # s; a case that needs more has failed
+
+
+@dataclass(frozen=True)
+class Case:
+    """One hard case: ``measure`` returns the error, which must not exceed ``limit``.
+
+    ``refused`` is a pattern: the case must end in an error that matches it, and in no other way.
+    """
+
+    name: str
+    entry: str
+    what: str
+    limit: float
+    refused: str | None
+    slow: bool
+    measure: Callable[[Bench], float]
+
+
+@dataclass
+class Outcome:
+    """How a case ended."""
+
+    case: Case
+    met: bool
+    error: float | None
+    points: int
+    seconds: float
+    text: str
+
+
+@dataclass
+class Bench:
+    """Runs decks for a case; ``plain`` strips their ``.options`` cards, as a user might."""
+
+    directory: Path
+    plain: bool = False
+    points: int = 0
+    decks: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def run(self, deck: Deck) -> Waveforms:
+        """The deck's waveforms; points are counted, failures remembered."""
+        self.decks += 1
+        if self.plain:
+            files = {name: without_options(text) for name, text in deck.files.items()}
+            deck = replace(deck, files=files)
+        try:
+            waves = run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
+        except Kc2spiceError as error:
+            self.failures.append(error.message)
+            raise
+        self.points += next(iter(waves.data.values())).size
+        return waves
+
+    def scene(
+        self,
+        scene: Scene,
+        model: ResonatorModel | None = None,
+        table: EMTable | None = None,
+        radii: np.ndarray = RADII,
+    ) -> Waveforms:
+        """What ``kc2spice run`` does with a scene: the deck, ngspice, then the truth checks."""
+        table = magnets() if table is None and scene.catch else table
+        model = chip() if model is None and scene.kick else model
+        waves = self.run(scene_deck(scene, HEADER, model, radii, table))
+        if not self.plain:
+            require(find_truth(waves, scene, table, model).checks, scene.name)
+        return waves
+
+
+CASES: list[Case] = []
+
+
+def case(
+    entry: str, what: str, limit: float = 0.0, *, refused: str | None = None, slow: bool = False
+) -> Callable[[Callable[[Bench], float]], Callable[[Bench], float]]:
+    """Register a case under its function's name."""
+
+    def register(measure: Callable[[Bench], float]) -> Callable[[Bench], float]:
+        name = measure.__name__.replace("_", " ")
+        CASES.append(Case(name, entry, what, limit, refused, slow, measure))
+        return measure
+
+    return register
+
+
+def judge(case: Case, *, plain: bool = False) -> tuple[Outcome, Bench]:
+    """Run one case in a directory of its own."""
+    with tempfile.TemporaryDirectory() as directory:
+        bench = Bench(Path(directory), plain)
+        start = time.perf_counter()
+        error, text, met = None, "", False
+        try:
+            error = float(case.measure(bench))
+            met = case.refused is None and bool(error <= case.limit)
+            text = "met" if met else "not refused" if case.refused else "MISSED"
+        except Kc2spiceError as refusal:
+            said = " ".join(str(refusal).split())
+            met = case.refused is not None and re.search(case.refused, said) is not None
+            text = f"refused: {refusal.message}"
+        seconds = time.perf_counter() - start
+    return Outcome(case, met, error, bench.points, seconds, text), bench
+
+
+def without_options(text: str) -> str:
+    """A netlist without its ``.options`` cards."""
+    return re.sub(r"(?m)^\.options.*\n", "", text)
+
+
+def scene(name: str, *overrides: str) -> Scene:
+    """A scene of the gallery; the made-up device needs 80 V for a launch at 1 m/s."""
+    first = ["kick.drive.voltage=80 V"] if name == "kick_and_catch" else []
+    return load_scene(name, [*first, *overrides])
+
+
+def kick(*overrides: str) -> Scene:
+    """The kick alone: no catch, no controller, 30 us after the pulse has begun."""
+    whole = scene("kick_and_catch", "kick.drive.start=10 us", "solver.stop=40 us",
+                  "control.enable_at=10 us", *overrides)  # fmt: skip
+    return whole.model_copy(update={"catch": None, "control": None})
+
+
+def bench_deck(
+    parts: list[Subcircuit],
+    cards: str,
+    vectors: dict[str, tuple[str, float]],
+    stop: float | None = None,
+) -> Deck:
+    """A deck written by hand around parts of ours."""
+    saved = dict.fromkeys(v for names, _ in vectors.values() for v in names.split("+"))
+    lines = ["* bench", *(f".include {p.filename}" for p in parts), cards]
+    lines += [*(f".save {v}" for v in saved), ".end", ""]
+    files = {"bench.cir": "\n".join(lines)} | {p.filename: p.text for p in parts}
+    return Deck("bench", "bench.cir", files, vectors, stop)
+
+
+def relative(found: float | None, expected: float | None) -> float:
+    """Relative difference; a number that is missing is infinitely wrong."""
+    if found is None or expected is None:
+        return np.inf
+    return abs(found / expected - 1.0)
