@@ -70,13 +70,19 @@ def ratio_rows(record: Record) -> list[tuple[str, ...]]:
             (
                 name,
                 "not reached" if value is None else quantity(value, unit, 4),
-                f"{sign} {quantity(ratio['target'], unit, 4)}",
-                "met" if ratio["met"] else "MISSED",
+                "" if ratio["target"] is None else f"{sign} {quantity(ratio['target'], unit, 4)}",
+                _verdict(ratio),
                 _number(ratio["error"]),
                 ratio["what"],
             )
         )
     return rows
+
+
+def _verdict(ratio: Record) -> str:
+    if ratio["target"] is None:
+        return ""
+    return "met" if ratio["met"] else "MISSED"
 
 
 def _point_rows(points: Sequence[Record]) -> list[tuple[str, ...]]:

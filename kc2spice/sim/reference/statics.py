@@ -31,16 +31,19 @@ def compliance(equations: Law) -> np.ndarray:
 
 
 def contact_forces(compliant: np.ndarray, stiffness: float, overlap: np.ndarray) -> np.ndarray:
-    """Ring forces [N] with ``F = k max(0, overlap - S F)`` by semi-smooth Newton.
+    """Ring forces (m, n) [N] with ``F = k max(0, overlap - S F)`` by semi-smooth Newton.
 
-    ``overlap`` (n,) is the penetration that would be there without forces.
+    ``overlap`` (m, n) are the penetrations that would be there without forces, of m cases; cases
+    with the same closed rings share one factorisation.
     """
     closed = overlap > 0.0
-    for _ in range(4 * overlap.size + 10):
-        force = np.zeros(overlap.size)
-        system = compliant[np.ix_(closed, closed)] + np.eye(int(closed.sum())) / stiffness
-        force[closed] = np.linalg.solve(system, overlap[closed])
-        now = overlap - compliant @ force > 0.0
+    for _ in range(4 * overlap.shape[1] + 10):
+        force = np.zeros(overlap.shape)
+        for touching in np.unique(closed, axis=0):
+            cases = np.ix_((closed == touching).all(axis=1), touching)
+            system = compliant[np.ix_(touching, touching)] + np.eye(touching.sum()) / stiffness
+            force[cases] = np.linalg.solve(system, overlap[cases].T).T
+        now = overlap - force @ compliant.T > 0.0
         if np.array_equal(now, closed):
             return force
         closed = now
@@ -52,7 +55,7 @@ def rest(equations: Law) -> np.ndarray:
     soft = compliance(equations)
 
     def forces(p: float) -> np.ndarray:
-        return contact_forces(soft, equations.stiffness, -p - equations.gaps)
+        return contact_forces(soft, equations.stiffness, (-p - equations.gaps)[None])[0]
 
     def surplus(p: float) -> float:
         pull = 0.0
@@ -93,7 +96,7 @@ def imprint(
     soft = compliance(equations)
     push = need(scene.imprint, "imprint")
     depth = np.linspace(0.0, push.depth, push.steps + 1)
-    force = np.array([contact_forces(soft, equations.stiffness, d - equations.gaps) for d in depth])
+    force = contact_forces(soft, equations.stiffness, depth[:, None] - equations.gaps)
     data = {"imprint.depth": depth, "contact.force": force.sum(axis=1)}
     data |= {f"contact.force.R{i}": column for i, column in enumerate(force.T)}
     return Waveforms(data, {})

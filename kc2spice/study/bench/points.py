@@ -56,7 +56,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Ratio:
-    """A speed-up or another figure with its target. ``error`` is what it was taken at.
+    """A speed-up or another figure with its target, if any. ``error`` is what it was taken at.
 
     ``at_least`` tells which side of the target is good; ``value`` None was not reached at all.
     """
@@ -64,7 +64,7 @@ class Ratio:
     name: str
     value: float | None
     error: float | None
-    target: float
+    target: float | None
     what: str
     at_least: bool = True
     unit: str = ""
@@ -72,7 +72,9 @@ class Ratio:
 
     @property
     def met(self) -> bool:
-        """Whether the value is on the good side of the target."""
+        """Whether the value is on the good side of the target, if there is one."""
+        if self.target is None:
+            return True
         if self.value is None:
             return False
         return self.value >= self.target if self.at_least else self.value <= self.target

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 
 from kc2spice.errors import MissingToolError, SimulationError
 from kc2spice.pyspice import run_shared
@@ -19,7 +21,7 @@ from kc2spice.study.bench.floor import Floor
 from kc2spice.study.bench.peers import integrate
 from kc2spice.study.bench.points import Plane, Point, Timing, timed
 from kc2spice.study.bench.setup import Setup
-from kc2spice.study.bench.variants import Variant, fixed_steps, variants
+from kc2spice.study.bench.variants import SHORT, Variant, fixed_steps, variants
 from kc2spice.study.decks import make_deck
 from kc2spice.study.models import Models
 
@@ -31,7 +33,7 @@ EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far b
 Work = list[tuple[str, Callable[[], Point]]]
 
 METHODS = ("Radau", "LSODA", "BDF", "DOP853")
-SHORT = 1e-4  # s; explicit methods and dense tolerances are tried on runs up to this length
+FACTS = ("accepted", "rejected", "iterations")
 FIELDS = {"launch": "velocity_relative", "position_m": "trajectory_m"}
 
 
@@ -41,15 +43,10 @@ class Transient:
     def __init__(self, scene: Scene, setup: Setup) -> None:
         self.scene, self.setup = scene, setup
         self.models = setup.models(scene)
+        self.decks: dict[str, Waveforms] = {}  # what ngspice gave, by label
         self.law: Law = law(self._kick(self.models), scene, self.models.table)
         with setup.clock.stage(scene.name, "exact solution"):
             self.exact = self.reference(self.models, 1e-9)
-
-    @cached_property
-    def own(self) -> Waveforms:
-        """The scene's own netlist in ngspice."""
-        folder = self.setup.work / self.scene.name
-        return run_deck(make_deck(self.scene, self.models), folder)
 
     def plane(self) -> Plane:
         """All roads on the scene's reduced model, and other reductions of the chip."""
@@ -91,7 +88,7 @@ class Transient:
         errors = {name: found[key] for name, key in FIELDS.items()}
         if errors["launch"] is None:
             raise SimulationError("the sphere does not leave", where=label)
-        facts = {name: waves.stats[name] for name in ("accepted",) if name in waves.stats}
+        facts = {name: waves.stats[name] for name in FACTS if name in waves.stats}
         return Point(
             family, label, errors["launch"], time, errors, facts, note, against is None
         )  # fmt: skip
@@ -107,9 +104,10 @@ class Transient:
         repeats = 1 if variant.slow else self.setup.repeats
         folder = self.setup.work / self.scene.name
         waves, time = timed(lambda: run_deck(variant.deck, folder), repeats, "children")
-        return self.point(
-            variant.family, variant.label, waves, time, variant.note, against
-        )  # fmt: skip
+        point = self.point(variant.family, variant.label, waves, time, variant.note, against)
+        self.decks[variant.label] = waves
+        log = (folder / variant.deck.main).with_suffix(".log").read_text(encoding="utf-8")
+        return replace(point, facts={**point.facts, **profile(log, time.median)})
 
     def _shared(self) -> Point:
         deck = make_deck(self.scene, self.models)
@@ -179,3 +177,16 @@ class Transient:
     @staticmethod
     def _kick(models: Models) -> ResonatorModel:
         return need(models.kick, "kick").resonators
+
+
+def profile(log: str, seconds: float) -> dict[str, float]:
+    """Shares of a run's CPU time that ngspice says it spent: loading devices, LU, step control.
+
+    The rest is start-up, parsing, the operating point, convergence tests and writing.
+    """
+    found = dict(re.findall(r"Transient (load|factor|solve|trunc) time = ([0-9.eE+-]+)", log))
+    if len(found) < 4:
+        return {}
+    load, factor, solve, trunc = (float(found[k]) for k in ("load", "factor", "solve", "trunc"))
+    shares = {"load": load, "LU": factor + solve, "step control": trunc}
+    return {f"share of {name}": value / seconds for name, value in shares.items()}

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.header import Header
-from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.study.bench.forms import with_form
@@ -20,6 +18,8 @@ RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
 CHGTOL = (1e-7, 1e-9, 1e-10)
 CEILINGS = (1e-6, 50e-6)
 LOOKUPS = (51, 101, 401)
+SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
+AS_SHIPPED = "the scene as it is"
 PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
 
 
@@ -36,12 +36,13 @@ class Variant:
 
 def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
     """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
+    own = make_deck(scene, models)
+    yield Variant("ngspice, as shipped", AS_SHIPPED, own)
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
             deck = make_deck(_solver(scene, reltol=reltol, method=method), models)
             slow = reltol < 1e-5
             yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck, slow=slow)
-    own = make_deck(scene, models)
     for reltol in setup.some((1e-3, 1e-4), 1):
         for chgtol in setup.some(CHGTOL, 1):
             deck = _option(make_deck(_solver(scene, reltol=reltol), models), "chgtol", chgtol)
@@ -51,10 +52,14 @@ def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
         yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
     if scene.catch is not None:
         for points in setup.some(LOOKUPS, 1):
-            yield Variant("ngspice, lookup", f"lookup of {points} heights",
-                          _lookup(scene, models, own, points))  # fmt: skip
+            catch = scene.catch.model_copy(update={"points": points})
+            deck = make_deck(scene.model_copy(update={"catch": catch}), models)
+            yield Variant("ngspice, lookup", f"lookup of {points} heights", deck)
     model = need(models.kick, "kick").resonators
-    for form in setup.some(("second order", "first order"), 0):
+    forms: tuple[str, ...] = ("second order", "first order")
+    if scene.solver.stop > SHORT and not setup.full_sweep:
+        forms = forms[:1]  # the other takes minutes
+    for form in setup.some(forms, 0):
         deck = with_form(own, model, form)
         yield Variant("ngspice, dense", f"dense {form}", deck, "as generic exporters write", True)
     deck = with_form(own, model, "resonators", behavioural=True)
@@ -81,11 +86,3 @@ def _option(deck: Deck, name: str, value: float) -> Deck:
     text = re.sub(rf"\b{name}=\S+", "", deck.files[deck.main])
     text = text.replace("\n.tran ", f"\n{card}\n.tran ", 1)
     return replace(deck, files={**deck.files, deck.main: text})
-
-
-def _lookup(scene: Scene, models: Models, deck: Deck, points: int) -> Deck:
-    """``deck`` with other lookups of the magnets' force."""
-    limit = scene.control.current_limit if scene.control else 0.0
-    table = need(models.table, "field table")
-    part = catch_subcircuit(Header(scene.name, "bench"), table, limit, points=points)
-    return replace(deck, files={**deck.files, part.filename: part.text})
