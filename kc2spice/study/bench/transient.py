@@ -107,7 +107,7 @@ class Transient:
         point = self.point(variant.family, variant.label, waves, time, variant.note, against)
         self.decks[variant.label] = waves
         log = (folder / variant.deck.main).with_suffix(".log").read_text(encoding="utf-8")
-        return replace(point, facts={**point.facts, **profile(log, time.median)})
+        return replace(point, facts={**point.facts, **profile(log)})
 
     def _shared(self) -> Point:
         deck = make_deck(self.scene, self.models)
@@ -179,14 +179,19 @@ class Transient:
         return need(models.kick, "kick").resonators
 
 
-def profile(log: str, seconds: float) -> dict[str, float]:
-    """Shares of a run's CPU time that ngspice says it spent: loading devices, LU, step control.
+def profile(log: str) -> dict[str, float]:
+    """Shares of the transient's time by ngspice's own clock: loading devices, LU, step control.
 
-    The rest is start-up, parsing, the operating point, convergence tests and writing.
+    The rest are convergence tests, prediction and the writing of points. The clock is the wall's.
     """
-    found = dict(re.findall(r"Transient (load|factor|solve|trunc) time = ([0-9.eE+-]+)", log))
-    if len(found) < 4:
+    found = dict(re.findall(r"Transient (\w+) time = ([0-9.eE+-]+)", log))
+    if not {"analysis", "load", "factor", "solve", "trunc"} <= set(found):
         return {}
-    load, factor, solve, trunc = (float(found[k]) for k in ("load", "factor", "solve", "trunc"))
-    shares = {"load": load, "LU": factor + solve, "step control": trunc}
-    return {f"share of {name}": value / seconds for name, value in shares.items()}
+    time = {name: float(value) for name, value in found.items()}
+    parts = {
+        "load": "load",
+        "factor": "factorisation",
+        "solve": "solution",
+        "trunc": "step control",
+    }
+    return {f"share of {parts[k]}": time[k] / (time["analysis"] or 1.0) for k in parts}
