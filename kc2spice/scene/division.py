@@ -10,9 +10,9 @@ from kc2spice.scene.budget import (
     REDUCTION,
     STEPPING,
     TRANSIENT,
+    divide,
     known_error,
     lookup_error,
-    shares,
 )
 from kc2spice.scene.schema import Scene
 
@@ -39,7 +39,7 @@ class Share:
 
 
 def division(scene: Scene) -> tuple[Share, ...]:
-    """Every stage of the scene; the shares add up to ``error_budget``."""
+    """Every stage of the scene; the shares add up to ``error_budget`` at most."""
     return (*_meshes(scene), *_stages(scene), *_controller(scene))
 
 
@@ -49,15 +49,16 @@ def parts(scene: Scene) -> tuple[str, ...]:
 
 
 def _stages(scene: Scene) -> Iterator[Share]:
-    for stage, share in shares(scene.experiment, parts(scene), scene.error_budget or 1.0).items():
+    budget = scene.error_budget
+    for stage, setting in divide(scene.experiment, parts(scene), budget or 1.0).items():
         values = {name: _value(scene, name) for name in KEYS[stage]}
         text = ", ".join(f"{k} {_short(v)}" for k, v in values.items() if v is not None)
-        own = scene.error_budget is not None and scene.budgeted.issuperset(
+        own = budget is not None and scene.budgeted.issuperset(
             name for name, value in values.items() if value is not None and name in _counted(scene)
         )
         yield Share(
             stage,
-            share if own else None,
+            setting.error if own else None,
             _expected(scene, stage, values),
             text,
             "error_budget" if own else "set by the scene",
