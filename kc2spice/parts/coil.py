@@ -27,6 +27,7 @@ class _Coil:
     name: str
     plus: str
     minus: str
+    own: float  # mean of henry times the inverse of L on the diagonal
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,10 @@ def coil_subcircuit(
     functions = [
         _Function(n, f"{n}(y): {_MEANING[n]}", *smooth(height, splines[n])) for n in COEFFICIENTS
     ]
+    usual = inverse.mean(axis=0)
     functions += [
-        _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L",
-                  *smooth(height, inverse[:, k - 1, l - 1]))
+        _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
+                  *smooth(height, (inverse - usual)[:, k - 1, l - 1]))
         for k, l in ((1, 1), (1, 2), (2, 2))
     ]  # fmt: skip
     text = render(
@@ -71,7 +73,11 @@ def coil_subcircuit(
         lowest=1e6 * height[0],
         spacing=1e6 * (height[1] - height[0]),
         henry=henry,
-        coils=[_Coil(1, "lower", "lp", "ln"), _Coil(2, "upper", "up", "un")],
+        coils=[
+            _Coil(1, "lower", "lp", "ln", usual[0, 0]),
+            _Coil(2, "upper", "up", "un", usual[1, 1]),
+        ],
+        mutual=usual[0, 1],
         functions=functions,
     )
     return Subcircuit(name, PINS, params, text)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from math import pi
+
 import numpy as np
 
 from kc2spice.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.header import Header, parameter_list, part_header
 from kc2spice.netlist.render import render
+from kc2spice.parts.opamp import BANDWIDTH
 from kc2spice.scene.schema import Control
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
@@ -79,6 +82,8 @@ def pid_subcircuit(
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
         sense=SENSE,
+        bandwidth=BANDWIDTH,
+        pi=pi,
         output=output,
     )
     return Subcircuit(name, pins, params, text)
