@@ -46,5 +46,6 @@ def magnets() -> EMTable:
     return EMTable(
         y=y, c0=1e-4 * coil(y - 2.5e-3), c1=scale * coil(y - 1e-3), c2=scale * coil(y - 4e-3),
         c11=0.01 * coil(y - 1e-3), c12=none, c22=0.01 * coil(y - 4e-3), flux0=np.zeros((41, 2)),
-        inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)), resistance=np.array([1596.0, 1596.0]), unknowns=0,
+        inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)),
+        resistance=np.array([1596.0, 1596.0]), unknowns=0,
     )  # fmt: skip
