@@ -38,6 +38,14 @@ def reduce(
     order: Annotated[
         int | None, typer.Option(metavar="Q", help="Number of states instead of a tolerance.")
     ] = None,
+    solver: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Direct solver: scipy (SuperLU), or pardiso from pip install 'kc2spice[fast]' on "
+            "MKL_NUM_THREADS cores.",
+        ),
+    ] = "scipy",
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
     ] = False,
@@ -49,8 +57,9 @@ def reduce(
 
         with shown_progress(quiet) as progress:
             found = reduce_study(
-                model, out, band=band, tolerance=tolerance, order=order, progress=progress
-            )
+                model, out, band=band, tolerance=tolerance, order=order, solver=solver,
+                progress=progress,
+            )  # fmt: skip
         if as_json:
             print(json.dumps(found))
         elif not quiet:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -11,6 +12,11 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import splu
 
 from kc2spice.errors import SimulationError
+from kc2spice.fem.pardiso import Pardiso
+
+# 'scipy' is banded Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
+Solver = Literal["scipy", "pardiso"]
+Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 # A backward-stable solver leaves about 1e-15; four digits of slack for growth, no more.
 RESIDUAL_LIMIT = 1e-11
@@ -24,7 +30,7 @@ class Factor:
 
     matrix: sparse.csc_array
     norm: float
-    apply_inverse: Callable[[np.ndarray], np.ndarray]
+    apply_inverse: Inverse
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
@@ -48,7 +54,7 @@ class Factor:
         return solution
 
 
-def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
+def factorise(matrix: sparse.csc_array, *, definite: bool, solver: Solver = "scipy") -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
@@ -59,13 +65,13 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     ------
     SimulationError : ``definite`` was promised and is not true, or the matrix is singular.
     """
+    norm = float(abs(matrix).sum(axis=0).max())
     coo = sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
-    norm = float(abs(matrix).sum(axis=0).max())
     try:
         if definite and (bandwidth + 1) * coo.shape[0] * 8 <= BANDED_BYTES:
             return Factor(matrix, norm, _banded(coo, bandwidth))
-        return Factor(matrix, norm, _superlu(matrix))
+        return Factor(matrix, norm, inverses(matrix, symmetric=True)[0])
     except (LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
@@ -76,7 +82,7 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
         ) from error
 
 
-def _banded(coo: sparse.coo_array, bandwidth: int) -> Callable[[np.ndarray], np.ndarray]:
+def _banded(coo: sparse.coo_array, bandwidth: int) -> Inverse:
     band = np.zeros((bandwidth + 1, coo.shape[0]))
     lower = coo.row >= coo.col
     band[(coo.row - coo.col)[lower], coo.col[lower]] = coo.data[lower]
@@ -84,12 +90,29 @@ def _banded(coo: sparse.coo_array, bandwidth: int) -> Callable[[np.ndarray], np.
     return lambda rhs: cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
-def _superlu(matrix: sparse.csc_array) -> Callable[[np.ndarray], np.ndarray]:
-    options = {"SymmetricMode": True}
+def inverses(
+    matrix: sparse.csc_array, *, symmetric: bool, solver: Solver = "scipy"
+) -> tuple[Inverse, Inverse]:
+    """Solutions with the matrix and with its transpose, real or complex.
+
+    ``symmetric`` skips pivoting for size: least fill, but only as accurate as a residual shows.
+
+    Raises
+    ------
+    RuntimeError : singular.
+    MissingToolError : pypardiso is asked for and not installed.
+    """
+    if solver == "pardiso":
+        factors = Pardiso(matrix, symmetric=symmetric)
+        return factors.solve, lambda rhs: factors.solve(rhs, transposed=True)
     lu = splu(
         sparse.csc_array(matrix),
         permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options=options,
+        diag_pivot_thresh=0.0 if symmetric else 0.01,
+        options={"SymmetricMode": symmetric},
     )
-    return lambda rhs: lu.solve(rhs.astype(matrix.dtype, casting="safe"))
+
+    def solve(rhs: np.ndarray, trans: str) -> np.ndarray:
+        return np.asarray(lu.solve(np.asarray(rhs).astype(matrix.dtype, casting="safe"), trans))
+
+    return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")

@@ -6,6 +6,8 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from kc2spice.errors import SimulationError, UsageError
+from kc2spice.fem.factor import Solver
+from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, factorise_at, poles
 
 MODES = 5
@@ -13,16 +15,17 @@ SMALL = 200  # equations up to which all poles are computed
 BEYOND = 1.1  # the band ends a little past the mode, not on it
 
 
-def natural_band(pencil: Pencil) -> tuple[float, float]:
+def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float]:
     """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
     or corner frequency (first order) of the full model.
 
     Raises
     ------
-    UsageError : the model is free to move or has no such frequency; a band must be given.
+    UsageError : the model is free to move or has no such frequency; a band must be given. Or it is
+        too large for this machine.
     """
     try:
-        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil, solver)
     except (SimulationError, ArpackError):
         rates = np.empty(0)
     rates = np.sort(rates[rates > 0])[:MODES]
@@ -44,9 +47,10 @@ def _small(pencil: Pencil) -> np.ndarray:
     return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
 
 
-def _lowest(pencil: Pencil) -> np.ndarray:
+def _lowest(pencil: Pencil, solver: Solver) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
-    solve = factorise_at(pencil, 0.0)[0].solve
+    require_memory(pencil, solver)
+    solve = factorise_at(pencil, 0.0, solver)[0].solve
     inertia = pencil.coefficients[-1]
     n = pencil.size
     inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from kc2spice.errors import SimulationError, UsageError
+from kc2spice.fem.factor import Solver
 from kc2spice.fem.system import Port
 from kc2spice.rom.foreign import ForeignModel
 from kc2spice.rom.memory import require_memory
@@ -116,6 +117,7 @@ def reduce_model(
     *,
     tolerance: float | None = None,
     order: int | None = None,
+    solver: Solver = "scipy",
 ) -> Reduced:
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
@@ -136,7 +138,7 @@ def reduce_model(
         )
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, ACCURACY)
     limit = np.inf if tolerance is None else 0.5 * tolerance
-    sampled = sample_model(model, band, target, limit)
+    sampled = sample_model(model, band, target, limit, solver)
     found = [ordered(model, band, sampled, two_sided) for two_sided in _sides(model.pencil)]
     if order is not None:
         candidates = [(r.error(min(order, r.size)), i) for i, r in enumerate(found)]
@@ -148,15 +150,20 @@ def reduce_model(
 
 
 def sample_model(
-    model: ForeignModel, band: tuple[float, float], target: float, limit: float | None = None
+    model: ForeignModel,
+    band: tuple[float, float],
+    target: float,
+    limit: float | None = None,
+    solver: Solver = "scipy",
 ) -> Sampled:
     """Subspace of the scaled model; see :func:`kc2spice.rom.sampling.sample`."""
     if not (0 <= band[0] < band[1] and np.isfinite(band[1])):
         raise UsageError(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
-    require_memory(model.pencil)
-    return sample(_scaled(model, band), band, target, target if limit is None else limit)
+    require_memory(model.pencil, solver)
+    limit = target if limit is None else limit
+    return sample(_scaled(model, band), band, target, limit, solver)
 
 
 def _scaled(model: ForeignModel, band: tuple[float, float]) -> Pencil:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from kc2spice.fem.budget import require_bytes
+from kc2spice.fem.factor import Solver
 from kc2spice.rom.pencil import Pencil
 
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 28 for solids.
@@ -24,16 +25,20 @@ def factor_bytes(pencil: Pencil) -> float:
     return ENTRY_BYTES * max(FILL * pencil.size * np.sqrt(band), pattern.nnz)
 
 
-def require_memory(pencil: Pencil) -> None:
-    """Compare the estimate with the memory that is free now.
+def require_memory(pencil: Pencil, solver: Solver) -> None:
+    """Compare the estimate for ``scipy`` with the memory that is free now.
+
+    PARDISO needs none: it knows the size of its factors before it begins, and is asked then.
 
     Raises
     ------
     UsageError : the model is too large for this machine.
     """
+    if solver == "pardiso":
+        return
     require_bytes(
         factor_bytes(pencil),
         f"{pencil.size} factorised equations",
         where="reduction",
-        hint="use a coarser mesh, or a machine with more memory",
+        hint="use the solver 'pardiso', a coarser mesh, or a machine with more memory",
     )

@@ -8,10 +8,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigvals
-from scipy.sparse.linalg import SuperLU, splu
 
 from kc2spice.errors import SimulationError
-from kc2spice.fem.factor import Factor
+from kc2spice.fem.factor import Factor, Solver, inverses
 
 Matrix: TypeAlias = Any  # np.ndarray or sparse.csc_array; scipy brings no types
 
@@ -70,6 +69,13 @@ class Pencil:
             for p, P in zip(powers, self.coefficients, strict=True)
         )  # fmt: skip
 
+    def slope(self, s: complex) -> Matrix:
+        """``P'(s)``, real where ``P(s)`` is: of an undamped model the derivative by ``s^2``."""
+        if self.undamped:
+            return self.coefficients[2]
+        s = complex(s).real if complex(s).imag == 0 else s
+        return sum(k * s ** (k - 1) * P for k, P in enumerate(self.coefficients) if k)
+
     def project(self, V: np.ndarray) -> Pencil:
         """Congruence ``V'PV``, ``V'B``, ``CV``; what is symmetric or skew stays so to the bit."""
         reduced = tuple(_congruence(P, V) for P in self.coefficients)
@@ -104,7 +110,7 @@ def _congruence(P: Matrix, V: np.ndarray) -> np.ndarray:
     return total
 
 
-def factorise_at(pencil: Pencil, s: complex) -> tuple[Factor, Factor]:
+def factorise_at(pencil: Pencil, s: complex, solver: Solver = "scipy") -> tuple[Factor, Factor]:
     """Solvers with ``P(s)`` and its transpose; the full model must be sparse.
 
     Without pivoting the fill of a symmetric model stays the least; a trial solution shows whether
@@ -113,34 +119,21 @@ def factorise_at(pencil: Pencil, s: complex) -> tuple[Factor, Factor]:
     Raises
     ------
     SimulationError : ``s`` is a pole.
+    MissingToolError : pypardiso is asked for and not installed.
     """
     matrix = sparse.csc_array(pencil.at(s))
     norm = float(abs(matrix).sum(axis=0).max())
-    attempts = (_pivot_free, _pivoted) if pencil.symmetric else (_pivoted,)
-    for attempt in attempts:
+    for symmetric in (True, False) if pencil.symmetric else (False,):
         try:
-            lu = attempt(matrix)
-            forward = _solver(matrix, norm, lu, "N")
+            apply, apply_transposed = inverses(matrix, symmetric=symmetric, solver=solver)
+            forward = Factor(matrix, norm, apply)
             forward.solve(pencil.B[:, :1])
-            return forward, _solver(sparse.csc_array(matrix.T), norm, lu, "T")
+            return forward, Factor(sparse.csc_array(matrix.T), norm, apply_transposed)
         except (RuntimeError, MemoryError, SimulationError) as error:
             reason = error
     raise SimulationError(
         "matrix cannot be factorised", where="direct solver", got=f"{reason} at s = {s:.6g} 1/s"
     )
-
-
-def _pivot_free(matrix: sparse.csc_array) -> SuperLU:
-    options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-
-
-def _pivoted(matrix: sparse.csc_array) -> SuperLU:
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01)
-
-
-def _solver(matrix: sparse.csc_array, norm: float, lu: SuperLU, trans: str) -> Factor:
-    return Factor(matrix, norm, lambda b: lu.solve(np.asarray(b, dtype=matrix.dtype), trans))
 
 
 def states(pencil: Pencil, s: np.ndarray) -> np.ndarray:

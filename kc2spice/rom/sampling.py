@@ -2,7 +2,8 @@
 
 Points are chosen where the residual of the present projection is largest. Each is solved on the
 full model first as a *check* of the projection, at a frequency that it was not fitted on, and
-only then joins the basis, real and imaginary part apart so that everything stays real.
+only then joins the basis, real and imaginary part apart so that everything stays real. With it
+joins its derivative by s, which costs another solution but no factorisation (Hermite).
 Source: greedy rational interpolation (Grimme 1997; Feng, Antoulas, Benner 2017).
 """
 
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.errors import SimulationError
+from kc2spice.fem.factor import Solver
 from kc2spice.rom.pencil import Pencil, factorise_at, response, states
 from kc2spice.rom.response import FLOOR
 
@@ -54,7 +56,13 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     return np.unique(frequency)
 
 
-def sample(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Sampled:
+def sample(
+    pencil: Pencil,
+    band: tuple[float, float],
+    target: float,
+    limit: float,
+    solver: Solver = "scipy",
+) -> Sampled:
     """Basis whose projection is within ``target`` of the full model wherever it was checked.
 
     Where rounding of the full model's solutions keeps it from that, ``limit`` must do.
@@ -63,7 +71,7 @@ def sample(pencil: Pencil, band: tuple[float, float], target: float, limit: floa
     ------
     SimulationError : not even ``limit`` is met within ``MAX_POINTS`` factorisations.
     """
-    search = _Search(pencil)
+    search = _Search(pencil, solver)
     static = search.add_static()
     frequency = grid(band, CANDIDATES, static)
     search.add(2j * np.pi * band[1])
@@ -92,8 +100,9 @@ def sample(pencil: Pencil, band: tuple[float, float], target: float, limit: floa
 class _Search:
     """The basis as it grows, with what the residual estimate needs of it."""
 
-    def __init__(self, pencil: Pencil) -> None:
+    def __init__(self, pencil: Pencil, solver: Solver) -> None:
         self.pencil = pencil
+        self.solver: Solver = solver
         self.symmetric = pencil.symmetric
         self.two_sided = not (self.symmetric and pencil.collocated)
         self.basis = np.empty((pencil.size, 0))
@@ -110,12 +119,13 @@ class _Search:
         """Add the static answers if there are any; False for a model that is free to move."""
         b = self.pencil.B
         try:
-            x, y = self._solve(0.0)
+            answers = self._solve(0.0)
         except SimulationError:
             return False
-        if np.linalg.norm(self.pencil.coefficients[0] @ x - b) > SINGULAR * np.linalg.norm(b):
+        residual = self.pencil.coefficients[0] @ answers[0] - b
+        if np.linalg.norm(residual) > SINGULAR * np.linalg.norm(b):
             return False
-        self._extend(0.0, x, y)
+        self._extend(0.0, *answers)
         return True
 
     def add(self, s: complex) -> None:
@@ -127,7 +137,7 @@ class _Search:
 
         Also returns whether the basis grew.
         """
-        x, y = self._solve(s)
+        x, *others = self._solve(s)
         true = self.pencil.C @ x + self.pencil.D
         peak = np.abs(response(self._reduced, candidates)).max(axis=0)
         difference = np.abs(response(self._reduced, np.array([s]))[0] - true)
@@ -136,7 +146,7 @@ class _Search:
         counted = (size > FLOOR * np.maximum(peak, size)) & (size > CANCELLED * factors)
         error = float((difference[counted] / size[counted]).max(initial=0.0))
         before = self.basis.shape[1]
-        self._extend(s, x, y)
+        self._extend(s, x, *others)
         return error, self.basis.shape[1] > before
 
     def worst(self, candidates: np.ndarray) -> complex:
@@ -150,12 +160,17 @@ class _Search:
             size = size * self._sides[1].residual(fresh, states(_transposed(self._reduced), fresh))
         return complex(fresh[np.argmax(size)])
 
-    def _solve(self, s: complex) -> tuple[np.ndarray, np.ndarray]:
-        """``P(s)^-1 B`` and, where the output side differs, ``P(s)^-T C'``."""
-        forward, backward = factorise_at(self.pencil, s)
+    def _solve(self, s: complex) -> tuple[np.ndarray, ...]:
+        """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
+        forward, backward = factorise_at(self.pencil, s, self.solver)
         self.points += 1
+        slope = self.pencil.slope(s)
         x = forward.solve(self.pencil.B)
-        return x, backward.solve(self.pencil.C.T) if self.two_sided else x[:, :0]
+        answers = [x, forward.solve(slope @ x)]
+        if self.two_sided:
+            y = backward.solve(self.pencil.C.T)
+            answers += [y, backward.solve(slope.T @ y)]
+        return tuple(answers)
 
     def _extend(self, s: complex, *answers: np.ndarray) -> None:
         self._used.append(s)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from kc2spice.errors import UsageError
+from kc2spice.fem.factor import Solver
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.dialect import DIALECTS, translate_text
 from kc2spice.netlist.header import Header
@@ -33,27 +34,30 @@ def reduce(
     band: tuple[float, float] | None = None,
     tolerance: float | None = None,
     order: int | None = None,
+    solver: str = "scipy",
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
-    Without tolerance and order, the tolerance is 1e-4.
+    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
 
     Raises
     ------
     UsageError : see :func:`kc2spice.rom.foreign.read_model`; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
+    MissingToolError : pypardiso is asked for and not installed.
     """
+    chosen = _solver(solver)
     progress("reduce", None, "reading matrices")
     model = read_model(path)
     name = f"{model.name}_rom"
     directory = Path(name) if out is None else Path(out)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
-    band = band or model.band or natural_band(model.pencil)
+    band = band or model.band or natural_band(model.pencil, chosen)
     progress("reduce", None, f"{model.pencil.size} equations")
-    reduced = reduce_model(model, band, tolerance=tolerance, order=order)
+    reduced = reduce_model(model, band, tolerance=tolerance, order=order, solver=chosen)
     with staged(directory) as work:
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
@@ -71,6 +75,14 @@ def reduce(
         "rom": str(directory / files[0]),
         "files": files,
     }
+
+
+def _solver(name: str) -> Solver:
+    for known in get_args(Solver):
+        if name == known:
+            return known
+    expected = ", ".join(get_args(Solver))
+    raise UsageError("unknown direct solver", where="--solver", got=name, expected=expected)
 
 
 def export_rom(

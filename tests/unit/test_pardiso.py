@@ -1,0 +1,107 @@
+"""The optional direct solver gives what the default gives, or says that it is missing."""
+
+import builtins
+
+import numpy as np
+import pytest
+from scipy import io, sparse
+from typer.testing import CliRunner
+
+from kc2spice.cli import app
+from kc2spice.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.fem.factor import Factor, factorise, inverses
+from kc2spice.fem.pardiso import Pardiso
+from kc2spice.rom.general import reduce_model
+from kc2spice.rom.pencil import factorise_at
+from kc2spice.study.scaling import grid_model
+
+N = 60
+
+
+@pytest.fixture
+def pardiso():
+    return pytest.importorskip("pypardiso")
+
+
+def banded(kind):
+    """Symmetric positive definite, indefinite or complex; and one that is not symmetric."""
+    one = np.ones(N)
+    matrix = sparse.diags_array([4 * one, -one[1:], -one[1:]], offsets=[0, 1, -1], format="csc")
+    if kind == "indefinite":
+        matrix = matrix - 4.0 * sparse.eye_array(N, format="csc")  # no diagonal is left
+    return matrix + 1j * sparse.eye_array(N, format="csc") if kind == "complex" else matrix
+
+
+@pytest.mark.parametrize("kind", ["definite", "indefinite", "complex"])
+def test_both_solvers_give_the_same_solution(pardiso, kind):
+    matrix = sparse.csc_array(banded(kind))
+    rhs = np.random.default_rng(3).standard_normal((N, 3))
+    expected = factorise(matrix, definite=kind == "definite").solve(rhs)
+    found = Pardiso(matrix, symmetric=True, definite=kind == "definite").solve(rhs)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_allclose(found[:, 0], np.linalg.solve(matrix.toarray(), rhs[:, 0]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("s", [0.0, 0.3j])
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_a_pencil_and_its_transpose_are_solved(pardiso, s, symmetric):
+    pencil = grid_model(300, 3).pencil
+    if not symmetric:
+        K, E, M = pencil.coefficients
+        K = sparse.csc_array(K + 0.1 * sparse.eye_array(pencil.size, k=1))
+        pencil = type(pencil)((K, E, M), pencil.B, pencil.C, pencil.D)
+    dense = pencil.at(s).toarray()
+    forward, backward = factorise_at(pencil, s, "pardiso")
+    for factor, matrix in ((forward, dense), (backward, dense.T)):
+        expected = np.linalg.solve(matrix, pencil.B)
+        found = factor.solve(pencil.B)
+        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_reductions_are_the_same(pardiso):
+    model = grid_model(600, 3)
+    band, frequency = (0.0, 0.1), np.linspace(0.0, 0.1, 40)
+    found = [reduce_model(model, band, order=10, solver=name) for name in ("scipy", "pardiso")]
+    s = 2j * np.pi * frequency[:, None, None]
+    ours, theirs = (
+        rom.C @ np.linalg.solve(s * s * rom.M + s * rom.E + rom.K, rom.B[None]) for rom in found
+    )
+    assert np.abs(ours - theirs).max() <= 1e-10 * np.abs(ours).max()
+
+
+def test_promises_that_do_not_hold_are_refused(pardiso, monkeypatch):
+    with pytest.raises(RuntimeError, match="PARDISO error -4"):
+        Pardiso(sparse.csc_array(banded("indefinite")), symmetric=True, definite=True)
+    singular = sparse.csc_array(sparse.diags_array(np.r_[np.ones(N - 1), 0.0]))
+    with pytest.raises(SimulationError, match="inaccurate"):
+        apply, _ = inverses(singular, symmetric=True, solver="pardiso")
+        Factor(singular, 1.0, apply).solve(np.ones(N))
+    monkeypatch.setattr("kc2spice.fem.budget.available_bytes", lambda: 1000.0)
+    with pytest.raises(UsageError, match="too large"):
+        Pardiso(sparse.csc_array(banded("definite")), symmetric=True)
+
+
+def test_a_missing_library_is_named_with_its_cure(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name.startswith("pypardiso"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingToolError, match=r"pip install 'kc2spice\[fast\]'"):
+        inverses(sparse.csc_array(banded("definite")), symmetric=True, solver="pardiso")
+    model = grid_model(300, 2).pencil
+    K, E, M = model.coefficients
+    for letter, matrix in {"M": M, "E": E, "K": K, "B": model.B}.items():
+        with (tmp_path / f"plate.{letter}").open("wb") as stream:
+            io.mmwrite(stream, matrix)
+    command = ["reduce", str(tmp_path / "plate"), "-o", str(tmp_path / "out"), "--solver"]
+    ran = CliRunner().invoke(app, [*command, "pardiso"])
+    assert ran.exit_code == 3
+    assert "kc2spice[fast]" in ran.stderr
+    assert not (tmp_path / "out").exists()
+    ran = CliRunner().invoke(app, [*command, "umfpack"])
+    assert ran.exit_code == 2
+    assert "scipy, pardiso" in ran.stderr
