@@ -28,8 +28,24 @@ class Certificate:
     passive: bool
 
 
+class _Convertible:
+    """The same model in the words of other libraries."""
+
+    def to_statespace(self: ReducedModel | FirstOrderModel) -> StateSpace:  # type: ignore[misc]
+        """First-order form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
+        from kc2spice.rom.convert import to_statespace
+
+        return to_statespace(self)
+
+    def to_pymor(self: ReducedModel | FirstOrderModel) -> Any:  # type: ignore[misc]
+        """pyMOR's second-order or LTI model; see :func:`kc2spice.rom.convert.to_pymor`."""
+        from kc2spice.rom.convert import to_pymor
+
+        return to_pymor(self)
+
+
 @dataclass(frozen=True)
-class ReducedModel:
+class ReducedModel(_Convertible):
     """``M x'' + E x' + K x = B u``, ``y = C x + D u`` of order q (paper eq. 7), dense.
 
     ``ports`` are those of the columns of B and rows of C at once; a model with signal ports lists
@@ -50,21 +66,9 @@ class ReducedModel:
         """Number of second-order states."""
         return self.M.shape[0]
 
-    def to_statespace(self) -> StateSpace:
-        """First-order form; see :func:`kc2spice.rom.convert.to_statespace`."""
-        from kc2spice.rom.convert import to_statespace
-
-        return to_statespace(self)
-
-    def to_pymor(self) -> Any:
-        """pyMOR's ``SecondOrderModel``; see :func:`kc2spice.rom.convert.to_pymor`."""
-        from kc2spice.rom.convert import to_pymor
-
-        return to_pymor(self)
-
 
 @dataclass(frozen=True)
-class FirstOrderModel:
+class FirstOrderModel(_Convertible):
     """``E x' = A x + B u``, ``y = C x + D u`` of order q, dense; ports as in ReducedModel."""
 
     E: np.ndarray
@@ -79,18 +83,6 @@ class FirstOrderModel:
     def order(self) -> int:
         """Number of first-order states."""
         return self.A.shape[0]
-
-    def to_statespace(self) -> StateSpace:
-        """Form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
-        from kc2spice.rom.convert import to_statespace
-
-        return to_statespace(self)
-
-    def to_pymor(self) -> Any:
-        """pyMOR's ``LTIModel``; see :func:`kc2spice.rom.convert.to_pymor`."""
-        from kc2spice.rom.convert import to_pymor
-
-        return to_pymor(self)
 
 
 @dataclass(frozen=True)
