@@ -189,6 +189,21 @@ def test_hard_models_work_and_say_what_they_are(name, tmp_path):
         assert max(largest) < 1e-9  # of a band of 0.6 rad/s
 
 
+@pytest.mark.parametrize("name", ["one dashpot", "gyroscopic, damped", "undamped"])
+def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
+    """Proportional damping or any other; the dense form is one block of all states."""
+    make, *_ = HARD[name]
+    model = make_model(families.as_files(make()), None, name, name)
+    rom = reduce_model(model, (0.0, 0.1), order=8)
+    decoupled, dense = block_model(rom), block_model(rom, dense=True)
+    assert max(len(block) for block in decoupled.blocks) <= 2
+    assert [len(block) for block in dense.blocks] == [decoupled.states]
+    frequency = np.linspace(0.001, 0.1, 20)
+    np.testing.assert_allclose(
+        decoupled.response(frequency), dense.response(frequency), rtol=1e-7, atol=1e-10
+    )
+
+
 def test_defective_pole_stays_in_one_block():
     make, *_ = HARD["defective pole"]
     model = make_model(families.as_files(make()), None, "jordan", "jordan")

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import io, sparse
+from scipy.sparse.linalg import splu
 from typer.testing import CliRunner
 
 from kc2spice.cli import app
@@ -15,7 +16,9 @@ from kc2spice.errors import UsageError
 from kc2spice.rom.foreign import read_model
 from kc2spice.rom.general import reduce_model
 from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.memory import factor_bytes
 from kc2spice.study.reduce import export_rom, reduce
+from kc2spice.study.scaling import grid_model
 
 N = 12
 
@@ -315,3 +318,80 @@ def test_command_line_writes_nothing_on_bad_input(tmp_path):
         ran = CliRunner().invoke(app, ["reduce", str(good), "-o", str(tmp_path / "out"), *options])
         assert ran.exit_code == 2, ran.output
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("unknowns", "dimension"), [(3000, 2), (12000, 2), (1500, 3), (6000, 3)])
+def test_memory_is_predicted_within_a_factor(unknowns, dimension):
+    """Against the factors themselves: the estimate may be too large by 6, too small never."""
+    pencil = grid_model(unknowns, dimension).pencil
+    lu = splu(
+        sparse.csc_array(pencil.at(0.1j)), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
+    taken = 20.0 * (lu.L.nnz + lu.U.nnz)  # 16 bytes of value, 4 of index
+    assert 1.0 < factor_bytes(pencil) / taken < 6.0
+
+
+def huge():
+    """A model that is too large to read at all: the size is refused before memory is taken."""
+    rows = 6_000_000
+    lone = sparse.coo_array(([1.0], ([rows - 1], [rows - 1])), shape=(rows, rows)).tocsc()
+    return {**chain(), "K": lone}
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+
+
+def corrupt(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3 : len(content) // 3 + 200] = b"\x00\xff%&" * 50
+    path.write_bytes(content)
+
+
+BAD_FILES = {
+    "corrupt": (chain, corrupt),
+    "truncated": (chain, truncated),
+    "complex": (BAD_MODELS["complex"][0], None),
+    "NaN": (BAD_MODELS["NaN"][0], None),
+    "mismatched": (BAD_MODELS["shape"][0], None),
+    "huge": (huge, None),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+@pytest.mark.parametrize("writer", ["market", "mat", "csc", "coo"])
+def test_every_kind_of_file_is_refused_with_one_message(tmp_path, writer, case):
+    """Exit code 2, the file's name, no traceback, nothing written."""
+    make, damage = BAD_FILES[case]
+    path = WRITERS[writer](tmp_path, make())
+    if damage is not None:
+        damage(tmp_path / "model.K" if writer == "market" else path)
+    before = sorted(tmp_path.iterdir())
+    ran = CliRunner().invoke(app, ["reduce", str(path), "-o", str(tmp_path / "out"), "--json"])
+    assert ran.exit_code == 2, ran.output
+    assert str(tmp_path / "model") in ran.stderr.replace("\n", "")
+    assert ran.stderr.count("expected:") <= 1
+    assert "Traceback" not in ran.stderr
+    assert ran.stdout == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("case", ["corrupt", "truncated", "NaN", "complex", "mismatched"])
+@pytest.mark.parametrize("kind", ["npz", "json"])
+def test_every_kind_of_reduced_model_is_refused_with_one_message(tmp_path, kind, case):
+    model = read_model(write_family(tmp_path, chain()))
+    rom = reduce_model(model, (0.0, 0.1), order=4)
+    changes = {"NaN": np.nan * rom.K, "complex": rom.K + 1j, "mismatched": rom.K[:2, :2]}
+    if case in changes:
+        object.__setattr__(rom, "K", changes[case])
+    write_rom(rom, tmp_path, "r")
+    if case not in changes:
+        {"corrupt": corrupt, "truncated": truncated}[case](
+            tmp_path / ("r.npz" if kind == "npz" else "r.K")
+        )
+    command = ["export", "--rom", str(tmp_path / f"r.{kind}"), "-o", str(tmp_path / "out")]
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 2, ran.output
+    assert "Traceback" not in ran.stderr
+    assert not (tmp_path / "out").exists()
