@@ -34,7 +34,7 @@ STATES = 600
 TAIL = 8.0  # snapshots reach so many times the band's upper edge
 TAIL_SAMPLES = 150
 TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smooth on the whole
-TAIL_WEIGHT = 1e-2  # the largest
+TAIL_WEIGHTS = 4e-3, 1e-2  # less makes launches erratic, more costs states within the band
 TAIL_PER_ROOT = 8.0  # ... and per root of the tolerance, as errors go with its square
 
 
@@ -53,9 +53,9 @@ def reduce_to_tolerance(
     check = np.linspace(*band, CHECK)
     large, residual = krylov_model(model, check, HEADROOM * tolerance)
     exact = frequency_response(large, check)
-    directions = _directions(large, band, tolerance)
+    ordered = directions(large, band, tolerance)
     for order in range(min(large.B.shape[1], large.order), large.order + 1):
-        reduced = project_again(large, directions[:, :order])
+        reduced = project_again(large, ordered[:, :order])
         error = relative_error(frequency_response(reduced, check), exact) + residual
         if error <= tolerance:
             method = f"difference to {large.order} states, and their residual"
@@ -101,13 +101,13 @@ def krylov_model(
     raise _out_of_reach(tolerance, error, V.shape[1])
 
 
-def _directions(large: ReducedModel, band: tuple[float, float], tolerance: float) -> np.ndarray:
+def directions(large: ReducedModel, band: tuple[float, float], tolerance: float) -> np.ndarray:
     """Orthogonal matrix (states, states): static vectors first, then by falling weighted energy.
 
     The large model's coordinates are K-orthonormal, so lengths are energies. A snapshot counts by
     the root of its energy over its port's response, which makes errors relative.
     """
-    weight = min(TAIL_WEIGHT, TAIL_PER_ROOT * np.sqrt(tolerance))
+    weight = np.clip(TAIL_PER_ROOT * np.sqrt(tolerance), *TAIL_WEIGHTS)
     fit = np.linspace(*band, FIT)
     tail = np.linspace(band[1], TAIL * band[1], TAIL_SAMPLES)
     far = weight * (band[1] / tail) ** TAIL_DECAY
