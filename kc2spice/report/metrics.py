@@ -155,9 +155,10 @@ def _minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(t[k] + shift), float(y[k] + slope * shift / 2)
 
 
-def imprint_metrics(waves: Waveforms, scene: Scene, sectors: int = 4) -> dict[str, list[float]]:
-    """Metrics of ``imprint``: force of one sector at each depth."""
+def imprint_metrics(waves: Waveforms, scene: Scene, sectors: int = 4) -> dict[str, object]:
+    """Metrics of ``imprint``: force of one sector at each depth, and the largest."""
     return {
+        "max_force_n": float(waves["contact.force"].max() / sectors),
         "imprint_m": waves["imprint.depth"].tolist(),
         "force_n": (waves["contact.force"] / sectors).tolist(),
     }

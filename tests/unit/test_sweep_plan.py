@@ -89,6 +89,19 @@ def test_drivers_are_circuits_and_need_no_new_models():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["imprint", "em_force"])
+def test_scenes_of_curves_have_their_largest_value(name):
+    key = "contact.penalty=1e8,2e8" if name == "imprint" else "catch.remanence=0.1,0.2"
+    found = make_study(Request(SceneText(name, None), (key,)))
+    assert found.job.metrics == ({"imprint": "max_force_n", "em_force": "force_max_n"}[name],)
+
+
+def test_a_scene_of_curves_alone_is_refused_with_what_to_do():
+    with pytest.raises(UsageError, match="every metric is a curve") as caught:
+        make_study(Request(SceneText("harmonic", None), ("kick.damping.ratio=0.01,0.02",)))
+    assert "kc2spice run" in caught.value.hint
+
+
 def test_models_are_prepared_once_each_with_one_group_for_each_chip():
     found = study("control.kd=10,20,30", "rom.order=20,30", "kick.damping.ratio=0.01,0.02")
     groups = list(shared_models(found.plan, found.stages))

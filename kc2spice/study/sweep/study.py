@@ -108,8 +108,11 @@ def make_study(request: Request) -> Study:
                 expected=", ".join(available), hint=did_you_mean(name, available),
             )  # fmt: skip
     if not wanted:
-        raise UsageError("nothing to tabulate: every metric is a curve", where="--metric",
-                         got=f"experiment {base.experiment!r}")  # fmt: skip
+        raise UsageError(
+            "nothing to tabulate: every metric is a curve", where="--metric",
+            got=f"experiment {base.experiment!r}", expected="loop, impact, imprint or em_force",
+            hint="'kc2spice run' writes the curve of one point; --set works there too",
+        )  # fmt: skip
     job = Job(request.scene, fixed, parts, wanted, request.timeout)
     kinds = {key: type(plan.values(0)[i]) for i, key in enumerate(plan.keys)}
     kinds |= {name: available[name] for name in wanted} | {"status": str}
