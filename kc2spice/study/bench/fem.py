@@ -22,7 +22,7 @@ from kc2spice.study.bench.points import Outcome, Plane, Point, Scaling, Timing
 from kc2spice.study.bench.setup import Setup
 
 # In-plane cells: sectors of the quarter circle, rings from the contact to the edge.
-MESHES = ((6, 6), (10, 11), (14, 16), (20, 24), (28, 34))
+MESHES = ((6, 6), (10, 11), (14, 16), (20, 24), (24, 30))
 COARSE = ((2, 2), (4, 3))
 
 
