@@ -1,0 +1,100 @@
+"""Contact, 100 bounces each: ``python tests/spice/hard_cases/contact_table.py``."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hard_cases.kit import HEADER, Bench, bench_deck
+
+from kc2spice.errors import SimulationError
+from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.schema import Sphere
+
+MASS, STIFFNESS, SPEED, HEIGHT, LANDINGS = Sphere().mass, 4e8, 0.01, 1e-7, 100
+TABLE = re.compile(r"(?s)<!-- table -->\n.*<!-- end -->")
+PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
+OPTIONS = {
+    "trap, 1e-3": "reltol=1e-3 trtol=1 chgtol=1e-08",
+    "trap, 1e-4": "reltol=1e-4 trtol=1 chgtol=1e-08",
+    "trap, 1e-4, chgtol 1e-12": "reltol=1e-4 trtol=1 chgtol=1e-12",
+    "trap, 1e-6, chgtol 1e-12": "reltol=1e-6 trtol=1 chgtol=1e-12",
+    "gear, 1e-4": "reltol=1e-4 trtol=1 chgtol=1e-08 method=gear",
+    "gear, 1e-6, chgtol 1e-12": "reltol=1e-6 trtol=1 chgtol=1e-12 method=gear",
+    "ngspice's own": "trtol=7",
+}
+LAWS = ("max(0, x)", "max(0, x), edges watched", "blend of 0.1 nm", "blend of 0.1 nm, watched")
+
+
+@dataclass(frozen=True)
+class Bounced:
+    """Energy gained over all landings, as a share; landings too few; points; CPU time [s]."""
+
+    energy: float
+    missed: int
+    points: int
+    seconds: float
+
+
+def bounce(law: str, options: str, ceiling: str = "1e-5") -> Bounced:
+    """A sphere falls 5 um a hundred times onto a rigid plane."""
+    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), STIFFNESS)
+    text = ground.text
+    if "watched" not in law:
+        text = re.sub(r"(?m)^(Snear|Gnear|Inear|Rnear|\.model edge).*\n", "", text)
+    if "blend" in law:  # a parabola from -w to w that joins both branches with their slopes
+        x, w = "(V(R0)-V(bottom))", "1e-4"
+        parabola = f"({x}+{w})*({x}+{w})/(4*{w})"
+        smooth = f"({x} > {w} ? {x} : ({x} < -{w} ? 0 : {parabola}))"
+        text = re.sub(r"(?m)^BR0 .*$", f"BR0 R0 v I={{newton_per_um*{smooth}}}", text)
+    ground = type(ground)(ground.name, ground.pins, ground.params, text)
+    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-SPEED, height=HEIGHT)
+    stop = (LANDINGS + 0.5) * (2 * SPEED / 9.81 + np.pi * np.sqrt(MASS / STIFFNESS))
+    cards = f"""Xsphere v bottom y 0 sphere
+Vground R0 0 0
+Xcontact R0 v bottom 0 contact
+.options {options} acct
+.tran 1e-4 {stop} 0 {ceiling} uic"""
+    vectors = {"v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
+    deck = bench_deck([sphere, ground], cards, vectors, stop)
+    with tempfile.TemporaryDirectory() as directory:
+        waves = Bench(Path(directory)).run(deck)
+    bottom, v = waves["bottom"], waves["v"]
+    # Counted where the sphere is clear of the plane, thus without the spring's law.
+    clear = bottom > HEIGHT / 10
+    energy = MASS * (v**2 / 2 + 9.81 * bottom)
+    last = energy[np.flatnonzero(clear)[-1]] if clear.any() else 0.0
+    landings = np.count_nonzero((bottom[:-1] > 0) & (bottom[1:] <= 0))
+    start = MASS * (SPEED**2 / 2 + 9.81 * HEIGHT)
+    stats = waves.stats
+    return Bounced(last / start - 1, LANDINGS - landings, int(stats["accepted"]), stats["cpu_s"])
+
+
+def main() -> None:
+    """Write the table into the page."""
+    lines = [
+        "| force over depth x | options | energy gained | landings missed | points | CPU [s] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for law in LAWS:
+        for name, options in OPTIONS.items():
+            try:
+                b = bounce(law, options)
+                cells = f"{b.energy:+.1e} | {b.missed} | {b.points} | {b.seconds:.2f}"
+            except SimulationError as error:
+                cells = f"{error.message} | | |"
+            lines.append(f"| {law} | {name} | {cells} |")
+            print(lines[-1], flush=True)
+    table = "\n".join(["<!-- table -->", *lines, "<!-- end -->"])
+    PAGE.write_text(TABLE.sub(lambda _: table, PAGE.read_text()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""A hundred bounces keep their energy, and coarse steps do not pass unnoticed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from kc2spice.errors import SimulationError
+from kc2spice.parts.experiments import scene_deck
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.truth import find_truth, require
+
+sys.path.insert(0, str(Path(__file__).parent))
+from hard_cases.contact_table import OPTIONS, bounce
+
+
+@pytest.mark.parametrize("options", ["trap, 1e-3", "trap, 1e-4", "trap, 1e-6, chgtol 1e-12"])
+def test_watched_edges_keep_the_energy_at_every_tolerance(options):
+    bounced = bounce("max(0, x), edges watched", OPTIONS[options])
+    assert abs(bounced.energy) < 1e-3
+    assert bounced.missed == 0
+    assert bounced.points < 40_000
+
+
+def test_without_the_watch_a_hundred_bounces_go_wrong():
+    """The defect is real: what the switch cures is seen when it is taken out."""
+    bounced = bounce("max(0, x)", OPTIONS["trap, 1e-3"])
+    assert abs(bounced.energy) > 0.1
+
+
+def test_coarse_steps_over_many_landings_are_noticed(header, model, radii, tmp_path):
+    """ngspice's own options, no watch: the sphere gains height, and the run fails."""
+    overrides = ["gravity=9.81 m/s2", "impact.velocity=-10 mm/s", "kick.electrical=short",
+                 "solver.stop=7 ms", "solver.max_step=40 us"]  # fmt: skip
+    scene = load_scene("impact", overrides)
+    deck = scene_deck(scene, header, model, radii)
+    files = {
+        name: re.sub(r"(?m)^(\.options (reltol|trtol|chgtol)|Snear).*\n", "", text)
+        for name, text in deck.files.items()
+    }
+    waves = run_deck(dataclasses.replace(deck, files=files), tmp_path)
+    with pytest.raises(SimulationError, match="contradicts physics"):
+        require(find_truth(waves, scene, None, model).checks, scene.name)
