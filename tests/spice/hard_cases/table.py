@@ -1,4 +1,7 @@
-"""Run all hard cases and write their table: ``python tests/spice/hard_cases/table.py``."""
+"""Run the hard cases and write their table: ``python tests/spice/hard_cases/table.py``.
+
+With ``--slow`` also those that take minutes.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ What breaks circuit simulators, each case with an oracle of its own: scipy, a cl
 energy. A case is met when its error is below the limit, or when it ends in a refusal that names the
 true reason. "Default options": the same deck without its `.options` cards.
 
-Written by `python tests/spice/hard_cases/table.py`; times are of one core, with the oracle's.
+Written by `python tests/spice/hard_cases/table.py` (`--slow` adds those that take minutes); times
+are wall clock, with the oracle's.
 
 | what is hard | case | error of | error | limit | points | time [s] | outcome | default options |
 |---|---|---|---|---|---|---|---|---|
@@ -45,6 +49,8 @@ def main() -> None:
     """Write the page, then say how many cases were met."""
     lines, met, plain = [], 0, []
     for number, case in enumerate(CASES):
+        if case.slow and "--slow" not in sys.argv:
+            continue
         outcome, _ = judge(case)
         met += outcome.met
         plain.append("" if "user circuit" in case.entry else converges(number))
@@ -52,7 +58,7 @@ def main() -> None:
         print(lines[-1], end="", flush=True)
     ran = [text for text in plain if text]
     share = sum(text == "converges" for text in ran)
-    foot = f"\n{met} of {len(CASES)} cases are met. "
+    foot = f"\n{met} of {len(lines)} cases are met. "
     foot += f"With ngspice's default options {share} of {len(ran)} decks converge.\n"
     PAGE.write_text(HEAD + "".join(lines) + foot)
     print(foot)

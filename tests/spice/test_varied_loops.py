@@ -1,0 +1,20 @@
+"""Varied kicks all complete, and launch as scipy says."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from hard_cases.loops import loops
+
+
+@pytest.mark.slow
+def test_launch_of_150_varied_kicks():
+    errors = [loop.error for loop in loops()]
+    assert len(errors) == 150
+    assert np.median(errors) <= 5e-5
+    assert max(errors) <= 2e-4
