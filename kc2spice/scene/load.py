@@ -175,7 +175,7 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> U
         case "quantity":
             return UsageError(context["reason"], where=where, got=got, expected=context["expected"])
         case "literal_error":
-            choices = re.findall(r"'(\w+)'", context["expected"])
+            choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             hint = did_you_mean(str(error["input"]), choices)
             expected = f"one of {', '.join(choices)}"
             return UsageError("no such choice", where=where, got=got, expected=expected, hint=hint)

@@ -20,7 +20,7 @@ from kc2spice.sim.waveforms import Waveforms
 WORK = 1e-4  # share of the work that may be unexplained; then the launch is wrong by about 1e-3
 WORK_SHARE = 0.03  # ... or of a larger error_budget, a tenth of what its time stepping gets
 CONTACT = 1e-3  # energy that the springs may make or lose, of what went through them
-CHIP = 0.05  # of the stored energy: the chip rings on after the pulse at up to 30 MHz
+CHIP = 0.1  # of the stored energy: the chip rings on after the pulse at up to 30 MHz
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
 

@@ -61,7 +61,7 @@ def test_no_retries_when_switched_off(stiff, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:closer")
 def test_a_result_of_too_coarse_steps_is_run_again(scene, header, model, radii, table, tmp_path):
-    coarse = scene.model_copy(update={"solver": Solver(reltol=0.1, max_step=1e-4)})
+    coarse = scene.model_copy(update={"solver": Solver(reltol=0.03, max_step=1e-4)})
     deck = loop_deck(coarse, header, model, radii, table)
     with pytest.warns(UserWarning, match="closer tolerances"):
         climbed = climb(

@@ -1,0 +1,185 @@
+"""Scenes drawn at random over all keys: each ends in a checked result or in a true diagnosis."""
+
+import random
+import tempfile
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import get_args
+
+import annotated_types as at
+import pytest
+
+from kc2spice.errors import SimulationError, UsageError
+from kc2spice.netlist.lint import lint
+from kc2spice.report.figures import run_figures
+from kc2spice.report.metrics import metrics
+from kc2spice.report.run_page import write_run
+from kc2spice.scene.checks import NEEDED, OPTIONAL
+from kc2spice.scene.keys import scene_keys, submodel
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.ladder import LadderError
+from kc2spice.study.decks import make_deck
+from kc2spice.study.models import build_models
+from kc2spice.study.progress import Clock
+from kc2spice.study.simulate import simulate
+
+TIME = 20.0  # s for one ngspice run; a legal scene may ask for hours
+# Counts and times that make a run longer and nothing else harder come from their low end.
+LOW_END = {
+    "kick.layers": (1, 6), "kick.mesh.refine": (1, 2), "kick.mesh.sectors": (2, 6),
+    "kick.mesh.rings": (1, 6), "kick.mesh.outer_rings": (1, 5), "catch.positions": (4, 9),
+    "catch.refine": (1, 1), "rom.order": (1, 60), "imprint.steps": (1, 40),
+    "harmonic.steps": (2, 40), "catch.turns": (1, 10_000),
+}  # fmt: skip
+# A scene small enough for its FE to take a second; everything else is at its default.
+BASE = {
+    "kick": "layers = 3\nmesh = { sectors = 4, outer_rings = 3 }\n"
+    'drive = { start = "5 us" }\n',
+    "catch": "positions = 5\n"
+    "ring = { height = 1e-3, outer = 5e-3, inner = 4e-3, y = 2.5e-3 }\n"
+    "lower = { height = 2e-3, outer = 2.3e-3, inner = 1.3e-3, y = 1e-3 }\n"
+    "upper = { height = 2e-3, outer = 2.3e-3, inner = 1.3e-3, y = 4e-3 }\n",
+    "control": 'enable_at = "5 us"\n',
+    "imprint": "steps = 20\n",
+    "harmonic": "steps = 20\n",
+    "em_force": "", "impact": "", "sphere": "", "contact": "",
+    "solver": 'stop = "60 us"\n',
+}  # fmt: skip
+
+
+def schema_fields(model=Scene, prefix=""):
+    """Dotted name and field of every key."""
+    for name, field in model.model_fields.items():
+        section = submodel(field.annotation)
+        if section is None:
+            yield f"{prefix}{name}", field
+        else:
+            yield from schema_fields(section, f"{prefix}{name}.")
+
+
+FIELDS = dict(schema_fields())
+CHOICES = {key.name: key.choices for key in scene_keys()}
+
+
+def bounds(field):
+    """Lowest and highest legal value, None where there is none."""
+    low = high = None
+    for meta in field.metadata:
+        low = meta.gt if isinstance(meta, at.Gt) else meta.ge if isinstance(meta, at.Ge) else low
+        high = meta.lt if isinstance(meta, at.Lt) else meta.le if isinstance(meta, at.Le) else high
+    return low, high
+
+
+def number(rng, default, low, high):
+    """A legal number: mostly near the default, sometimes decades away, now and then at a bound."""
+    scale, kind = abs(default) or 1.0, rng.random()
+    if kind < 0.6:
+        drawn = default * 10 ** rng.uniform(-0.5, 0.5) if default else rng.uniform(-0.5, 0.5)
+    elif kind < 0.9:
+        drawn = scale * 10 ** rng.uniform(-4, 4) * (rng.choice([1, -1]) if low is None else 1)
+    else:
+        drawn = rng.choice([x for x in (low, high, 0.0) if x is not None])
+    legal = (low is None or drawn > low) and (high is None or drawn < high)
+    return drawn if legal else default
+
+
+def value(rng, key):
+    """A value for one key, as TOML text."""
+    field = FIELDS[key]
+    default, (low, high) = field.default, bounds(field)
+    literals = [each for each in get_args(field.annotation) if isinstance(each, int)]
+    if key == "contact.rings":
+        return rng.choice(['"needed"', '"all"', "1", "2", "4"])
+    if CHOICES[key]:
+        return f'"{rng.choice(CHOICES[key])}"'
+    if literals:
+        return str(rng.choice(literals))
+    if key in LOW_END:
+        return str(rng.randint(*LOW_END[key]))
+    if isinstance(default, tuple):
+        return str([each * 10 ** rng.uniform(-0.1, 0.1) for each in default])
+    if isinstance(default, int):
+        return str(rng.randint(low or 0, high or 10))
+    return repr(number(rng, default if isinstance(default, float) else 1e-3, low, high))
+
+
+def drawn_scene(rng):
+    """An experiment with its parts, and one to five keys of theirs changed."""
+    experiment = rng.choice(sorted(NEEDED))
+    parts = list(NEEDED[experiment])
+    if experiment == "loop":
+        every = OPTIONAL["loop"]
+        some = ("sphere",), ("kick",), ("kick", "contact", "sphere"), ("sphere", "catch")
+        parts = list(rng.choice([*some, every, every]))
+    present = (*parts, "rom", "solver", "checks", "gravity", "error_budget", "lookup")
+    keys = [k for k in FIELDS if k.split(".")[0] in present and ".driver." not in k]
+    lines = [f'experiment = "{experiment}"\n']
+    lines += [f"[{part}]\n{BASE[part]}" for part in (*parts, "solver")]
+    overrides = [f"{key}={value(rng, key)}" for key in rng.sample(keys, rng.randint(1, 5))]
+    for part in ("kick", "catch"):
+        drivers = [k for k in FIELDS if k.startswith(f"{part}.driver.") and ".user." not in k]
+        if experiment == "loop" and "control" in parts and rng.random() < 0.3:
+            kind = rng.choice(sorted({k.split(".")[2] for k in drivers}))
+            one = rng.choice([k for k in drivers if k.split(".")[2] == kind])
+            overrides.append(f"{one}={value(rng, one)}")
+    return "".join(lines), tuple(overrides)
+
+
+def outcome(text, overrides):
+    """What became of a scene, in one word; anything but our own errors is raised."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drawn.toml"
+        path.write_text(text)
+        try:
+            scene = load_scene(path, overrides)
+            models = build_models(scene, Clock())
+            deck = make_deck(scene, models)
+            lint(deck)
+            climbed = simulate(scene, models, deck, Path(folder), timeout=TIME)
+        except UsageError as error:
+            assert error.where or error.hint or error.expected, error
+            return "refused"
+        except LadderError as error:
+            failure = error.failure
+            assert failure is None or failure.time is not None or failure.kind, error
+            assert failure or "physics" in error.message, error
+            return "diagnosed after retries" if len(error.attempts) > 1 else "diagnosed"
+        except SimulationError as error:
+            if "did not finish" in error.message:
+                return "out of time"
+            assert error.hint or error.expected or error.got, error
+            return "diagnosed"
+        assert not any(check.fatal for check in climbed.truth.checks)
+        pictures = run_figures(Path(folder), scene, climbed.waves, models.table)
+        record = {"metrics": metrics(climbed.waves, scene)}
+        write_run(Path(folder) / "report.html", record, scene, pictures)
+    return "result" if len(climbed.attempts) == 1 else "result after retries"
+
+
+def campaign(count):
+    found = Counter()
+    for number in range(count):
+        drawn = drawn_scene(random.Random(f"scene {number}"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found[outcome(*drawn)] += 1
+    return found
+
+
+def judged(found, count):
+    assert sum(found.values()) >= count
+    assert found["result"] >= 0.4 * count, found
+    retried = found["result after retries"] + found["diagnosed after retries"]
+    assert retried <= max(1, 0.02 * count), found
+    assert found["out of time"] <= max(1, 0.03 * count), found
+
+
+def test_twelve_scenes_end_in_a_result_or_a_diagnosis():
+    judged(campaign(12), 12)
+
+
+@pytest.mark.slow
+def test_two_hundred_scenes_end_in_a_result_or_a_diagnosis():
+    judged(campaign(200), 200)
