@@ -179,6 +179,8 @@ def test_a_chip_alone_is_an_electrical_load(tmp_path):
 def test_a_sphere_alone_falls(tmp_path):
     result = ran(tmp_path, "[sphere]\n[solver]\nstop = 2e-3\n")
     assert "rom" not in result
+    told = CliRunner().invoke(app, ["explain", str(tmp_path / "own.toml"), "--json"])
+    assert json.loads(told.stdout).items() >= result["plan"].items()  # one record, shown twice
     fallen = 1e-3 - 9.81 * 2e-3**2 / 2
     assert result["metrics"]["final_position_m"] == pytest.approx(fallen, rel=1e-5)
 
