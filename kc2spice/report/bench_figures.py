@@ -56,7 +56,9 @@ def _plane(
         axes.set_yscale("log")
         name_axes(axes, words["error"], words["time"], words["title"])
         legend_beside(axes)
-    caption = "Lower left is better; circled points are beaten by no other in both."
+    caption = (
+        "Lower left is better; circled points are beaten by no other in both, the floor aside."
+    )
     return Picture(path, words["title"], caption)
 
 

@@ -84,16 +84,20 @@ def _enter(record: dict[str, Any], outcome: Outcome) -> None:
 
 
 def _points(plane: Plane) -> list[dict[str, Any]]:
-    front = pareto(plane.points)
+    # The floor solves this loop and nothing else: it is no choice, only a bound.
+    open_to_choice = [point for point in plane.points if point.family != "floor"]
+    best_labels = {
+        p.label for p, best in zip(open_to_choice, pareto(open_to_choice), strict=True) if best
+    }
     return [
         {
             "label": point.label, "family": point.family, "error": point.error,
             "time_s": point.time.median, "time_low_s": point.time.low,
             "time_high_s": point.time.high, "repeats": point.time.repeats,
             "errors": point.errors, "facts": point.facts, "note": point.note,
-            "same_model": point.same_model, "pareto": best,
+            "same_model": point.same_model, "pareto": point.label in best_labels,
         }
-        for point, best in zip(plane.points, front, strict=True)
+        for point in plane.points
     ]  # fmt: skip
 
 
