@@ -82,9 +82,9 @@ def scaling(sizes: list[int], dimension: int, solver: Solver = "scipy") -> list[
 
 
 def exponents(points: list[ScalingPoint]) -> tuple[float, float]:
-    """Fitted powers of the number of unknowns for time and memory."""
+    """Fitted powers of the number of unknowns for processor time and memory."""
     n = np.log([point.unknowns for point in points])
-    time_power = np.polyfit(n, np.log([point.time_s for point in points]), 1)[0]
+    time_power = np.polyfit(n, np.log([point.cpu_s for point in points]), 1)[0]
     memory_power = np.polyfit(n, np.log([point.memory_bytes for point in points]), 1)[0]
     return float(time_power), float(memory_power)
 
@@ -136,7 +136,7 @@ def _main() -> None:
         )
     if len(points) > 1:
         time_power, memory_power = exponents(points)
-        print(f"\ntime as n^{time_power:.2f}, memory as n^{memory_power:.2f}")
+        print(f"\nCPU time as n^{time_power:.2f}, memory as n^{memory_power:.2f}")
 
 
 if __name__ == "__main__":
