@@ -16,6 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kc2spice.cache import cache_dir
+from kc2spice.errors import Kc2spiceError
+from kc2spice.netlist.circuit import Deck
+from kc2spice.sim.ngspice import run_deck
 
 _PYTHON = (
     "numpy", "scipy", "scikit-fem", "gmsh", "PySpice", "matplotlib", "typer", "rich", "pydantic",
@@ -35,6 +38,19 @@ A1 in out probe
 .model probe gain(gain=2)
 R1 out 0 1
 .op
+.end
+"""
+# What our netlists ask of ngspice: parameters in braces, pwl and max in a behavioural source, and
+# the current of such a source among the results.
+_FEATURE_DECK = """* feature probe
+.param eps=2
+V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
+B1 0 out I={eps*max(0, V(in)-0.5)+pwl(V(in), 0, 0, 1, 3)}
+R1 out 0 1
+.options reltol=1e-4 trtol=1 chgtol=1e-8 method=trap pivrel=0.1
+.tran 1e-6 1e-5
+.save v(out)
+.save @b1[i]
 .end
 """
 
@@ -58,6 +74,7 @@ def examine() -> Iterator[Finding]:
     if sys.platform == "linux":
         yield _gmsh_libraries()
     yield _ngspice()
+    yield _features()
     yield _code_models()
     yield _libngspice()
     yield _cache()
@@ -102,6 +119,21 @@ def _ngspice() -> Finding:
     if version is None:
         return Finding("ngspice", False, f"{program} does not answer to --version", fix)
     return Finding("ngspice", True, f"{version[1]} ({program})")
+
+
+def _features() -> Finding:
+    """Run a deck with the language that our netlists use, whatever the version says."""
+    fix = "install a complete ngspice, version 39 or later"
+    vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
+    deck = Deck("probe", "probe.cir", {"probe.cir": _FEATURE_DECK}, vectors, 1e-5)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            waves = run_deck(deck, Path(folder), timeout=20)
+        except Kc2spiceError as error:
+            return Finding("ngspice runs our netlists", False, error.message, fix)
+    ends = float(waves["out"][-1]), float(abs(waves["source"][-1]))
+    ok = all(abs(end - 4.0) < 1e-6 for end in ends)
+    return Finding("ngspice runs our netlists", ok, "a probe does" if ok else f"got {ends}", fix)
 
 
 def _code_models() -> Finding:
