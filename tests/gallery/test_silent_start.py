@@ -14,8 +14,6 @@ from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
-# Found all the same, by gmin stepping: real coils at rest and power transistors.
-STRUGGLING = ("amplifier_kick", "coil_rails", "half_bridge_kick", "pwm_coil")
 SHORT = 1e-6  # s: long enough for the operating point and the first steps
 
 
@@ -29,17 +27,8 @@ def committed(name: str) -> Deck:
     return Deck(name, f"{name}.cir", files, {}, SHORT if found else None)
 
 
-def scenes() -> list:
-    """All of the gallery; those that are known to struggle must fail until they are cured."""
-    known = pytest.mark.xfail(strict=True, reason="gmin stepping at the operating point")
-    return [
-        pytest.param(name, marks=[known] if name in STRUGGLING else [])
-        for name in sorted(gallery())
-    ]
-
-
 @pytest.mark.parametrize("options", ["ours", "ngspice's own"])
-@pytest.mark.parametrize("name", scenes())
+@pytest.mark.parametrize("name", sorted(gallery()))
 def test_operating_point_is_silent(name, options, tmp_path):
     deck = committed(name)
     if options != "ours":
