@@ -124,6 +124,8 @@ def _ngspice() -> Finding:
 def _features() -> Finding:
     """Run a deck with the language that our netlists use, whatever the version says."""
     fix = "install a complete ngspice, version 39 or later"
+    if shutil.which("ngspice") is None:
+        return Finding("ngspice runs our netlists", False, "no ngspice", fix)
     vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
     deck = Deck("probe", "probe.cir", {"probe.cir": _FEATURE_DECK}, vectors, 1e-5)
     with tempfile.TemporaryDirectory() as folder:

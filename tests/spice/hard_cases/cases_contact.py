@@ -168,9 +168,9 @@ def two_kicks(bench):
     few = chip(6)
     study = kick("kick.drive.voltage=20 V", "solver.stop=0.11 ms")
     deck = scene_deck(study, HEADER, few, RADII)
-    pulse = "2.4900000000000002e-05)"
-    assert pulse in deck.files[deck.main]
-    twice = deck.files[deck.main].replace(pulse, pulse.replace(")", " 5e-05)"))
+    once = "2.4900000000000002e-05 10000)"  # the pulse's length and its period
+    assert once in deck.files[deck.main]
+    twice = deck.files[deck.main].replace(once, once.replace("10000", "5e-05"))
     waves = bench.run(replace(deck, files=deck.files | {deck.main: twice}))
     plain = Plain.of(few, RADII, 1e-3, study.sphere.mass, stiffness=4e8)
     edges = np.array([0.0, 0.1, 25.0, 25.1]) * 1e-6
