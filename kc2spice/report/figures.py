@@ -14,21 +14,21 @@ from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
 
 
+def model_figures(directory: Path, scene: Scene, table: EMTable | None) -> list[Picture]:
+    """Draw what is known before anything is simulated: the force map of a catch."""
+    return [] if table is None else [force_map(directory / "em_force.png", table, scene)]
+
+
 def run_figures(
-    directory: Path,
-    scene: Scene,
-    waves: Waveforms | None,
-    table: EMTable | None = None,
-    reference: Waveforms | None = None,
+    directory: Path, scene: Scene, waves: Waveforms, reference: Waveforms | None = None
 ) -> list[Picture]:
     """Draw what ngspice gave, over the independent ``reference`` where there is one."""
     if scene.experiment == "em_force":
-        return [force_map(directory / "em_force.png", need(table, "catch"), scene)]
-    found = need(waves, "solver")
+        return []
     if scene.experiment == "loop":
-        return loop_figures(directory, found, scene, table, reference)
-    roads = {"ngspice": found} if reference is None else {"scipy": reference, "ngspice": found}
-    return verify_figures(directory, scene, roads, table)
+        return loop_figures(directory, waves, scene, None, reference)
+    roads = {"ngspice": waves} if reference is None else {"scipy": reference, "ngspice": waves}
+    return verify_figures(directory, scene, roads)
 
 
 def verify_figures(

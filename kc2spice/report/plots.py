@@ -68,7 +68,10 @@ def sheet(
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.subplots(rows, columns, **options)
         yield axes
-        figure.savefig(path, format="png", metadata={"Software": "kc2spice"})
+        figure.savefig(
+            path, format="png", metadata={"Software": "kc2spice"},
+            pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
+        )  # fmt: skip
 
 
 def name_axes(axes: Any, x: str, y: str, title: str = "") -> None:

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kc2spice.cache import cached
 from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
-from kc2spice.fem.magnetics import catch_table
-from kc2spice.fem.mesh import KickMesh, kick_mesh
-from kc2spice.fem.piezo import assemble_kick
 from kc2spice.fem.system import PiezoSystem, Port
-from kc2spice.rom.facts import condensed_facts
-from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.model import Certificate, ResonatorModel
-from kc2spice.rom.reduce import reduce_condensed
-from kc2spice.rom.schur import CondensedSystem, condense, with_rings
 from kc2spice.scene.need import need
 from kc2spice.scene.rings import kept_rings
 from kc2spice.scene.schema import Drive, Kick, Scene
 from kc2spice.study.progress import Clock
+
+# What builds is imported where it builds: most runs find their models in the cache.
+if TYPE_CHECKING:
+    from kc2spice.fem.mesh import KickMesh
+    from kc2spice.rom.schur import CondensedSystem
 
 
 @dataclass(frozen=True)
@@ -78,16 +76,23 @@ def model_keys(scene: Scene) -> dict[str, dict[str, Any]]:
 # The last chip stays in memory: the next scene often asks for another reduction of the same one.
 @lru_cache(maxsize=1)
 def _mesh(chip: Kick) -> KickMesh:
+    from kc2spice.fem.mesh import kick_mesh
+
     return kick_mesh(chip)
 
 
 @lru_cache(maxsize=1)
 def _assembled(chip: Kick) -> PiezoSystem:
+    from kc2spice.fem.piezo import assemble_kick
+
     return assemble_kick(chip, _mesh(chip))
 
 
 @lru_cache(maxsize=1)
 def _condensed(chip: Kick) -> tuple[CondensedSystem, dict[str, float]]:
+    from kc2spice.rom.facts import condensed_facts
+    from kc2spice.rom.schur import condense
+
     condensed = condense(_assembled(chip))
     return condensed, condensed_facts(condensed)
 
@@ -98,6 +103,10 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
     )
 
     def build() -> KickModel:
+        from kc2spice.rom.modal import resonators, whole_device
+        from kc2spice.rom.reduce import reduce_condensed
+        from kc2spice.rom.schur import with_rings
+
         with clock.stage("mesh", "chip mesh"):
             _mesh(chip)
         with clock.stage("assemble", "piezoelectric matrices"):
@@ -122,6 +131,8 @@ def _table(scene: Scene, clock: Clock) -> EMTable:
     unit = catch.model_copy(update={"remanence": 1.0, "shift": 0.0, "driver": None})
 
     def build() -> EMTable:
+        from kc2spice.fem.magnetics import catch_table
+
         with clock.stage("magnetics", "field of the catch actuator") as share:
             return catch_table(unit, sphere, lambda done, total: share(done / total))
 

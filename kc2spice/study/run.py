@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +15,7 @@ from kc2spice.netlist.dialect import DIALECTS, dialect_files
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.symbol import symbol_files
 from kc2spice.output import staged
-from kc2spice.report.figures import run_figures
+from kc2spice.report.figures import model_figures, run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
 from kc2spice.rom.model import ResonatorModel
@@ -50,7 +51,10 @@ def run(
             deck = _linted(scene, models, trust)
             write_deck(deck, work)
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
-        with simulating as share, kept_on_failure(work, out, scene.name):
+        kept = kept_on_failure(work, out, scene.name)
+        # ngspice is a process of its own: drawing, and loading what draws, need not wait for it.
+        with simulating as share, kept, ThreadPoolExecutor(1) as beside:
+            known = beside.submit(model_figures, work, scene, models.table)
             climbed = simulate(scene, models, deck, work, progress=share)
         deck, waves = climbed.deck, climbed.waves
         warn_of(climbed.truth.checks)
@@ -60,7 +64,7 @@ def run(
             if models.table is not None:
                 emtable.save(models.table, work / "em_table.npz")
                 files.append("em_table.npz")
-            pictures = run_figures(work, scene, waves, models.table)
+            pictures = [*run_figures(work, scene, waves), *known.result()]
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
         write_run(work / "report.html", record, scene, pictures)

@@ -12,7 +12,7 @@ import pytest
 
 from kc2spice.errors import SimulationError, UsageError
 from kc2spice.netlist.lint import lint
-from kc2spice.report.figures import run_figures
+from kc2spice.report.figures import model_figures, run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.checks import NEEDED, OPTIONAL
@@ -152,7 +152,8 @@ def outcome(text, overrides):
             assert error.hint or error.expected or error.got, error
             return "diagnosed"
         assert not any(check.fatal for check in climbed.truth.checks)
-        pictures = run_figures(Path(folder), scene, climbed.waves, models.table)
+        pictures = run_figures(Path(folder), scene, climbed.waves)
+        pictures += model_figures(Path(folder), scene, models.table)
         record = {"metrics": metrics(climbed.waves, scene)}
         write_run(Path(folder) / "report.html", record, scene, pictures)
     return "result" if len(climbed.attempts) == 1 else "result after retries"
