@@ -37,10 +37,12 @@ def contact_forces(compliant: np.ndarray, stiffness: float, overlap: np.ndarray)
     with the same closed rings share one factorisation.
     """
     closed = overlap > 0.0
+    bits = 1 << np.arange(overlap.shape[1])  # a set of closed rings as one number
     for _ in range(4 * overlap.shape[1] + 10):
         force = np.zeros(overlap.shape)
-        for touching in np.unique(closed, axis=0):
-            cases = np.ix_((closed == touching).all(axis=1), touching)
+        _, first, member = np.unique(closed @ bits, return_index=True, return_inverse=True)
+        for number, touching in enumerate(closed[first]):
+            cases = np.ix_(member == number, touching)
             system = compliant[np.ix_(touching, touching)] + np.eye(touching.sum()) / stiffness
             force[cases] = np.linalg.solve(system, overlap[cases].T).T
         now = overlap - force @ compliant.T > 0.0
