@@ -122,10 +122,10 @@ class Transient:
             slow = method in ("BDF", "DOP853")
             if slow and not (short or self.setup.full_sweep):
                 continue
-            for rtol in self.setup.some((1e-3, 1e-4, 1e-5, 1e-6)):
+            for rtol in self.setup.some((1e-3, 1e-4, 3e-5, 1e-5, 1e-6)):
                 label = f"{method}, rtol {rtol:g}"
                 work.append((label, partial(self._solve_ivp, method, rtol, label)))
-        for rtol in self.setup.some((1e-4, 1e-5, 1e-6)):
+        for rtol in self.setup.some((1e-4, 3e-4, 1e-5, 1e-6)):
             label = f"Radau, events located, modes exact in flight, rtol {rtol:g}"
             work.append((label, partial(self._located, rtol, label)))
         return work
