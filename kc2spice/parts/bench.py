@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -60,14 +61,25 @@ class _Pulse:
     flat: float
 
 
-def transient_options(solver: Solver) -> list[Option]:
-    """Simulator settings of a transient run, each with its reason."""
+def _speed(scene: Scene) -> float:
+    """Speed [m/s] at which an impact begins, at least 1 mm/s; 1 m/s for a kick."""
+    if (throw := scene.impact) is None:
+        return 1.0
+    return max(1e-3, math.sqrt(throw.velocity**2 + 2.0 * max(scene.gravity, 0.0) * throw.gap))
+
+
+def transient_options(solver: Solver, speed: float = 1.0) -> list[Option]:
+    """Simulator settings of a transient run, each with its reason.
+
+    Displacements shrink with the ``speed`` [m/s] of an impact, and so does what a step may miss.
+    """
+    chgtol = solver.chgtol * min(1.0, speed)
     return [
         Option(f"reltol={number(solver.reltol)}", "error per step; decides the launch velocity"),
         Option("trtol=1", "trust the error estimate: contact needs every step it asks for"),
         Option(
-            f"chgtol={number(solver.chgtol)}",
-            f"C on 1 uF, thus {1e6 * solver.chgtol:g} um: displacement error of a step",
+            f"chgtol={number(chgtol)}",
+            f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step",
         ),
         Option(f"method={solver.method}", "of integration"),
         Option("acct", "print accepted and rejected steps, iterations and time"),
@@ -142,7 +154,7 @@ def loop_deck(
         contact=scene.contact,
         catch=scene.catch,
         control=scene.control,
-        options=transient_options(scene.solver),
+        options=transient_options(scene.solver, _speed(scene)),
         print_step=min(scene.solver.max_step, scene.solver.stop / 1000),
         stop=scene.solver.stop,
         max_step=scene.solver.max_step,

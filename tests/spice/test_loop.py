@@ -137,6 +137,19 @@ def test_impact_agrees_with_scipy(header, model, radii, electrical, tmp_path):
     assert waves["sphere.v"][-1] == pytest.approx(exact["sphere.v"][-1], rel=1e-4)
 
 
+@pytest.mark.parametrize("speed", [1.0, 0.01])
+def test_slow_impacts_are_as_exact_as_fast_ones(header, model, radii, speed, tmp_path):
+    """Displacements shrink with the speed; steps of error control alone must follow them."""
+    scene = Scene(
+        name="impact", experiment="impact", gravity=0.0, kick=Kick(electrical="short"),
+        contact=Contact(), sphere=Sphere(), impact=Impact(velocity=-speed, gap=speed * 1e-6),
+        solver=Solver(stop=15e-6, max_step=1e-6),
+    )  # fmt: skip
+    waves = run_deck(scene_deck(scene, header, model, radii), tmp_path)
+    exact = impact(model, scene).waves
+    assert waves["sphere.v"][-1] == pytest.approx(exact["sphere.v"][-1], rel=1e-4)
+
+
 @pytest.mark.parametrize("electrical", ["open", "short"])
 def test_imprint_agrees_with_the_static_solution(header, model, radii, electrical, tmp_path):
     scene = Scene(
