@@ -14,6 +14,7 @@ _TOKEN = re.compile(
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
+_RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
 _SUFFIX = {"": 1.0, "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9,
            "p": 1e-12, "f": 1e-15}  # fmt: skip
 
@@ -148,7 +149,7 @@ class Writer:
                 text = f"{op}{self.write(value, len(_LEVELS))}"
                 return f"({text})" if level > 3 else text
             case Binary(op, left, right):
-                own = next(i for i, ops in enumerate(_LEVELS) if op in ops)
+                own = _RANK[op]
                 text = f"{self.write(left, own)}{op}{self.write(right, own + 1)}"
                 return f"({text})" if own < level else text
         raise TypeError(tree)
@@ -194,11 +195,10 @@ class _Parser:
         return Choice(test, yes, self.choice())
 
     def level(self, depth: int) -> Tree:
-        if depth == len(_LEVELS):
-            return self.unary()
-        left = self.level(depth + 1)
-        while op := self.accept(*_LEVELS[depth]):
-            left = Binary(op, left, self.level(depth + 1))
+        left = self.unary()
+        while (found := self.peek()) and _RANK.get(found["op"], -1) >= depth:
+            self.at = found.end()
+            left = Binary(found["op"], left, self.level(_RANK[found["op"]] + 1))
         return left
 
     def unary(self) -> Tree:

@@ -31,8 +31,10 @@ def chip_response(model: ResonatorModel, t: np.ndarray, load: np.ndarray) -> Chi
     """
     drive = load @ model.gain.T
     a, b = _roots(model.omega, model.damp)
-    roots = np.concatenate([a, b])
-    state = np.tile(drive[0], 2) / -roots
+    paired = bool((b == a.conj()).all())  # then x_b is the conjugate of x_a
+    roots = a if paired else np.concatenate([a, b])
+    drive = drive if paired else np.tile(drive, 2)
+    state = drive[0] / -roots
     states = np.empty((t.size, roots.size), dtype=complex)
     states[0] = state
     for begin in range(0, t.size - 1, _BLOCK):
@@ -40,7 +42,7 @@ def chip_response(model: ResonatorModel, t: np.ndarray, load: np.ndarray) -> Chi
         for k, (grow, push) in enumerate(zip(*_steps(roots, t[part], drive[part]), strict=True)):
             state = grow * state + push
             states[begin + k + 1] = state
-    x_a, x_b = states[:, : a.size], states[:, a.size :]
+    x_a, x_b = states[:, : a.size], states.conj() if paired else states[:, a.size :]
     z, rate = ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
     stored = (rate**2 + (model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
@@ -58,9 +60,9 @@ def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndar
     """``e^(ah)`` and what the load adds in each step, both (steps, roots)."""
     h = np.diff(t)[:, None]
     s = h * roots
-    r = np.tile(drive, 2)
     small = np.abs(s) < 1e-2
     safe = np.where(small, 1.0, s)
-    p1 = np.where(small, 1 + s / 2 * (1 + s / 3 * (1 + s / 4)), np.expm1(safe) / safe)
+    grow = np.exp(s)
+    p1 = np.where(small, 1 + s / 2 * (1 + s / 3 * (1 + s / 4)), (grow - 1) / safe)
     p2 = np.where(small, (1 + s / 3 * (1 + s / 4 * (1 + s / 5))) / 2, (p1 - 1) / safe)
-    return np.exp(s), h * (p1 * r[:-1] + p2 * np.diff(r, axis=0))
+    return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
