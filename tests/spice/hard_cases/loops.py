@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.report.metrics import separation
+from kc2spice.errors import SimulationError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim import reference
 from kc2spice.sim.ngspice import run_deck
@@ -20,13 +20,20 @@ from kc2spice.study.progress import Clock, silent
 
 COUNT = 150
 AFTER = 60e-6  # s from the kick's start: the launch and the flight that makes it one
+LIMIT = 2e-4
 LOW = np.log([1e-4, 10.0, 1e-9, 1e7])
 HIGH = np.log([5e-2, 150.0, 5e-6, 1e10])
 
 
 @dataclass(frozen=True)
 class Loop:
-    """One draw and its launch: ``error`` is relative to scipy's."""
+    """One draw and its launch: ``error`` is relative to scipy's.
+
+    ``velocity`` is that of the flying sphere ``AFTER`` the kick began: the instant of the last
+    touch, a graze of picometres, is no better known to scipy than to ngspice. ``determined`` is
+    False where scipy itself, ten times closer, launches otherwise by more than half the limit, or
+    meets contacts without end: thousands of touches on a chip that hardly damps are chaotic.
+    """
 
     damping: float
     voltage: float
@@ -35,6 +42,7 @@ class Loop:
     velocity: float
     error: float
     points: int
+    determined: bool
 
 
 def draws() -> np.ndarray:
@@ -57,21 +65,32 @@ def loops(count: int = COUNT) -> Iterator[Loop]:
         varied = replace(models, kick=replace(models.kick, resonators=damped))
         with tempfile.TemporaryDirectory() as directory:
             waves = run_deck(make_deck(scene, varied), Path(directory), timeout=600.0)
-        exact = separation(reference.kick_and_catch(damped, scene, models.table, rtol=1e-8).waves)
-        found = separation(waves)
-        error = abs(found.velocity / exact.velocity - 1.0)
+
+        def speed(rtol: float, damped=damped, scene=scene) -> float:
+            run = reference.kick_and_catch(damped, scene, models.table, rtol=rtol)
+            return run.waves["sphere.v"][-1]
+
+        found, determined = waves["sphere.v"][-1], True
+        try:
+            exact = speed(1e-8)
+            error = abs(found / exact - 1.0)
+            if error > LIMIT:
+                determined = abs(speed(1e-9) / exact - 1.0) < LIMIT / 2
+        except SimulationError:
+            exact, error, determined = np.nan, np.nan, False
         points = waves["time"].size
-        yield Loop(damping, voltage, edge, penalty, exact.velocity, error, points)
+        yield Loop(damping, voltage, edge, penalty, found, error, points, determined)
 
 
 def main() -> None:
-    """Print every loop, then median and largest error."""
+    """Print every loop, then median and largest error of those that are determined."""
     errors = []
     print("damping   kick [V]  edge [s]  penalty   launch    error     points")
     for loop in loops(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT):
-        errors.append(loop.error)
+        errors += [loop.error] if loop.determined else []
         print(f"{loop.damping:.2e}  {loop.voltage:8.2f}  {loop.edge:.2e}  {loop.penalty:.2e}  "
-              f"{loop.velocity:.5f}  {loop.error:.2e}  {loop.points:6d}", flush=True)  # fmt: skip
+              f"{loop.velocity:.5f}  {loop.error:.2e}  {loop.points:6d}"
+              f"{'' if loop.determined else '  chaotic'}", flush=True)  # fmt: skip
     print(f"{len(errors)} loops: median {np.median(errors):.2e}, largest {max(errors):.2e}")
 
 
