@@ -1,5 +1,6 @@
 """The commands that the README shows work as they stand."""
 
+import json
 import os
 import re
 import shlex
@@ -8,6 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from kc2spice.report.bench_page import bench_tables
+from kc2spice.report.html import quantity
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -36,3 +40,16 @@ def test_pictures_are_there():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
         assert (ROOT / picture).stat().st_size > 5_000, picture
+
+
+def test_speed_table_is_that_of_the_committed_benchmark():
+    record = json.loads((ROOT / "docs" / "bench" / "bench.json").read_text(encoding="utf-8"))
+    assert not record["quick"]
+    assert (ROOT / "docs" / "bench" / "bench.md").read_text("utf-8") == bench_tables(record)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \| ([^|]+) \|", text)
+    assert len(rows) >= 10
+    for name, value, error in rows:
+        ratio = record["ratios"][name]
+        assert value == quantity(ratio["value"], ratio["unit"], 3), name
+        assert error == ("–" if ratio["error"] is None else f"{ratio['error']:.1e}"), name
