@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -167,13 +166,14 @@ def test_subcircuit_parameters_are_swept_without_a_new_netlist(tmp_path):
 
 
 def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
-    def scratch():
-        return Path(tempfile.gettempdir()).glob("kc2spice-sweep-*")
-
-    out, before = tmp_path / "o", set(scratch())
+    out, temporary = tmp_path / "o", tmp_path / "temporary"
+    temporary.mkdir()
+    own = {**os.environ, "TMPDIR": str(temporary)}  # other tests' sweeps have files of their own
     pairs = [word for text in (*GAINS, *SHORT) for word in ("--set", text)]
     command = [sys.executable, "-m", "kc2spice", "sweep", "kick_and_catch", *pairs, "-o", str(out)]
-    process = subprocess.Popen([*command, "--workers", "1", "--quiet"], start_new_session=True)
+    process = subprocess.Popen(
+        [*command, "--workers", "1", "--quiet"], start_new_session=True, env=own
+    )
     journal = out / "journal.csv"
     deadline = time.monotonic() + 120
     while not (journal.exists() and journal.read_bytes().count(b"\n") >= 2):
@@ -184,7 +184,9 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     process.wait()
     recorded = journal.read_bytes().count(b"\n")
     assert recorded < 6
-    while set(scratch()) - before:  # the workers notice, end and leave nothing behind
+    assert list(temporary.glob("kc2spice-sweep-*"))
+    # The workers notice, end and leave nothing behind.
+    while list(temporary.glob("kc2spice-sweep-*")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)

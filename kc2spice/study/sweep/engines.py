@@ -7,6 +7,7 @@ import logging
 import os
 import shutil
 import signal
+import subprocess
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -93,10 +94,13 @@ def _worker_starts(scratch: str) -> None:
     def watch() -> None:
         if parent is not None:
             connection.wait([parent.sentinel])
-            shutil.rmtree(scratch, ignore_errors=True)
-            if group:
-                os.killpg(0, signal.SIGKILL)
-            os._exit(1)
+            if group:  # files go after all who might still write one, hence by another process
+                clean = 'kill -9 -- "-$0"; sleep 0.1; rm -rf -- "$1"'
+                words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
+                subprocess.Popen(words, start_new_session=True)
+            else:
+                shutil.rmtree(scratch, ignore_errors=True)
+                os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
