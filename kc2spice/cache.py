@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from scipy import sparse
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
@@ -60,7 +59,7 @@ def cached(
     ----------
     kind : sub-directory for this sort of result.
     key : what the result depends on: scene sections, numbers, strings, lists, mappings.
-    build : makes the result: dataclasses, arrays, sparse arrays, tuples, lists, dicts with string
+    build : makes the result: dataclasses, arrays, tuples, lists, dicts with string
         keys, numbers, strings, None, nested at will.
     classes : dataclasses that may occur in the result; no other class is ever restored.
     sources : modules or packages of kc2spice whose source text the result depends on; those of
@@ -187,10 +186,6 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]
         name = f"a{len(arrays)}"
         arrays[name] = value
         return ["array", name]
-    if isinstance(value, sparse.sparray):
-        parts = value.tocsc()
-        inner = (parts.data, parts.indices, parts.indptr, list(parts.shape))
-        return ["sparse", *(_encode(part, arrays, known) for part in inner)]
     if is_dataclass(value) and known.get(type(value).__name__) is type(value):
         content = {item.name: getattr(value, item.name) for item in fields(value)}
         return ["class", type(value).__name__, _encode(content, arrays, known)]
@@ -207,9 +202,6 @@ def _decode(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, typ
         return content[0]
     if tag == "array":
         return arrays[content[0]]
-    if tag == "sparse":
-        data, indices, indptr, shape = (_decode(part, arrays, known) for part in content)
-        return sparse.csc_array((data, indices, indptr), shape=tuple(shape))
     if tag == "class":
         return known[content[0]](**_decode(content[1], arrays, known))
     if tag == "dict":

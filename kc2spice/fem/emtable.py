@@ -7,9 +7,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
 
 from kc2spice.errors import SimulationError, UsageError
+from kc2spice.fem.cubics import Piecewise, cubic_spline
 
 FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")
 
@@ -41,17 +41,17 @@ class EMTable:
     unknowns: int
 
     @cached_property
-    def splines(self) -> CubicSpline:
+    def splines(self) -> Piecewise:
         """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
 
         They keep the FE's accuracy between 41 nodes; other end conditions and monotone
         interpolants do not.
         """
         values = np.column_stack([getattr(self, name) for name in FORCE])
-        return CubicSpline(self.y, values, bc_type="not-a-knot", extrapolate=False)
+        return cubic_spline(self.y, values)
 
     @cached_property
-    def potentials(self) -> PPoly:
+    def potentials(self) -> Piecewise:
         """Integrals over y (..., 6) of the splines: U0, flux_1, flux_2, L11/2, L12, L22/2.
 
         Coenergy is ``U0 + flux_1 i1 + flux_2 i2 + L11 i1^2 / 2 + L12 i1 i2 + L22 i2^2 / 2``; its
@@ -59,13 +59,13 @@ class EMTable:
         force keeps both consistent exactly and smooths, where a differentiated flux would lose an
         order; the free constants put the mean over the nodes on the FE fluxes.
         """
-        potentials = self.splines.antiderivative()
+        potentials = self.splines.integral()
         half = self.inductance / 2
         nodes = np.column_stack(
             [self.flux0, half[:, 0, 0], self.inductance[:, 0, 1], half[:, 1, 1]],
         )
-        potentials.c[-1, :, 1:] += np.mean(nodes - potentials(self.y)[:, 1:], axis=0)
-        return potentials
+        offset = np.mean(nodes - potentials(self.y)[:, 1:], axis=0)
+        return potentials.raised(np.concatenate([[0.0], offset]))
 
 
 def coefficients(table: EMTable, y: np.ndarray | float) -> np.ndarray:

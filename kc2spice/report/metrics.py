@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicHermiteSpline
 
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.waveforms import Waveforms
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 SETTLING_BAND = 0.05  # of the step from rest to set point
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
@@ -88,7 +90,7 @@ def _driver_metrics(waves: Waveforms, scene: Scene) -> dict[str, float | bool | 
         found["kick_voltage_peak_v"] = float(np.abs(waves["kick.voltage"]).max())
         if "kick.current" in waves:
             current = waves["kick.current"]
-            charge = cumulative_trapezoid(current, waves["time"])
+            charge = np.cumsum(np.diff(waves["time"]) * (current[1:] + current[:-1]) / 2)
             found["kick_current_peak_a"] = float(np.abs(current).max())
             found["kick_charge_peak_c"] = float(np.abs(charge).max())
     if scene.catch and scene.catch.driver:
@@ -237,5 +239,7 @@ def trajectory_difference(waves: Waveforms, reference: Waveforms) -> tuple[np.nd
 
 
 def _height(waves: Waveforms) -> CubicHermiteSpline:
+    from scipy.interpolate import CubicHermiteSpline
+
     t, unique = np.unique(waves["time"], return_index=True)
     return CubicHermiteSpline(t, waves["sphere.y"][unique], waves["sphere.v"][unique])

@@ -36,7 +36,8 @@ _STYLE: Any = {
     "legend.frameon": False,
     "legend.fontsize": 9,
     "axes.formatter.useoffset": False,
-    "savefig.dpi": 150,
+    "figure.dpi": 150,
+    "savefig.dpi": "figure",
 }
 
 
@@ -63,11 +64,16 @@ def sheet(
     """
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+        layout = ConstrainedLayoutEngine()
+        figure = Figure(figsize=size, layout=layout)
         axes = figure.subplots(rows, columns, **options)
         yield axes
+        # The layout once, here: left to savefig, it would cost another drawing of everything.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
         figure.savefig(
             path, format="png", metadata={"Software": "kc2spice"},
             pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing

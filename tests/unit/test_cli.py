@@ -75,6 +75,15 @@ def test_help_loads_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_run_with_cached_models_loads_nothing_that_builds_models():
+    code = (
+        "import sys, kc2spice.study; "
+        "print(sorted({'scipy', 'skfem', 'gmsh', 'matplotlib', 'PySpice'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_run_prints_tables(cli, study, tmp_path):
     done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=80")
     assert done.exit_code == 0
