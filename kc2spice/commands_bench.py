@@ -23,7 +23,7 @@ def bench(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path(
         "bench"
     ),
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of each point; the median counts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of each point; the median counts.")] = 5,
     quick: Annotated[
         bool, typer.Option("--quick", help="Coarse models and few points: shape, not numbers.")
     ] = False,

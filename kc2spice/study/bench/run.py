@@ -31,7 +31,7 @@ def bench(
     *,
     quick: bool = False,
     full_sweep: bool = False,
-    repeats: int = 3,
+    repeats: int = 5,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure ``parts`` (all by default) and write ``bench.json``, ``bench.md``, plots and

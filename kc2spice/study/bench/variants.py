@@ -27,13 +27,12 @@ PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
 
 @dataclass(frozen=True)
 class Variant:
-    """A deck to run: its place in the plane, and how often a slow one is repeated at most."""
+    """A deck to run and its place in the plane."""
 
     family: str
     label: str
     deck: Deck
     note: str = ""
-    slow: bool = False
 
 
 def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
@@ -43,8 +42,7 @@ def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
             deck = make_deck(_solver(scene, reltol=reltol, method=method), models)
-            slow = reltol < 1e-5
-            yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck, slow=slow)
+            yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck)
     for reltol in setup.some((1e-3, 1e-4), 1):
         for chgtol in setup.some(CHGTOL, 1):
             deck = _option(make_deck(_solver(scene, reltol=reltol), models), "chgtol", chgtol)
@@ -67,9 +65,9 @@ def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
         forms = forms[:1]  # the other takes minutes
     for form in setup.some(forms, 0):
         deck = with_form(own, model, form)
-        yield Variant("ngspice, dense", f"dense {form}", deck, "as generic exporters write", True)
+        yield Variant("ngspice, dense", f"dense {form}", deck, "as generic exporters write")
     deck = with_form(own, model, "resonators", behavioural=True)
-    yield Variant("ngspice, behavioural", "behavioural sources", deck, slow=True)
+    yield Variant("ngspice, behavioural", "behavioural sources", deck)
 
 
 def fixed_steps(scene: Scene, models: Models) -> Variant:
