@@ -1,4 +1,4 @@
-"""Varied kicks all complete, and launch as scipy says."""
+"""Varied kicks all complete, and launch as exact modes between the touches say."""
 
 from __future__ import annotations
 

@@ -19,10 +19,10 @@ What breaks circuit simulators, each case with an oracle of its own: scipy, a cl
 energy. A case is met when its error is below the limit, or when it ends in a refusal that names the
 true reason. "Default options": the same deck without its `.options` cards.
 
-Beside these, `python tests/spice/hard_cases/loops.py` kicks 150 varied chips (damping 0.01 to 5
-%, 10 to 150 V, edges of 1 ns to 5 us, penalty 1e7 to 1e10 N/m) with the scene's own settings. All
-complete; the median error of the launch velocity is 3e-5. The 113 that are damped by 0.05 % or
-more are within 1.4e-4. Of the 37 others seven are beyond 2e-4, the worst off by 2.2e-3: their
+Beside these, `python tests/spice/hard_cases/loops.py` kicks 150 varied chips (damping of 0.01 to
+5 %, 10 to 150 V, edges of 1 ns to 5 us, penalty 1e7 to 1e10 N/m) with the scene's own settings.
+All complete; the median error of the launch velocity is 3e-5. The 113 that are damped by 0.05 %
+or more are within 1.4e-4. Of the 37 others eight are beyond 2e-4, the worst off by 2.2e-3: their
 chips ring on under the sphere, touch it thousands of times, and launch it otherwise at every
 tolerance.
 
