@@ -65,21 +65,17 @@ def test_help_and_version(cli):
     assert __version__ in cli("--version").stdout
 
 
-def test_help_loads_nothing_heavy():
-    """What keeps --help quick, without timing it."""
-    code = (
-        "import sys, kc2spice.cli; heavy = {'numpy', 'scipy', 'pydantic', 'skfem', 'gmsh',"
-        "'matplotlib', 'PySpice', 'jinja2'}; print(sorted(heavy & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+BUILDERS = {"scipy", "skfem", "gmsh", "matplotlib", "PySpice"}
 
 
-def test_a_run_with_cached_models_loads_nothing_that_builds_models():
-    code = (
-        "import sys, kc2spice.study; "
-        "print(sorted({'scipy', 'skfem', 'gmsh', 'matplotlib', 'PySpice'} & set(sys.modules)))"
-    )
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("study", BUILDERS)],
+    ids=["help", "run with cached models"],
+)
+def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
+    """What keeps --help and a run with another gain quick, without timing them."""
+    code = f"import sys, kc2spice.{module}; print(sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
