@@ -1,5 +1,6 @@
 """Real sweeps: engines that agree to the last byte, kills that lose nothing, failures as rows."""
 
+import contextlib
 import csv
 import json
 import os
@@ -165,6 +166,16 @@ def test_subcircuit_parameters_are_swept_without_a_new_netlist(tmp_path):
         sweep(tmp_path / "q", "param.pid.nothing=1,2")
 
 
+def session(leader):
+    """Living processes of the session that ``leader`` began."""
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            state, _, _, number, *_ = path.read_text().rpartition(")")[2].split()
+            if int(number) == leader and state != "Z":
+                return True
+    return False
+
+
 def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     out, temporary = tmp_path / "o", tmp_path / "temporary"
     temporary.mkdir()
@@ -186,7 +197,7 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     assert recorded < 6
     assert list(temporary.glob("kc2spice-sweep-*"))
     # The workers notice, end and leave nothing behind.
-    while list(temporary.glob("kc2spice-sweep-*")):
+    while session(process.pid) or list(temporary.glob("kc2spice-sweep-*")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     done = subprocess.run([*command, "--json"], capture_output=True, text=True)

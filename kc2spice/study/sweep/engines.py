@@ -95,7 +95,7 @@ def _worker_starts(scratch: str) -> None:
         if parent is not None:
             connection.wait([parent.sentinel])
             if group:  # files go after all who might still write one, hence by another process
-                clean = 'kill -9 -- "-$0"; sleep 0.1; rm -rf -- "$1"'
+                clean = 'kill -9 "-$0"; sleep 0.1; rm -rf -- "$1"'
                 words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
                 subprocess.Popen(words, start_new_session=True)
             else:
