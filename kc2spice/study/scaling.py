@@ -23,6 +23,7 @@ from kc2spice.rom.band import natural_band
 from kc2spice.rom.foreign import ForeignModel, make_model
 from kc2spice.rom.general import reduce_model
 
+MODULE = "kc2spice.study.scaling"  # also where its name is __main__
 TOLERANCE = 1e-4
 COUPLING = np.array([[2.0, 0.5, 0.3], [0.5, 2.0, 0.4], [0.3, 0.4, 2.0]])
 # As the command line sets them: threads of BLAS under SuperLU cost ten times what they save.
@@ -70,7 +71,7 @@ def scaling(sizes: list[int], dimension: int, solver: Solver = "scipy") -> list[
     """
     points = []
     for size in sizes:
-        command = [sys.executable, "-m", __name__, "--one", str(size), str(dimension), solver]
+        command = [sys.executable, "-m", MODULE, "--one", str(size), str(dimension), solver]
         ran = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**THREADS, **os.environ}
         )

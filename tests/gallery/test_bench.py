@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 
 import pytest
 from typer.testing import CliRunner
@@ -86,6 +88,15 @@ def test_scalings_have_a_power(bench):
         assert len(item["sizes"]) == len(item["time_s"]) >= 2, name
         assert list(item["sizes"]) == sorted(item["sizes"])
         assert math.isfinite(item["exponent"])
+
+
+def test_the_table_of_sizes_is_made_by_the_documented_command():
+    command = [sys.executable, "-m", "kc2spice.study.scaling", "--sizes", "300", "900"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|")[1:4] for line in done.stdout.splitlines() if "| plate |" in line]
+    assert [int(unknowns) for _, _, unknowns in rows] == [300, 867]
+    assert "CPU time as n^" in done.stdout
 
 
 def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):
