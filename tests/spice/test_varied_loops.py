@@ -11,7 +11,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from hard_cases.loops import CHAOTIC, loops
 
-
 pytestmark = pytest.mark.slow
 
 
