@@ -31,6 +31,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # plain help: loading rich for it takes as long as all the rest
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -94,7 +95,10 @@ def run(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Build, reduce, export, simulate and plot SCENE; all files appear in DIR at the end."""
+    """Build, reduce, export, simulate and plot SCENE.
+
+    All files appear in DIR at the end.
+    """
     with reported_errors():
         study_scene, directory = _load(scene, set_, out)
         from kc2spice import study
@@ -131,7 +135,7 @@ def export(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the netlists of SCENE, or of a reduced model, without simulating."""
+    """Write netlists of SCENE, or of a reduced model; no simulation."""
     with reported_errors():
         if rom is not None:
             if scene is not None or set_ or tolerance is not None:
@@ -175,7 +179,7 @@ def verify(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check SCENE three ways: full model, reduced model, ngspice on the emitted netlist.
+    """Check SCENE three ways: full model, reduced model, emitted netlist.
 
     Writes verify.json, verify.html and plots into DIR (default ./NAME_verify). Exit code 4 when a
     gate of the scene is missed.
@@ -208,7 +212,7 @@ def verify(
 
 @app.command()
 def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None:
-    """Say what is modelled for SCENE, what was left out, why, and at what error."""
+    """Say what is modelled, what was left out, why, at what error."""
     with reported_errors():
         from dataclasses import asdict
 
@@ -254,7 +258,7 @@ def scenes(
 
 @app.command()
 def doctor(as_json: AsJson = False) -> None:
-    """Check ngspice, its libraries and everything else; print the fix for what is missing."""
+    """Check ngspice and libraries; print the fix for what is missing."""
     with reported_errors():
         from dataclasses import asdict
 

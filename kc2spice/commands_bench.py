@@ -38,7 +38,7 @@ def bench(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
 ) -> None:
-    """Measure speed against error: ngspice, its peers and the floor, on this machine.
+    """Measure speed against error: ngspice, its peers and the floor.
 
     Writes bench.json, bench.md, bench.html and a plot of each plane. A target that is missed is
     a row of the table, not a failure of the command.

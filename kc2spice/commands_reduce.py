@@ -51,7 +51,7 @@ def reduce(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
 ) -> None:
-    """Reduce the matrices of another tool to a small model with a certified error."""
+    """Reduce matrices of another tool to a model of certified error."""
     with reported_errors():
         from kc2spice.study.reduce import reduce as reduce_study
 

@@ -104,7 +104,7 @@ def sweep(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
 ) -> None:
-    """Run SCENE many times over ranges of its keys; one table with a row for each point.
+    """Run SCENE over ranges of its keys; a table with a row for each.
 
     A sweep that was interrupted goes on where it was when the same command is given again. Points
     that share finite elements or a reduced model share them. Points that fail are rows that say
