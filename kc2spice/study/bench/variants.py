@@ -17,8 +17,8 @@ from kc2spice.study.models import Models
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
 CHGTOL = (1e-7, 1e-9, 1e-10)
 CEILINGS = (1e-6, 50e-6)
-# reltol, chgtol [C], longest step [s]: what a launch error of 1e-4 leaves room for.
-FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6), (2e-3, 1e-8, 50e-6), (3e-3, 3e-9, 50e-6))
+# reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
+FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6, 101), (1.5e-3, 2e-8, 50e-6, 201), (2e-3, 1e-8, 50e-6, 101))
 LOOKUPS = (51, 101, 401)
 SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
 AS_SHIPPED = "the scene as it is"
@@ -50,14 +50,15 @@ def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
     for ceiling in setup.some(CEILINGS, 0):
         deck = make_deck(_solver(scene, max_step=ceiling), models)
         yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
-    for reltol, chgtol, ceiling in setup.some(FOR_1E_4, 1):
-        coarse = make_deck(_solver(scene, reltol=reltol, max_step=ceiling), models)
+    for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
+        coarse = _lookup(_solver(scene, reltol=reltol, max_step=ceiling), points)
         label = f"reltol {reltol:g}, chgtol {chgtol:g}, steps up to {ceiling * 1e6:g} us"
-        yield Variant("ngspice, for 1e-4", label, _option(coarse, "chgtol", chgtol))
+        label += f", {points} heights" if scene.catch else ""
+        deck = _option(make_deck(coarse, models), "chgtol", chgtol)
+        yield Variant("ngspice, for 1e-4", label, deck)
     if scene.catch is not None:
         for points in setup.some(LOOKUPS, 1):
-            catch = scene.catch.model_copy(update={"points": points})
-            deck = make_deck(scene.model_copy(update={"catch": catch}), models)
+            deck = make_deck(_lookup(scene, points), models)
             yield Variant("ngspice, lookup", f"lookup of {points} heights", deck)
     model = need(models.kick, "kick").resonators
     forms: tuple[str, ...] = ("second order", "first order")
@@ -84,6 +85,13 @@ def fixed_steps(scene: Scene, models: Models) -> Variant:
 
 def _solver(scene: Scene, **changes: object) -> Scene:
     return scene.model_copy(update={"solver": scene.solver.model_copy(update=changes)})
+
+
+def _lookup(scene: Scene, points: int) -> Scene:
+    """``scene`` with its force, if it has one, looked up between so many heights."""
+    if scene.catch is None:
+        return scene
+    return scene.model_copy(update={"catch": scene.catch.model_copy(update={"points": points})})
 
 
 def _option(deck: Deck, name: str, value: float) -> Deck:
