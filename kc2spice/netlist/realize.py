@@ -15,8 +15,10 @@ from kc2spice.netlist.render import render
 from kc2spice.rom.model import ResonatorModel
 
 MICRO = 1e-6  # 1 V on a mechanical pin is 1 um
-STATE = 1e-6  # farad of every state: one chgtol is then one tolerance of displacement
+STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
+FAST = 4.0  # times the lowest frequency; slower modes need less care, see kick.j2
 _INNER = r"tick|inner|current|charge|[qp]\d+"  # nodes of the template
+SHARE = 0.01  # of the clamped capacitance that step control sees; its charge is the modes' own
 LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 
 
@@ -33,6 +35,7 @@ class _Mode:
     index: int
     hertz: float
     ratio: float
+    farad: float
     stiffness: float
     damping: float
     shape: np.ndarray
@@ -55,8 +58,10 @@ def realize(
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
 
-        C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k,    C = 1 uF
+        C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
+    with ``C = 1 uF min(1, (w / 4 w_1)^2)``: step control sees an error of charge, ``C`` times that
+    of the displacement, and slow modes decide nothing in a contact, but ring long after it.
     A ring pin is conservative: its displacement equals the modal sum, and the force that holds
     it there drives the modes. Both are exact, so port laws and passivity are those of the model.
 
@@ -87,7 +92,7 @@ def realize(
     pins = _pins(rings, electrical)
     inner = "|".join([_INNER, *(f"[uf]{ring.pin.lower()}" for ring in rings)])
     distinct([pin.name for pin in pins], inner, where=name)
-    params = _params(model)
+    params, farad = _params(model), _farad(model.omega)
     text = render(
         "kick.j2",
         header=part_header(
@@ -102,8 +107,11 @@ def realize(
         parameters=parameter_list(params),
         rings=rings,
         modes=_modes(model, anode),
+        weighted=farad.min() < STATE,
+        full=FAST,
         electrical=electrical,
         clamped=clamped,
+        share=SHARE,
         leak=LEAK,
     )
     return Subcircuit(name, pins, params, text)
@@ -124,17 +132,20 @@ def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
     """Card values of every mode, from low to high frequency."""
     mechanical = [p.kind == "mechanical" for p in model.ports]
     modes: list[_Mode] = []
+    farads = _farad(model.omega)
     for j in np.argsort(model.omega):
         omega, damp, gain = model.omega[j], model.damp[j], model.gain[j]
         scale = np.max(np.abs(gain[mechanical]), initial=0.0) or np.abs(gain).max() or 1.0
-        drive = STATE * scale * gain / (omega * MICRO)  # A into p per newton or volt
+        farad = float(farads[j])
+        drive = farad * scale * gain / (omega * MICRO)  # A into p per newton or volt
         modes.append(
             _Mode(
                 index=len(modes) + 1,
                 hertz=omega / (2 * np.pi),
                 ratio=damp / (2 * omega),
-                stiffness=STATE * omega,
-                damping=STATE * damp,
+                farad=farad,
+                stiffness=farad * omega,
+                damping=farad * damp,
                 shape=gain / scale,
                 force=drive,
                 voltage=drive[anode] if anode is not None else 0.0,
@@ -142,3 +153,9 @@ def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
             )
         )
     return modes
+
+
+def _farad(omega: np.ndarray) -> np.ndarray:
+    """Capacitance of every mode's two states."""
+    return STATE * np.minimum(1.0, (omega / (FAST * omega.min())) ** 2)
+

@@ -55,12 +55,12 @@ def coil_subcircuit(
     inverse = henry * np.linalg.inv(inductances(table, height))
     splines = dict(zip(COEFFICIENTS, table.splines(height).T, strict=True))
     functions = [
-        _Function(n, f"{n}(y): {_MEANING[n]}", *smooth(height, splines[n])) for n in COEFFICIENTS
+        _Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS
     ]
     usual = inverse.mean(axis=0)
     functions += [
         _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
-                  *smooth(height, (inverse - usual)[:, k - 1, l - 1]))
+                  *smooth((inverse - usual)[:, k - 1, l - 1]))
         for k, l in ((1, 1), (1, 2), (2, 2))
     ]  # fmt: skip
     text = render(

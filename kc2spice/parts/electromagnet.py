@@ -118,7 +118,7 @@ def catch_subcircuit(
             _Coefficient(
                 term.name,
                 "".join(f"V({i})*" for i in term.currents),
-                *smooth(height, term.of(values)),
+                *smooth(term.of(values)),
             )
             for term in kept
         ],
@@ -134,28 +134,27 @@ def coil_resistances(table: EMTable) -> tuple[Param, ...]:
     )
 
 
-def smooth(height: np.ndarray, values: np.ndarray) -> tuple[list[str], list[str]]:
-    """Lines of the lookups ``f`` and ``b`` whose ``f(y) - w(y) b(y)`` has a continuous slope.
+def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
 
-    ``b`` are the second differences of the values and ``w = t (1 - t) / 2`` with t the place
-    within a cell, 0 to 1: the blend of the parabolas through three neighbours (Overhauser 1968),
-    exact to third order, where a polyline's slope jumps at every height. One more cubic value on
-    either side keeps that up to both ends; beyond, the function runs level.
+    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
+    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
+    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
+    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
+    beyond, the function runs level.
     """
-    step = height[1] - height[0]
     first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
     f = np.concatenate([[first], values, [last]])
-    x = np.concatenate([[height[0] - step], height, [height[-1] + step]])
-    bends = np.diff(f[[0, *range(f.size), -1]], 2)
-    return lookup(x, f), lookup(x, bends)
+    bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
+    return lookup(f), lookup(bends)
 
 
-def lookup(height: np.ndarray, values: np.ndarray) -> list[str]:
-    """Lines of a ``pwl()`` table over um, flat beyond both ends.
+def lookup(values: np.ndarray) -> list[str]:
+    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
 
-    ngspice extrapolates the outer segments, so each end gets a second point of equal value.
+    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
+    points share a line: ngspice reads fewer lines faster.
     """
-    step = height[1] - height[0]
-    x = 1e6 * np.concatenate([[height[0] - step], height, [height[-1] + step]])
     f = np.concatenate([values[:1], values, values[-1:]])
-    return [f"{number(a)}, {number(b)}" for a, b in zip(x, f, strict=True)]
+    points = [f"{k - 2}, {number(value)}" for k, value in enumerate(f)]
+    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]

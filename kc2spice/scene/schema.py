@@ -194,7 +194,7 @@ class Solver(Section):
     """ngspice settings that are written into the deck."""
 
     reltol: Ratio = Field(1e-4, gt=0, lt=1)
-    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a state is 1 um of displacement")
+    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)

@@ -2,6 +2,7 @@
 
 import math
 import re
+from functools import partial
 
 import numpy as np
 import pyparsing as pp
@@ -268,6 +269,7 @@ def value(law, volts, params, *, table):
     text = re.sub(r"\b[Vv]\((\w+)\)", lambda m: f"V['{m[1].lower()}']", law)
     text = text.replace("{", "(").replace("}", ")")
     known = {"V": volts, "max": max, "pwl": table, "table": table, "floor": math.floor}
+    known["uramp"] = partial(max, 0.0)
     return eval(text, {**known, **params})
 
 

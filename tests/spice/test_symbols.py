@@ -250,7 +250,7 @@ def test_ltspice_reads_what_the_library_declares(written, parts):
 def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, parts):
     for part in parts:
         assert "pwl(V(" not in files[f"{part.name}.ltspice.lib"]
-    assert "table(V(y)," in files["catch.ltspice.lib"]
+    assert "table(V(s)," in files["catch.ltspice.lib"]
 
 
 def test_each_dialect_gets_the_symbols_of_its_tools(parts):

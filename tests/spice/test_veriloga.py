@@ -132,7 +132,11 @@ def floor(x):
     return Dual(float(np.floor(x.value)), 0.0)
 
 
-FUNCTIONS = {"max": larger, "pwl": lookup, "floor": floor}
+def ramp(x):
+    return larger(x, 0.0)
+
+
+FUNCTIONS = {"max": larger, "pwl": lookup, "floor": floor, "uramp": ramp}
 
 
 def cards(text):

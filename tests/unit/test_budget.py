@@ -103,10 +103,10 @@ def test_the_budget_of_a_file_leaves_its_explicit_keys(tmp_path):
     )
     scene = load_scene(file)
     assert (scene.rom.order, scene.rom.tolerance) == (20, None)
-    assert (scene.solver.reltol, scene.solver.chgtol, scene.catch.points) == (1e-5, 1e-8, 77)
+    assert (scene.solver.reltol, scene.solver.chgtol, scene.catch.points) == (1e-5, 1e-9, 77)
     errors = {each.stage: each for each in plan(scene).errors}
     assert errors["time stepping"].share is None
-    assert errors["time stepping"].expected == 3e-4  # chgtol is that of this row
+    assert errors["time stepping"].expected == 2.2e-5  # chgtol is that of this row
     assert errors["lookup"].why == "set by the scene"
     assert errors["reduction"].expected is None  # the order's error is known after the reduction
 
@@ -116,17 +116,17 @@ def test_a_budget_on_the_command_line_replaces_the_files_keys_but_no_other_overr
     base = load_scene("kick_and_catch")
     assert (base.rom.order, base.solver.reltol) == (30, 1e-4)
     replaced = load_scene("kick_and_catch", [budget])
-    assert (replaced.rom.order, replaced.solver.reltol) == (None, 3e-3)
+    assert (replaced.rom.order, replaced.solver.reltol) == (None, 1e-3)
     for overrides in (["rom.order=21", budget], [budget, "rom.order=21"]):
         scene = load_scene("kick_and_catch", overrides)
         assert (scene.rom.order, scene.rom.tolerance) == (21, None)
-        assert scene.solver.reltol == 3e-3
+        assert scene.solver.reltol == 1e-3
 
 
 def test_scenes_made_in_python_take_a_budget_too():
     scene = Scene(name="a", sphere=Sphere(), kick=Kick(), catch=Catch(), error_budget=1e-3)
     assert scene.rom.tolerance == 1e-3
-    assert scene.solver.reltol == 3e-3
+    assert scene.solver.reltol == 1e-3
     own = Scene(name="a", sphere=Sphere(), error_budget=1e-3, rom=Rom(), solver=Solver())
     assert (own.rom.order, own.solver.reltol) == (30, 1e-4)
     assert own.budgeted == frozenset()
