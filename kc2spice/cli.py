@@ -5,6 +5,7 @@ Imports that take time stand inside the commands, so that ``--help`` answers at 
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 from pathlib import Path
@@ -68,6 +69,8 @@ def main() -> None:
     # It must be said before numpy is loaded; whoever set a number of threads keeps it.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    # Imports make objects that stay; to look through them again and again is a tenth of a start.
+    gc.set_threshold(50_000)
     app()
 
 

@@ -13,6 +13,9 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
+_LITERAL = re.compile(
+    r"\s*(?P<sign>-?)\s*(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?=[,)])"
+)
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 _RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
 _SUFFIX = {"": 1.0, "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9,
@@ -237,11 +240,19 @@ class _Parser:
             return Probe(name.lower(), tuple(n.strip() for n in inside.split(",")))
         arguments: list[Tree] = []
         if self.accept(")") is None:
-            arguments.append(self.choice())
+            arguments.append(self.argument())
             while self.accept(","):
-                arguments.append(self.choice())
+                arguments.append(self.argument())
             self.expect(")")
         return Call(name.lower(), tuple(arguments))
+
+    def argument(self) -> Tree:
+        """An expression; of a literal, which tables have by the hundred, without descending."""
+        if match := _LITERAL.match(self.text, self.at):
+            self.at = match.end()
+            literal = Number(match["number"])
+            return Unary("-", literal) if match["sign"] else literal
+        return self.choice()
 
 
 def _plain(literal: str, suffix: str) -> str:

@@ -158,4 +158,3 @@ def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
 def _farad(omega: np.ndarray) -> np.ndarray:
     """Capacitance of every mode's two states."""
     return STATE * np.minimum(1.0, (omega / (FAST * omega.min())) ** 2)
-

@@ -54,9 +54,7 @@ def coil_subcircuit(
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(inductances(table, height))
     splines = dict(zip(COEFFICIENTS, table.splines(height).T, strict=True))
-    functions = [
-        _Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS
-    ]
+    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS]
     usual = inverse.mean(axis=0)
     functions += [
         _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",

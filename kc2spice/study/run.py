@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +14,7 @@ from kc2spice.netlist.dialect import DIALECTS, dialect_files
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.symbol import symbol_files
 from kc2spice.output import staged
+from kc2spice.report.easel import Easel
 from kc2spice.report.figures import model_figures, run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
@@ -45,26 +45,27 @@ def run(
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    with staged(out) as work:
+    # Drawing, and loading what draws, need not wait for the simulator, nor it for them.
+    with Easel() as easel, staged(out) as work:
         models = build_models(scene, clock)
+        known = easel.draw(model_figures, work, scene, models.table)
         with clock.stage("export", "netlists"):
             deck = _linted(scene, models, trust)
             write_deck(deck, work)
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
         kept = kept_on_failure(work, out, scene.name)
-        # ngspice is a process of its own: drawing, and loading what draws, need not wait for it.
-        with simulating as share, kept, ThreadPoolExecutor(1) as beside:
-            known = beside.submit(model_figures, work, scene, models.table)
+        with simulating as share, kept:
             climbed = simulate(scene, models, deck, work, progress=share)
         deck, waves = climbed.deck, climbed.waves
         warn_of(climbed.truth.checks)
         with clock.stage("report", "metrics, plots and page"):
+            drawn = easel.draw(run_figures, work, scene, waves)
             record = _record(scene, models, simulator, climbed, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, work)]
             if models.table is not None:
                 emtable.save(models.table, work / "em_table.npz")
                 files.append("em_table.npz")
-            pictures = [*run_figures(work, scene, waves), *known.result()]
+            pictures = [*drawn.result(), *known.result()]
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
         write_run(work / "report.html", record, scene, pictures)

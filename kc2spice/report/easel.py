@@ -1,0 +1,73 @@
+"""A process that draws beside the simulator.
+
+Loading matplotlib takes longer than most simulations, and drawing as long again. Both wait for
+nothing but the waveforms, so they have a process of their own, started before anything else.
+"""
+
+from __future__ import annotations
+
+import multiprocessing as mp
+import signal
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from typing import Any
+
+from kc2spice.errors import SimulationError
+
+# A fork has all modules already and does not run the script again that uses this package.
+_START = "fork" if "fork" in mp.get_all_start_methods() else None
+
+
+class Easel:
+    """Draws in a process of its own, one thing after the other; leave it as a context."""
+
+    def __enter__(self) -> Easel:
+        context: Any = mp.get_context(_START)  # which has no type for its processes
+        self._ours, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(self._ours, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._courier = ThreadPoolExecutor(1)
+        return self
+
+    def draw(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Ask for ``function(*arguments)``; the future has what it returns or raises."""
+        return self._courier.submit(self._carry, function, arguments)
+
+    def _carry(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        try:
+            self._ours.send((function, arguments))
+            good, answer = self._ours.recv()
+        except (EOFError, OSError):
+            raise SimulationError(
+                "the process that draws ended before its pictures were done",
+                hint="was it killed, or is memory short?",
+            ) from None
+        if not good:
+            raise answer
+        return answer
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()  # idle, or nobody wants what it draws any more
+        self._courier.shutdown()
+        self._process.join()
+        self._ours.close()
+
+
+def _serve(parents: Connection, own: Connection) -> None:
+    """Draw what is asked for until the other end is closed, be it by a kill."""
+    parents.close()  # only the parent holds its end now
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asked decides when to stop
+    import matplotlib.figure  # noqa: F401  (while there is nothing to draw)
+
+    while True:
+        try:
+            function, arguments = own.recv()
+        except EOFError:
+            return
+        try:
+            answer = (True, function(*arguments))
+        except Exception as error:
+            answer = (False, error)
+        own.send(answer)
