@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from kc2spice.rom.model import ResonatorModel
 
 MICRO = 1e-6  # 1 V on a mechanical pin is 1 um
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
-FAST = 4.0  # times the lowest frequency; slower modes need less care, see kick.j2
+FAST = 3.0  # times the lowest frequency; slower modes need less care, see kick.j2
 _INNER = r"tick|inner|current|charge|[qp]\d+"  # nodes of the template
 SHARE = 0.01  # of the clamped capacitance that step control sees; its charge is the modes' own
+SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
 LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 
 
@@ -60,7 +61,7 @@ def realize(
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 4 w_1)^2)``: step control sees an error of charge, ``C`` times that
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)``: step control sees an error of charge, ``C`` times that
     of the displacement, and slow modes decide nothing in a contact, but ring long after it.
     A ring pin is conservative: its displacement equals the modal sum, and the force that holds
     it there drives the modes. Both are exact, so port laws and passivity are those of the model.
@@ -89,10 +90,10 @@ def realize(
     anode = next((i for i, p in enumerate(model.ports) if p.kind == "electrical"), None)
     electrical = anode is not None and model.ports[anode].name in wanted
     clamped = float(model.D[anode, anode]) if anode is not None else 0.0
-    pins = _pins(rings, electrical)
+    heard, pins = _heard(model), _pins(rings, electrical)
     inner = "|".join([_INNER, *(f"[uf]{ring.pin.lower()}" for ring in rings)])
     distinct([pin.name for pin in pins], inner, where=name)
-    params, farad = _params(model), _farad(model.omega)
+    params, farad = _params(model), _farad(heard.omega)
     text = render(
         "kick.j2",
         header=part_header(
@@ -106,7 +107,8 @@ def realize(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
-        modes=_modes(model, anode),
+        modes=_modes(heard, anode),
+        silent=model.order - heard.order,
         weighted=farad.min() < STATE,
         full=FAST,
         electrical=electrical,
@@ -153,6 +155,16 @@ def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
             )
         )
     return modes
+
+
+def _heard(model: ResonatorModel) -> ResonatorModel:
+    """``model`` without modes that no port moves nor hears: rounding makes them in a reduction."""
+    share = np.abs(model.gain) / model.omega[:, None]
+    share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
+    kept = share.max(axis=1, initial=0.0) > SILENT
+    if kept.all() or not kept.any():
+        return model
+    return replace(model, omega=model.omega[kept], damp=model.damp[kept], gain=model.gain[kept])
 
 
 def _farad(omega: np.ndarray) -> np.ndarray:

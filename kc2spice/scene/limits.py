@@ -15,6 +15,7 @@ class Checks(Section):
     """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
 
     energy: Action = Field("fail", description="books of sphere, contact and chip")
+    touches: Action = Field("fail", description="of a kick before it throws, against solver.reltol")
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
     penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
     saturation: Action = Field("warn", description="share of the time at the current limit")

@@ -20,6 +20,7 @@ from kc2spice.netlist.circuit import Deck
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
+from kc2spice.sim.rungs import own_reltol
 from kc2spice.sim.waveforms import Waveforms
 
 POLL = 0.05  # s between two looks at the growing raw file
@@ -107,7 +108,8 @@ def run_deck(
         _judge_log(deck, directory, code, text, unfinished)
         vectors = read_raw(unfinished)
         _judge_end(deck, directory, vectors, text)
-        waveforms = Waveforms(_named(deck, vectors), statistics(text))
+        facts = {**statistics(text), "reltol": own_reltol(deck)}
+        waveforms = Waveforms(_named(deck, vectors), facts)
         unfinished.rename(raw)
     finally:
         unfinished.unlink(missing_ok=True)

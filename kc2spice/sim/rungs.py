@@ -91,7 +91,7 @@ def with_settings(deck: Deck, rung: Rung, settings: Settings) -> Deck:
     text = deck.files[deck.main]
     options = dict(settings.options)
     if settings.closer != 1.0:
-        options["reltol"] = number(settings.closer * _own(text, "reltol", _RELTOL))
+        options["reltol"] = number(settings.closer * own_reltol(deck))
         options["chgtol"] = number(settings.closer * _own(text, "chgtol", _CHGTOL))
     cards = [f"* Retry ladder, rung {comment(rung.name)!r}: {comment(rung.why)}"]
     cards += [f".options {key}={value}" for key, value in options.items()]
@@ -101,6 +101,11 @@ def with_settings(deck: Deck, rung: Rung, settings: Settings) -> Deck:
 
     changed = _ANALYSIS.sub(replaced, text, count=1)
     return replace(deck, files=deck.files | {deck.main: changed})
+
+
+def own_reltol(deck: Deck) -> float:
+    """The last ``reltol`` among the options of ``deck``."""
+    return _own(deck.files[deck.main], "reltol", _RELTOL)
 
 
 def _own(text: str, key: str, default: float) -> float:

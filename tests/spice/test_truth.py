@@ -14,7 +14,9 @@ from kc2spice.sim.chip import chip_response
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.truth import find_truth, require
 
-ALL = {"table_left", "outer_ring", "work", "contact", "chip", "penetration", "saturation"}
+ALL = {
+    "table_left", "outer_ring", "work", "contact", "chip", "penetration", "touches", "saturation",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,24 @@ def test_books_add_up(waves, scene, table, model):
     assert chip["damped"] > 0
     taken = chip["electrical work"] + chip["work of the contact"]
     assert taken == pytest.approx(chip["stored"] + chip["damped"], rel=0.05)
+
+
+def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, table, model):
+    """Thirty contacts of 100 ns in the pulse: few for a reltol of 1e-4, too many for 1e-3."""
+    t = waves["time"]
+    fine = np.union1d(t, np.arange(500e-6, 507e-6, 2e-9))
+    data = {k: np.interp(fine, t, v) for k, v in waves.data.items()}
+    comb = np.sin(2 * np.pi * (fine - 500.05e-6) / 0.2e-6) > 0
+    during = (fine > 500e-6) & (fine < 506.05e-6)
+    data["contact.force.R0"] = np.where(comb & during, 1e-3, 0.0)
+    data |= {f"contact.force.R{k}": 0.0 * fine for k in range(1, 6)}
+    for reltol, passed in ((1e-4, True), (1e-3, False)):
+        rattling = dataclasses.replace(waves, data=data, stats={**waves.stats, "reltol": reltol})
+        (check,) = (
+            c for c in find_truth(rattling, scene, table, model).checks if c.name == "touches"
+        )
+        assert check.value == pytest.approx(30, abs=1)
+        assert (check.passed, check.coarse) == (passed, True)
 
 
 def test_energy_from_nowhere_is_seen(waves, scene, table, model):

@@ -1,28 +1,40 @@
-"""150 varied kicks of the real chip: ``python tests/spice/hard_cases/loops.py [COUNT]``."""
+"""150 varied kicks of the real chip: ``python tests/spice/hard_cases/loops.py [FIRST LAST]``.
+
+Every kick is run as the product runs it, retry ladder and truth checks included, with the default
+tolerances, and judged by exact modes between located touches.
+
+A chip damped by less than 0.05 % rattles against the sphere at hundreds of megahertz, up to three
+thousand times before it throws it. Some of these launches are not determined by their data: a
+voltage changed by 1e-12 of itself, which is a few units of the last digit, changes them by more
+than the bound. ``Loop.doubt`` is that change; it is looked for where a launch is off by more.
+"""
 
 from __future__ import annotations
 
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
+from kc2spice.scene.schema import Scene
 from kc2spice.sim.reference.law import law
 from kc2spice.study.bench.floor import Floor
 from kc2spice.study.decks import make_deck
-from kc2spice.study.models import build_models
+from kc2spice.study.models import Models, build_models
 from kc2spice.study.progress import Clock, silent
+from kc2spice.study.simulate import simulate
 
 COUNT = 150
 AFTER = 60e-6  # s from the kick's start: the launch and the flight that makes it one
-# s between looks for a touch: less than this changes no launch but the chaotic ones.
-SAMPLING = 5e-10
-CHAOTIC = 5e-4  # damping ratio below which a sphere may touch thousands of times before it flies
+SAMPLING = 5e-10  # s between looks for a touch
+BOUND = 2e-4
+CHANGES = (1e-12, -1e-12, 3e-12, 1e-9, -1e-9)  # of the voltage
 LOW = np.log([1e-4, 10.0, 1e-9, 1e7])
 HIGH = np.log([5e-2, 150.0, 5e-6, 1e10])
 
@@ -32,7 +44,9 @@ class Loop:
     """One draw and its launch; ``error`` is relative to exact steps between located touches.
 
     ``velocity`` is that of the flying sphere ``AFTER`` the kick began: the instant of the last
-    touch, a graze of picometres, is no better known to the oracle than to ngspice.
+    touch, a graze of picometres, is no better known to the oracle than to ngspice. ``doubt`` is
+    the largest relative change of the exact launch under ``CHANGES``, zero where the error is
+    within ``BOUND``.
     """
 
     damping: float
@@ -41,6 +55,9 @@ class Loop:
     penalty: float
     velocity: float
     error: float
+    doubt: float
+    touches: int
+    rungs: int
     points: int
 
 
@@ -49,38 +66,65 @@ def draws() -> np.ndarray:
     return np.exp(LOW + (HIGH - LOW) * np.random.default_rng(4).random((COUNT, 4)))
 
 
-def loops(count: int = COUNT) -> Iterator[Loop]:
-    """Run the first ``count`` draws: ngspice on the emitted deck, exact modes on the same model."""
+def loops(first: int = 0, last: int = COUNT) -> Iterator[Loop]:
+    """Run the draws ``first`` to ``last``: ngspice on the emitted deck, exact modes beside it."""
     base = load_scene("kick_and_catch")
     models = build_models(base, Clock(silent))
-    for damping, voltage, edge, penalty in draws()[:count].tolist():
-        keys = [f"kick.damping.ratio={damping!r}", f"kick.drive.voltage={voltage!r}",
-                f"kick.drive.edge={edge!r}", f"contact.penalty={penalty!r}",
-                f"solver.stop={base.kick.drive.start + AFTER!r}"]  # fmt: skip
-        scene = load_scene("kick_and_catch", keys)
-        chip = models.kick.resonators
+    for damping, voltage, edge, penalty in draws()[first:last].tolist():
+        keys = [
+            f"kick.damping.ratio={damping!r}", f"kick.drive.edge={edge!r}",
+            f"contact.penalty={penalty!r}", f"solver.stop={base.kick.drive.start + AFTER!r}",
+            "checks.range=off",  # both roads have the same rings, where softer springs need more
+        ]  # fmt: skip
+
+        scene, chip = _kick(keys, voltage), models.kick.resonators
         # The basis does not depend on stiffness-proportional damping, which only scales with it.
         damped = replace(chip, damp=scene.kick.damping.beta * chip.omega**2)
         varied = replace(models, kick=replace(models.kick, resonators=damped))
-        with tempfile.TemporaryDirectory() as directory:
-            waves = run_deck(make_deck(scene, varied), Path(directory), timeout=600.0)
-        exact = Floor(law(damped, scene, models.table), SAMPLING).run(scene)["sphere.v"][-1]
-        found, points = waves["sphere.v"][-1], waves["time"].size
-        yield Loop(damping, voltage, edge, penalty, found, abs(found / exact - 1.0), points)
+        found, touches, rungs, points = _product(scene, varied)
+        exact = _exact(scene, varied, damped)
+        error, doubt = abs(found / exact - 1.0), 0.0
+        if error > BOUND:
+            others = [_exact(_kick(keys, voltage * (1 + c)), varied, damped) for c in CHANGES]
+            doubt = max(abs(other / exact - 1.0) for other in others)
+        yield Loop(damping, voltage, edge, penalty, found, error, doubt, touches, rungs, points)
+
+
+def _kick(keys: list[str], voltage: float) -> Scene:
+    return load_scene("kick_and_catch", [*keys, f"kick.drive.voltage={voltage!r}"])
+
+
+def _product(scene: Scene, models: Models) -> tuple[float, int, int, int]:
+    """Launch, touches of one ring, rungs of the ladder, time points."""
+    with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        deck = make_deck(scene, models)
+        climbed = simulate(scene, models, deck, Path(directory), timeout=600.0)
+    waves = climbed.waves
+    (check,) = (c for c in climbed.truth.checks if c.name == "touches")
+    return waves["sphere.v"][-1], int(check.value), len(climbed.attempts), waves["time"].size
+
+
+def _exact(scene: Scene, models: Models, chip: ResonatorModel) -> float:
+    return Floor(law(chip, scene, models.table), SAMPLING).run(scene)["sphere.v"][-1]
 
 
 def main() -> None:
-    """Print every loop, then median and largest error with and without the chaotic ones."""
-    errors: dict[bool, list[float]] = {False: [], True: []}
-    print("damping   kick [V]  edge [s]  penalty   launch    error     points")
-    for loop in loops(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT):
-        errors[loop.damping < CHAOTIC].append(loop.error)
+    """Print every loop, then what there is to say about all."""
+    found = []
+    print(
+        "damping   kick [V]  edge [s]  penalty   launch    error     doubt     touches rungs points"
+    )
+    for loop in loops(*map(int, sys.argv[1:3])):
+        found.append(loop)
         print(f"{loop.damping:.2e}  {loop.voltage:8.2f}  {loop.edge:.2e}  {loop.penalty:.2e}  "
-              f"{loop.velocity:.5f}  {loop.error:.2e}  {loop.points:6d}", flush=True)  # fmt: skip
-    for chaotic, name in ((False, "damped by"), (True, "damped by less than")):
-        found = errors[chaotic] or [np.nan]
-        print(f"{len(found)} kicks {name} {CHAOTIC:.2%}: median {np.median(found):.1e}, "
-              f"largest {max(found):.1e}, {sum(e > 2e-4 for e in found)} beyond 2e-4")  # fmt: skip
+              f"{loop.velocity:.5f}  {loop.error:.2e}  {loop.doubt:.2e}  {loop.touches:7d} "
+              f"{loop.rungs:5d} {loop.points:6d}", flush=True)  # fmt: skip
+    errors = np.array([loop.error for loop in found])
+    known = np.array([loop.doubt <= BOUND / 2 for loop in found])
+    print(f"{len(found)} kicks: median error {np.median(errors):.1e}, largest {errors.max():.1e}; "
+          f"{known.sum()} are determined by their data, of these the largest is "
+          f"{errors[known].max():.1e}")  # fmt: skip
 
 
 if __name__ == "__main__":
