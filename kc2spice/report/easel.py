@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from kc2spice.errors import SimulationError
+from kc2spice.report.plots import load
 
 # A fork has all modules already and does not run the script again that uses this package.
 _START = "fork" if "fork" in mp.get_all_start_methods() else None
@@ -59,8 +60,7 @@ def _serve(parents: Connection, own: Connection) -> None:
     """Draw what is asked for until the other end is closed, be it by a kill."""
     parents.close()  # only the parent holds its end now
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asked decides when to stop
-    import matplotlib.figure  # noqa: F401  (while there is nothing to draw)
-
+    load()  # while there is nothing to draw
     while True:
         try:
             function, arguments = own.recv()

@@ -50,6 +50,11 @@ class Picture:
     caption: str
 
 
+def load() -> None:
+    """Load what draws, which takes longer than a figure."""
+    import matplotlib.figure  # noqa: F401
+
+
 @contextmanager
 def sheet(
     path: Path,
