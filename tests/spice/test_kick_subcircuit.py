@@ -1,5 +1,6 @@
 """The emitted kick against the model that it was made from, solved in numpy."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -124,3 +125,21 @@ def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
     waves = run_deck(bench(part, cards, {"u": ("v(r0)", 1e-6)}), tmp_path)
     exact = response(replace(model, damp=0 * model.damp), waves["frequency"])[:, 0, 6]
     np.testing.assert_allclose(waves["u"], exact, rtol=1e-9)
+
+
+def test_a_mode_that_no_port_hears_is_left_out(model, header):
+    """Rounding makes such modes in a reduction; the others keep their cards to the last digit."""
+    extra = dataclasses.replace(
+        model,
+        omega=np.append(model.omega, 3e6),
+        damp=np.append(model.damp, 1e4),
+        gain=np.vstack([model.gain, 1e-12 * model.gain[:1]]),
+    )
+    cards, kept = (
+        [line for line in realize(each, header).text.splitlines() if not line.startswith("*")]
+        for each in (model, extra)
+    )
+    assert cards == kept
+    assert "Left out: 1 of" in realize(extra, header).text
+    louder = dataclasses.replace(extra, gain=np.vstack([model.gain, 1e-6 * model.gain[:1]]))
+    assert "Left out" not in realize(louder, header).text

@@ -32,6 +32,6 @@ def test_launch_of_150_varied_kicks(found):
             assert loop.touches > 500
 
 
-@pytest.mark.xfail(strict=True, reason="launches that a voltage changed by 1e-12 changes by more")
+@pytest.mark.xfail(strict=True, reason="four launches that their data do not determine")
 def test_no_launch_is_beyond_the_bound(found):
     assert max(loop.error for loop in found) <= BOUND

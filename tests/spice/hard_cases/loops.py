@@ -5,8 +5,8 @@ tolerances, and judged by exact modes between located touches.
 
 A chip damped by less than 0.05 % rattles against the sphere at hundreds of megahertz, up to three
 thousand times before it throws it. Some of these launches are not determined by their data: a
-voltage changed by 1e-12 of itself, which is a few units of the last digit, changes them by more
-than the bound. ``Loop.doubt`` is that change; it is looked for where a launch is off by more.
+voltage changed by 1e-12 to 1e-9 of itself, less than anyone can set, changes them by more than the
+bound. ``Loop.doubt`` is that change; it is looked for where a launch is off by more.
 """
 
 from __future__ import annotations
