@@ -23,7 +23,7 @@ CONTACT = 1e-3  # energy that the springs may make or lose, of what went through
 CHIP = 0.1  # of the stored energy: the chip rings on after the pulse at up to 30 MHz
 # Touches of a kick that a reltol is good for, times that reltol: every touch adds the error of a
 # step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by up to 9e-4.
-TOUCHES = 5e-3
+TOUCHES = 4e-3
 FEW = 20  # touches that are not too many for any reltol
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
