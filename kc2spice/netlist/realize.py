@@ -93,7 +93,7 @@ def realize(
     heard, pins = _heard(model), _pins(rings, electrical)
     inner = "|".join([_INNER, *(f"[uf]{ring.pin.lower()}" for ring in rings)])
     distinct([pin.name for pin in pins], inner, where=name)
-    params, farad = _params(model), _farad(heard.omega)
+    params, farads = _params(model), _farad(heard.omega)
     text = render(
         "kick.j2",
         header=part_header(
@@ -107,9 +107,9 @@ def realize(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
-        modes=_modes(heard, anode),
+        modes=_modes(heard, anode, farads),
         silent=model.order - heard.order,
-        weighted=farad.min() < STATE,
+        weighted=farads.min() < STATE,
         full=FAST,
         electrical=electrical,
         clamped=clamped,
@@ -130,11 +130,10 @@ def _pins(rings: tuple[_Ring, ...], electrical: bool) -> tuple[Pin, ...]:
     return (*terminals, *(Pin(ring.pin, "um", "N") for ring in rings), Pin("base", "um", "N"))
 
 
-def _modes(model: ResonatorModel, anode: int | None) -> list[_Mode]:
+def _modes(model: ResonatorModel, anode: int | None, farads: np.ndarray) -> list[_Mode]:
     """Card values of every mode, from low to high frequency."""
     mechanical = [p.kind == "mechanical" for p in model.ports]
     modes: list[_Mode] = []
-    farads = _farad(model.omega)
     for j in np.argsort(model.omega):
         omega, damp, gain = model.omega[j], model.damp[j], model.gain[j]
         scale = np.max(np.abs(gain[mechanical]), initial=0.0) or np.abs(gain).max() or 1.0
