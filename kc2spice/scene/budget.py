@@ -42,18 +42,18 @@ REDUCTION = (
     Setting(6e-4, {"rom.tolerance": 1e-3, "rom.band": (0.0, 1e6)}, cost=17),
     Setting(8e-5, {"rom.tolerance": 1e-2, "rom.band": (0.0, 2e6)}, cost=39),
 )
-# Found over kicks of 40 to 105 V, the worse of launch and position: 7.6e-4, 3.1e-4, 1.4e-4, 9.0e-5,
+# Found over kicks of 40 to 105 V, the worse of launch and position: 7.9e-4, 2.9e-4, 1.4e-4, 9.1e-5,
 # 6.1e-5, 3.0e-5, 1.4e-5 and 6.8e-6. A reltol of 3e-2 gives 5.4e-3, but its contact makes or loses
 # 4 % of the energy.
 STEPPING = (
-    Setting(1.2e-3, {"solver.reltol": 1e-2, "solver.chgtol": 1e-9}, cost=1.9e3),  # time points
-    Setting(6e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-9}, cost=2.9e3),
-    Setting(2.5e-4, {"solver.reltol": 1e-3, "solver.chgtol": 1e-9}, cost=4.2e3),
-    Setting(1.5e-4, {"solver.reltol": 1e-4, "solver.chgtol": 1e-8}, cost=5.3e3),
-    Setting(1e-4, {"solver.reltol": 3e-4, "solver.chgtol": 1e-9}, cost=6.1e3),
-    Setting(5e-5, {"solver.reltol": 1e-4, "solver.chgtol": 1e-9}, cost=8.7e3),
-    Setting(2.2e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=12.8e3),
-    Setting(1e-5, {"solver.reltol": 1e-5, "solver.chgtol": 1e-10}, cost=26.4e3),
+    Setting(1.2e-3, {"solver.reltol": 1e-2, "solver.chgtol": 1e-9}, cost=2.0e3),  # time points
+    Setting(6e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-9}, cost=3.0e3),
+    Setting(2.5e-4, {"solver.reltol": 1e-3, "solver.chgtol": 1e-9}, cost=4.4e3),
+    Setting(1.5e-4, {"solver.reltol": 1e-4, "solver.chgtol": 1e-8}, cost=5.9e3),
+    Setting(1e-4, {"solver.reltol": 3e-4, "solver.chgtol": 1e-9}, cost=6.6e3),
+    Setting(5e-5, {"solver.reltol": 1e-4, "solver.chgtol": 1e-9}, cost=9.4e3),
+    Setting(2.2e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=13.9e3),
+    Setting(1e-5, {"solver.reltol": 1e-5, "solver.chgtol": 1e-10}, cost=27.9e3),
 )
 # Error of the smooth lookup over its points: 1.3e-3 at 31, 2.9e-5 at 101, 3.3e-6 at 201, 5e-8 at
 # 801, thus by the third power of the spacing. A force that is off by e of the largest all the way
