@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.errors import MissingToolError, SimulationError
-from kc2spice.netlist.circuit import Deck, Subcircuit
+from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bench import Sampled
 from kc2spice.scene.schema import Control
 from kc2spice.sim.log import classify, statistics
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.spice.circuit import Deck, Subcircuit
 
 Values = Mapping[str, float]
 Function = Callable[[float, Values], Values]

@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable, force
+from kc2spice.core.progress import Clock
+from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.report.metrics import SETTLING_BAND, settling_time
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.need import need
-from kc2spice.study.models import build_models
-from kc2spice.study.progress import Clock
+from kc2spice.workflow.models import build_models
 
 STEP, STOP = 0.5e-6, 3e-3  # s
 SPEEDS = (0.3, 0.5, 0.7, 0.9, 1.0, 1.05, 1.1, 1.13, 1.15, 1.2, 1.5, 2.0)

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.netlist.header import Header
+from kc2spice.core.progress import Clock
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.report.metrics import metrics
 from kc2spice.report.rails import Launch, rails_figure
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.study.models import build_models
-from kc2spice.study.progress import Clock
+from kc2spice.spice.header import Header
+from kc2spice.workflow.models import build_models
 
 RAILS = (15.0, 24.0, 48.0, 100.0, 200.0)
 KICKS = np.arange(20.0, 201.0, 10.0)

@@ -9,13 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.cards import name, number
-from kc2spice.netlist.circuit import Deck, Subcircuit
-from kc2spice.netlist.header import Header, plan_lines
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.render import render
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.drivers import Driver, coil_driver, coil_load, kick_driver
@@ -27,6 +22,11 @@ from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.plan import plan
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Scene, Solver
+from kc2spice.spice.cards import name, number
+from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.header import Header, plan_lines
+from kc2spice.spice.realize import realize
+from kc2spice.spice.render import render
 
 QUARTERS = 4  # the finite-element model is one symmetry sector of this many
 

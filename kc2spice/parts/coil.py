@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable, inductances
-from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
+from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts.electromagnet import COEFFICIENTS, PINS, POINTS, coil_resistances, smooth
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
 
 _MEANING = {
     "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from kc2spice.fem.emtable import EMTable, inductances
-from kc2spice.netlist.cards import name as checked
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
+from kc2spice.core.quantities import Section
+from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.drivers import (
@@ -21,7 +18,10 @@ from kc2spice.scene.drivers import (
     LinearDrive,
     PwmDrive,
 )
-from kc2spice.scene.quantities import Section
+from kc2spice.spice.cards import name as checked
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
 
 CARRIER = 10.0  # V, peak of the modulator's triangle
 _VOLT, _SIGNAL = ("V", "A"), ("V", "-")

@@ -1,6 +1,6 @@
 """The catch actuator: force on the sphere from six functions of its height (paper 2.2.1, 2.4).
 
-The law itself, in numpy, is :func:`kc2spice.fem.emtable.force`.
+The law itself, in numpy, is :func:`kc2spice.fem.magnetics.table.force`.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.spice.cards import number
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
 
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out

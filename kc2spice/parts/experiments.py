@@ -7,11 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.header import Header
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.render import render
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.bench import (
     Vectors,
     assemble,
@@ -25,6 +21,10 @@ from kc2spice.parts.bench import (
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.schema import Scene
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import realize
+from kc2spice.spice.render import render
 
 HEIGHTS = 2001  # at which em_force reads the lookup: five per segment
 

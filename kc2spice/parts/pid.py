@@ -6,12 +6,12 @@ from math import pi
 
 import numpy as np
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
+from kc2spice.core.errors import UsageError
 from kc2spice.parts.opamp import BANDWIDTH
 from kc2spice.scene.schema import Control
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
 
 
 def sphere_subcircuit(

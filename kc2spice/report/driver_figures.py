@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.plots import (
     BLUE,
     GREY,
@@ -18,7 +19,6 @@ from kc2spice.report.plots import (
 )
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.waveforms import Waveforms
 
 
 def driver_figures(directory: Path, waves: Waveforms, scene: Scene) -> list[Picture]:

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.report.plots import load
 
 # A fork has all modules already and does not run the script again that uses this package.

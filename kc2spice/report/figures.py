@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from kc2spice.fem.emtable import EMTable
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.report.loop_figures import force_map, loop_figures
 from kc2spice.report.plots import Picture
 from kc2spice.report.verify_figures import harmonic_figures, impact_figures, imprint_figures
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.waveforms import Waveforms
 
 
 def model_figures(directory: Path, scene: Scene, table: EMTable | None) -> list[Picture]:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable, force
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.report.driver_figures import driver_figures
 from kc2spice.report.metrics import SETTLING_BAND, separation, trajectory_difference
 from kc2spice.report.plots import (
@@ -25,7 +26,6 @@ from kc2spice.report.plots import (
 )
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.waveforms import Waveforms
 
 
 def loop_figures(

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.waveforms import Waveforms
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from kc2spice.fem.emtable import EMTable, force
+from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.report.plots import BLACK, BLUE, RED, Picture, legend_above, name_axes, sheet
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene

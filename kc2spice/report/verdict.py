@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.plots import Picture
-from kc2spice.sim.waveforms import Waveforms
 
 
 @dataclass(frozen=True)

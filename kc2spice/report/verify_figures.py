@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.metrics import trajectory_difference
 from kc2spice.report.plots import (
     BLACK,
@@ -27,7 +28,6 @@ from kc2spice.report.plots import (
     sheet,
 )
 from kc2spice.report.verdict import StepPoint
-from kc2spice.sim.waveforms import Waveforms
 
 Roads = Mapping[str, Waveforms]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem.factor import Solver
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.linalg.factor import Solver
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, factorise_at, poles
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.fem.operator import ShiftedSolver
+from kc2spice.fem.piezo.operator import ShiftedSolver
 from kc2spice.rom.krylov import block_arnoldi, extend
 from kc2spice.rom.model import ReducedModel
 from kc2spice.rom.project import project, project_again

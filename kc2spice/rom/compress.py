@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.operator import ShiftedSolver
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.operator import ShiftedSolver
 from kc2spice.rom.krylov import extend
 from kc2spice.rom.model import ReducedModel
 from kc2spice.rom.project import certify, project, project_again

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, solve, solve_triangular, svd
 from scipy.signal import StateSpace
 
-from kc2spice.errors import MissingToolError, UsageError
+from kc2spice.core.errors import MissingToolError, UsageError
 from kc2spice.rom.model import FirstOrderModel, ReducedModel
 from kc2spice.rom.pencil import largest
 from kc2spice.rom.structure import semidefinite

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.system import PiezoSystem
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.krylov import Operator
 from kc2spice.rom.schur import CondensedSystem, condense
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.system import Port
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.foreign_files import LETTERS, read_mat, read_matrix_market, read_npz
 from kc2spice.rom.foreign_ports import PortTable, read_ports
 from kc2spice.rom.pencil import Matrix, Pencil

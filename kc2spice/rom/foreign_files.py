@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import sparse
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.matlab import unpack
 from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.pencil import Matrix

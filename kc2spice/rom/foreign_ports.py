@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.system import Port
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.pencil import Pencil
 
 MAX_BYTES = 1_000_000

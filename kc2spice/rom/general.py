@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem.factor import Solver
-from kc2spice.fem.system import Port
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.fem.piezo.system import Port
+from kc2spice.linalg.factor import Solver
 from kc2spice.rom.foreign import ForeignModel
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy import io
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.system import Port
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel
 

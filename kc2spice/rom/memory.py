@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from kc2spice.fem.budget import require_bytes
-from kc2spice.fem.factor import Solver
+from kc2spice.linalg.factor import Solver
+from kc2spice.linalg.memory import require_bytes
 from kc2spice.rom.pencil import Pencil
 
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.fem.contact import ContactSurface, contact_surface
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.statics import imprint
-from kc2spice.fem.system import PiezoSystem
-from kc2spice.fem.transient import Ball, transient
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
+from kc2spice.fem.piezo.statics import imprint
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.fem.piezo.transient import Ball, transient
 from kc2spice.rom.facts import condensed_facts
 from kc2spice.rom.model import ReducedModel
 from kc2spice.rom.reduce import reduce_to_order

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import eigh
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.model import ReducedModel, ResonatorModel
 
 # Proportional damping is exact by construction; anything above rounding is another damping.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kc2spice.fem.system import Port
+from kc2spice.fem.piezo.system import Port
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import eigvals
 
-from kc2spice.fem.factor import factorise
-from kc2spice.fem.system import PiezoSystem
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.linalg.factor import factorise
 from kc2spice.rom.krylov import block_arnoldi
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import eigvals
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.factor import Factor, Solver, inverses
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import Factor, Solver, inverses
 
 Matrix: TypeAlias = Any  # np.ndarray or sparse.csc_array; scipy brings no types
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.fem.system import PiezoSystem
+from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.compress import reduce_to_tolerance
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.model import ReducedModel

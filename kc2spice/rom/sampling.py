@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.factor import Solver
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import Solver
 from kc2spice.rom.pencil import Pencil, factorise_at, response, states
 from kc2spice.rom.response import FLOOR
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.fem.factor import Factor
-from kc2spice.fem.operator import ShiftedSolver, electrical_port, stiffness
-from kc2spice.fem.system import PiezoSystem
+from kc2spice.fem.piezo.operator import ShiftedSolver, electrical_port, stiffness
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.linalg.factor import Factor
 
 
 @dataclass(frozen=True)

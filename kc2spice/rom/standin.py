@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.harmonic import harmonic
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.harmonic import harmonic
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.model import ReducedModel
 from kc2spice.rom.project import project

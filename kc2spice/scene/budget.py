@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from kc2spice.errors import UsageError
-from kc2spice.units import quantity
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
 
 TRANSIENT = ("loop", "impact")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.budget import smallest
 from kc2spice.scene.division import parts
 from kc2spice.scene.schema import Catch, Kick, Part, Scene, Sphere

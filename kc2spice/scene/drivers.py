@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from kc2spice.scene.quantities import (
+from kc2spice.core.quantities import (
     Capacitance,
     Current,
     Frequency,

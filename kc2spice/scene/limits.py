@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from kc2spice.scene.quantities import GateLength, GateTime, Ratio, Section
+from kc2spice.core.quantities import GateLength, GateTime, Ratio, Section
 
 Action = Literal["fail", "warn", "off"]
 

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.checks import problems
 from kc2spice.scene.division import KEYS
 from kc2spice.scene.keys import did_you_mean, scene_keys, submodel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 
 Part = TypeVar("Part")
 

@@ -14,10 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
-from kc2spice.scene.budget import fill
-from kc2spice.scene.drivers import CatchDriver, KickDriver
-from kc2spice.scene.limits import Checks, Gates
-from kc2spice.scene.quantities import (
+from kc2spice.core.quantities import (
     Acceleration,
     Charge,
     Count,
@@ -39,6 +36,9 @@ from kc2spice.scene.quantities import (
     Voltage,
     si,
 )
+from kc2spice.scene.budget import fill
+from kc2spice.scene.drivers import CatchDriver, KickDriver
+from kc2spice.scene.limits import Checks, Gates
 
 Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
 

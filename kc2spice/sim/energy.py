@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable, force
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.chip import chip_response
-from kc2spice.sim.waveforms import Waveforms
 
 
 @dataclass(frozen=True)

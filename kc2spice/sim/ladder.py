@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from kc2spice.errors import SimulationError
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.sim.failure import FailedRunError, Failure
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rungs import FIRST, Cause, Rung, Settings, next_rung, with_settings
 from kc2spice.sim.truth import Truth, require
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.spice.circuit import Deck
 
 _ADVICE = {
     "timestep": "a larger kick.damping.ratio, a smaller contact.penalty or solver.max_step",

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.errors import MissingToolError, SimulationError
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
 from kc2spice.sim.rungs import own_reltol
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.spice.circuit import Deck
 
 POLL = 0.05  # s between two looks at the growing raw file
 

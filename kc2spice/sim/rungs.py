@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from kc2spice.netlist.cards import comment, number
-from kc2spice.netlist.circuit import Deck
 from kc2spice.sim.log import Kind
+from kc2spice.spice.cards import comment, number
+from kc2spice.spice.circuit import Deck
 
 # "coarse": ngspice finished, but the energy books of the result do not balance.
 Cause = Kind | Literal["coarse"]

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.emtable import EMTable
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.limits import Action
 from kc2spice.scene.need import need
 from kc2spice.scene.rings import mesh_rings, ring_gaps
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.energy import Book, chip_book, contact_book, contact_rings, sphere_book
-from kc2spice.sim.waveforms import Waveforms
 
 WORK = 1e-4  # share of the work that may be unexplained; then the launch is wrong by about 1e-3
 WORK_SHARE = 0.03  # ... or of a larger error_budget, a tenth of what its time stepping gets

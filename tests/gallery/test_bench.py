@@ -10,8 +10,8 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from kc2spice.cli import app
-from kc2spice.study.bench import PARTS
+from kc2spice.cli.main import app
+from kc2spice.workflow.bench import PARTS
 
 RATIOS = {
     "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
@@ -91,7 +91,7 @@ def test_scalings_have_a_power(bench):
 
 
 def test_the_table_of_sizes_is_made_by_the_documented_command():
-    command = [sys.executable, "-m", "kc2spice.study.scaling", "--sizes", "300", "900"]
+    command = [sys.executable, "-m", "kc2spice.workflow.scaling", "--sizes", "300", "900"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     rows = [line.split("|")[1:4] for line in done.stdout.splitlines() if "| plate |" in line]

@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magnetics import catch_table
+from kc2spice.fem.magnetics.field import catch_table
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.scene.schema import Catch, Part, Sphere
 
 MU0 = 4e-7 * np.pi

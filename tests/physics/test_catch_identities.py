@@ -5,11 +5,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
-from kc2spice.fem import magforms, magmesh, magsystem
-from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
-from kc2spice.fem.magnetics import brute_force, catch_table
+from kc2spice.fem.magnetics.field import brute_force, catch_table
+from kc2spice.fem.magnetics.field import forms as magforms
+from kc2spice.fem.magnetics.field import mesh as magmesh
+from kc2spice.fem.magnetics.field import system as magsystem
+from kc2spice.fem.magnetics.table import EMTable, current_pairs, em_cases
 from kc2spice.scene.schema import Catch, Sphere
-from kc2spice.study.models import mounted
+from kc2spice.workflow.models import mounted
 
 RADIUS = Sphere().radius
 

@@ -8,12 +8,12 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.contact import contact_forces, contact_surface, sphere_gap
-from kc2spice.fem.harmonic import harmonic
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.statics import imprint, imprint_refactorised
-from kc2spice.fem.transient import Ball, kick_pulse, transient
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.contact import contact_forces, contact_surface, sphere_gap
+from kc2spice.fem.piezo.harmonic import harmonic
+from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
+from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce_condensed
 from kc2spice.rom.response import frequency_response

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.contact import contact_surface
-from kc2spice.fem.harmonic import harmonic
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.transient import Ball, kick_pulse, transient
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.contact import contact_surface
+from kc2spice.fem.piezo.harmonic import harmonic
+from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient
 from kc2spice.rom.compress import directions, krylov_model
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.meshstudy import as_system, on_reduced

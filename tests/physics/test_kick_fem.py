@@ -9,9 +9,14 @@ from scipy.linalg import eigh
 from scipy.sparse import block_array
 from scipy.sparse.linalg import eigsh, spsolve
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.mesh import kick_mesh
-from kc2spice.fem.piezo import assemble_kick, assemble_matrices, piezo_material, ring_shapes
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.assembly import (
+    assemble_kick,
+    assemble_matrices,
+    piezo_material,
+    ring_shapes,
+)
+from kc2spice.fem.piezo.mesh import kick_mesh
 from kc2spice.scene.schema import Kick, Material
 
 # Rings wide enough for quadratic cells: strong grading would fold them.

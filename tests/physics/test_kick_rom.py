@@ -7,8 +7,8 @@ import pytest
 from scipy.sparse import block_array, csc_array
 from scipy.sparse.linalg import splu
 
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.system import PiezoSystem
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.facts import condensed_facts
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.modal import resonators, whole_device

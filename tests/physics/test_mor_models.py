@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.linalg import eig, eigvals
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.header import Header
-from kc2spice.netlist.realize_signal import realize_signal
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.blocks import block_model
 from kc2spice.rom.foreign import make_model
 from kc2spice.rom.general import ordered, reduce_model, sample_model
 from kc2spice.rom.model import FirstOrderModel
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize_signal import realize_signal
 
 sys.path.insert(0, str(Path(__file__).parent))
 import mor_families as families

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kc2spice.fem.piezo import assemble_kick
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.naive import naive_poles
 from kc2spice.rom.reduce import reduce_condensed

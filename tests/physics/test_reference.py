@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.system import Port
+from kc2spice import reference
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.fem.piezo.system import Port
+from kc2spice.reference.flight import FreeModes
+from kc2spice.reference.law import EXTRA, Mode, law
 from kc2spice.report.metrics import separation
 from kc2spice.rom.model import Certificate, ResonatorModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
-from kc2spice.sim import reference
-from kc2spice.sim.reference.flight import FreeModes
-from kc2spice.sim.reference.law import EXTRA, Mode, law
 
 CERTIFICATE = Certificate((0.0, 5e5), 0.0, "exact", True, True)
 ANODE = Port("anode", "electrical", "V", "A")

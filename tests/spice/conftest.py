@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.header import Header
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
+from kc2spice.spice.header import Header
 
 sys.path.insert(0, str(Path(__file__).parent))
 import device

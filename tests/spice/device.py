@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.system import Port
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.model import Certificate, ResonatorModel
 
 RADII = 50e-6 * np.arange(6)

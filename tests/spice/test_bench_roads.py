@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.header import Header
-from kc2spice.netlist.realize import realize
+from kc2spice import reference
+from kc2spice.reference.law import law
 from kc2spice.report.metrics import compare
 from kc2spice.scene.schema import Impact
-from kc2spice.sim import reference
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.reference.law import law
-from kc2spice.study.bench.floor import Floor
-from kc2spice.study.bench.forms import FORMS, state_space, with_form
-from kc2spice.study.bench.peers import integrate
-from kc2spice.study.bench.points import Point, Timing, fastest, pareto
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import realize
+from kc2spice.workflow.bench.floor import Floor
+from kc2spice.workflow.bench.forms import FORMS, state_space, with_form
+from kc2spice.workflow.bench.peers import integrate
+from kc2spice.workflow.bench.points import Point, Timing, fastest, pareto
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,8 @@ def test_peers_converge_to_the_reference(model, scene, table, exact):
 
 
 def test_peer_jacobian_is_the_derivative(model, scene, table):
-    from kc2spice.study.bench.peers import Peer, _linear
-    from kc2spice.study.bench.segments import Segment
+    from kc2spice.workflow.bench.peers import Peer, _linear
+    from kc2spice.workflow.bench.segments import Segment
 
     equations = law(model, scene, table)
     x = np.zeros(2 * model.order + 4)

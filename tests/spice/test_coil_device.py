@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from kc2spice.fem.emtable import EMTable, force, inductances
-from kc2spice.netlist.circuit import Deck
+from kc2spice.fem.magnetics.table import EMTable, force, inductances
 from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.schema import Sphere
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
 
 L0, M0, R0 = 43.8e-3, 7.3e-3, 1596.0
 MASS = Sphere().mass

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck

@@ -8,14 +8,14 @@ import numpy as np
 import pyparsing as pp
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate
-from kc2spice.netlist.lint import problems
+from kc2spice.core.errors import UsageError
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.dialect import DIALECTS, dialect_files, translate
+from kc2spice.spice.lint import problems
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
 

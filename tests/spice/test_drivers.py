@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.included import included_netlists
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.drivers import (
     Load,
@@ -22,6 +20,8 @@ from kc2spice.report.metrics import metrics
 from kc2spice.scene.drivers import Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.included import included_netlists
 
 LOAD = Load(73e-3, 3192.0)
 

@@ -5,13 +5,13 @@ import struct
 import numpy as np
 import pytest
 
-from kc2spice.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.netlist.cards import comment, name, number
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.sim import ngspice
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rawfile import last_scale_value, read_raw
+from kc2spice.spice.cards import comment, name, number
+from kc2spice.spice.circuit import Deck
 
 
 def raw_text(points, flags="real", names=("time", "v(a)")):

@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.realize import realize
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.schema import Harmonic, Kick, Scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.realize import realize
 
 RINGS = ["R0", "R1", "R2", "R3", "R4", "R5"]
 

@@ -6,9 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.parts.bench import loop_deck
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.reduce import reduce_kick
@@ -18,6 +17,7 @@ from kc2spice.sim.ladder import LadderError, climb
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rungs import RUNGS, Settings, next_rung, with_settings
 from kc2spice.sim.truth import find_truth
+from kc2spice.spice.circuit import Deck
 
 # A comparator without hysteresis drives a femtofarad: no step is short enough for it.
 HOPELESS = "B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m\n"

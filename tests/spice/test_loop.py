@@ -6,10 +6,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem.piezo import assemble_kick
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.experiments import scene_deck
+from kc2spice.reference.loop import impact, kick_and_catch
+from kc2spice.reference.statics import imprint
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.reduce import reduce_kick
 from kc2spice.scene.schema import (
@@ -26,8 +28,6 @@ from kc2spice.scene.schema import (
 )
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
-from kc2spice.sim.reference.loop import impact, kick_and_catch
-from kc2spice.sim.reference.statics import imprint
 
 TICK = "Vtick tick base PWL(0 0 1e-12 0 2e-12 0)\nRtick tick base 1\n"
 

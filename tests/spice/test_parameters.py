@@ -6,10 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.realize import realize
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.parts.bench import loop_deck
 from kc2spice.rom.modal import resonators, whole_device
 from kc2spice.rom.reduce import reduce_kick
@@ -24,6 +21,9 @@ from kc2spice.scene.drivers import (
 )
 from kc2spice.scene.schema import Damping, Kick, Rom
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.lint import lint
+from kc2spice.spice.realize import realize
 
 STOP = 0.7e-3
 

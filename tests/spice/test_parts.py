@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import UsageError
 from kc2spice.parts.contact import contact_force, contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.experiments import current_cases, em_force_deck
@@ -16,6 +15,7 @@ from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Catch, Control, EmForce, Scene, Sphere
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
 
 MASS = Sphere().mass
 

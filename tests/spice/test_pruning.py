@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from kc2spice.cli import app
+from kc2spice import reference
+from kc2spice.cli.main import app
+from kc2spice.core.progress import Clock
 from kc2spice.report.metrics import compare
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.rings import mesh_rings, reach, ring_gaps
-from kc2spice.sim import reference
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.truth import find_truth, require, ring_checks
-from kc2spice.study.decks import make_deck
-from kc2spice.study.models import build_models
-from kc2spice.study.progress import Clock
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
 
 ALL = ("contact.rings=all", "rom.order=84")  # within 3e-5 of any other order tried
 

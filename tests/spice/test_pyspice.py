@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from kc2spice import pyspice
-from kc2spice.errors import MissingToolError, SimulationError
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.parts.bench import Sampled, loop_deck
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import DigitalPid, Loop, run_shared, subcircuit
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
 
 
 def short(scene, stop):

@@ -10,8 +10,8 @@ from typing import get_args
 import annotated_types as at
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.netlist.lint import lint
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock
 from kc2spice.report.figures import model_figures, run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
@@ -20,10 +20,10 @@ from kc2spice.scene.keys import scene_keys, submodel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ladder import LadderError
-from kc2spice.study.decks import make_deck
-from kc2spice.study.models import build_models
-from kc2spice.study.progress import Clock
-from kc2spice.study.simulate import simulate
+from kc2spice.spice.lint import lint
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.simulate import simulate
 
 TIME = 20.0  # s for one ngspice run; a legal scene may ask for hours
 # Counts and times that make a run longer and nothing else harder come from their low end.

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 import kc2spice
-from kc2spice.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.study import run as run_scene
-from kc2spice.study.sweep import run
-from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.source import SceneText, scene_text
-from kc2spice.study.sweep.study import Request, make_study
+from kc2spice.workflow import run as run_scene
+from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine
+from kc2spice.workflow.sweep.source import SceneText, scene_text
+from kc2spice.workflow.sweep.study import Request, make_study
 
 # A kick and its first 0.1 ms of flight: 0.2 s of ngspice.
 SHORT = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=150 us",

@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from kc2spice.study.sweep import run
-from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.source import SceneText
-from kc2spice.study.sweep.study import Request, make_study
+from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine
+from kc2spice.workflow.sweep.source import SceneText
+from kc2spice.workflow.sweep.study import Request, make_study
 
 pytest.importorskip("distributed")
 

@@ -5,9 +5,6 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.netlist.kicad import RELEASES
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.symbol import symbol_files
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
@@ -15,6 +12,9 @@ from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Control, Sphere
+from kc2spice.spice.kicad import RELEASES
+from kc2spice.spice.realize import realize
+from kc2spice.spice.symbol import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.realize import realize
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.experiments import harmonic_deck
 from kc2spice.rom.facts import condensed_facts
@@ -16,6 +14,8 @@ from kc2spice.rom.reduce import reduce_kick
 from kc2spice.rom.schur import condense
 from kc2spice.scene.schema import Harmonic, Kick, Rom, Scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.realize import realize
 
 RINGS = ("R0", "R1", "R2", "R3", "R4", "R5")
 COPIES = 200
@@ -162,7 +162,7 @@ Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
 
 def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
     """Direct solutions of all 16 722 equations at the resonance and far above."""
-    from kc2spice.fem.harmonic import harmonic
+    from kc2spice.fem.piezo.harmonic import harmonic
 
     system, model = chip
     frequency = np.array([270e3, 900e3])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.parts.bench import loop_deck
 from kc2spice.scene.limits import Checks
 from kc2spice.scene.schema import Contact, Control, Kick, Solver

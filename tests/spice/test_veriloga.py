@@ -5,11 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.dialect import dialect_files
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.veriloga import library
+from kc2spice.core.errors import UsageError
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.contact import contact_subcircuit
@@ -19,6 +15,10 @@ from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Control, Sphere
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.dialect import dialect_files
+from kc2spice.spice.realize import realize
+from kc2spice.spice.veriloga import library
 
 openvaf = pytest.importorskip("openvaf_py")
 

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.header import plan_lines
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.budget import REDUCTION, STEPPING, divide, lookup_error, smallest
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Catch, Kick, Rom, Scene, Solver, Sphere
+from kc2spice.spice.header import plan_lines
 
 SCENES = ["kick_and_catch", "impact", "imprint", "harmonic", "em_force", "coil_rails"]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from kc2spice import cache
-from kc2spice.cache import cached
+from kc2spice.core import cache
+from kc2spice.core.cache import cached
 from kc2spice.scene.schema import Kick
 
 
@@ -86,7 +86,7 @@ def test_scalars_and_lists():
     [
         {"key": {"kick": Kick(layers=34)}},
         {"key": {"kick": Kick(), "more": np.float64(1)}},
-        {"sources": ("kc2spice.units",)},
+        {"sources": ("kc2spice.core.units",)},
         {"kind": "other"},
     ],
 )

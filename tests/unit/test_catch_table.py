@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem import emtable
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magnetics import catch_table, coil_resistance
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.fem.magnetics import table as emtable
+from kc2spice.fem.magnetics.field import catch_table, coil_resistance
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.scene.schema import Catch, Sphere
 
 

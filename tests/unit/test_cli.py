@@ -10,11 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import kc2spice
-from kc2spice import __version__, doctor
-from kc2spice.cli import app
-from kc2spice.console import fact_row
-from kc2spice.errors import GateMissedError, MissingToolError, SimulationError
-from kc2spice.output import staged
+from kc2spice import __version__
+from kc2spice.cli import doctor
+from kc2spice.cli.console import fact_row
+from kc2spice.cli.main import app
+from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
+from kc2spice.core.files import staged
 
 
 @pytest.fixture
@@ -52,8 +53,8 @@ def study(monkeypatch):
         return [out / "kick.lib"]
 
     fake.run, fake.export = run, export
-    monkeypatch.setitem(sys.modules, "kc2spice.study", fake)
-    monkeypatch.setattr("kc2spice.study", fake, raising=False)
+    monkeypatch.setitem(sys.modules, "kc2spice.workflow", fake)
+    monkeypatch.setattr("kc2spice.workflow", fake, raising=False)
     return fake
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.report.easel import Easel
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from skfem import Basis
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.mesh import KickMesh, kick_mesh
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.scene.schema import Kick
 
 

@@ -8,29 +8,19 @@ import pytest
 import kc2spice
 
 ROOT = Path(kc2spice.__file__).parent
-# Below all: no physics, importable from everywhere.
-BASE = ("__init__", "errors", "units", "cache", "output")
-LAYERS = ("scene", "fem", "rom", "netlist", "parts", "sim", "report", "study", "cli")
-# The terminal belongs to the command line.
-TERMINAL = (
-    "console",
-    "cli_tables",
-    "commands_bench",
-    "commands_reduce",
-    "commands_sweep",
-    "doctor",
-    "__main__",
-)
-SAME_AS = dict.fromkeys(TERMINAL, "cli") | {"pyspice": "study"}
+LAYERS = (
+    "__init__", "core", "scene", "linalg", "fem", "rom", "spice", "parts", "sim", "reference",
+    "report", "workflow", "cli",
+)  # fmt: skip
+SAME_AS = {"__main__": "cli", "pyspice": "workflow"}
 LAZY = ("gmsh", "PySpice", "matplotlib")
 MODULES = sorted(ROOT.rglob("*.py"))
 
 
 def layer(dotted):
-    """Position of ``kc2spice.a.b`` in the order; -1 is below all."""
+    """Position of ``kc2spice.a.b`` in the order."""
     top = dotted.split(".")[1] if "." in dotted else "__init__"
-    top = SAME_AS.get(top, top)
-    return -1 if top in BASE else LAYERS.index(top)
+    return LAYERS.index(SAME_AS.get(top, top))
 
 
 def module_name(path):
@@ -69,8 +59,3 @@ def test_heavy_libraries_have_one_lazy_home(library):
                 homes.add(module_name(path))
                 assert not top_level, f"{path} imports {name} at module level"
     assert len(homes) <= 1, f"{library} is imported in {sorted(homes)}"
-
-
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_modules_stay_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= 300

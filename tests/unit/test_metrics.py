@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report import metrics as m
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.waveforms import Waveforms
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 

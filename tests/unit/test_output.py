@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.output import staged
+from kc2spice.core.errors import UsageError
+from kc2spice.core.files import staged
 
 
 def write(work, **files):

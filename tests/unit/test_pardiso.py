@@ -7,13 +7,13 @@ import pytest
 from scipy import io, sparse
 from typer.testing import CliRunner
 
-from kc2spice.cli import app
-from kc2spice.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.fem.factor import Factor, factorise, inverses
-from kc2spice.fem.pardiso import Pardiso
+from kc2spice.cli.main import app
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.linalg.factor import Factor, factorise, inverses
+from kc2spice.linalg.pardiso import Pardiso
 from kc2spice.rom.general import reduce_model
 from kc2spice.rom.pencil import factorise_at
-from kc2spice.study.scaling import grid_model
+from kc2spice.workflow.scaling import grid_model
 
 N = 60
 
@@ -76,7 +76,7 @@ def test_promises_that_do_not_hold_are_refused(pardiso, monkeypatch):
     with pytest.raises(SimulationError, match="inaccurate"):
         apply, _ = inverses(singular, symmetric=True, solver="pardiso")
         Factor(singular, 1.0, apply).solve(np.ones(N))
-    monkeypatch.setattr("kc2spice.fem.budget.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.linalg.memory.available_bytes", lambda: 1000.0)
     with pytest.raises(UsageError, match="too large"):
         Pardiso(sparse.csc_array(banded("definite")), symmetric=True)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.fem.emtable import EMTable
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.report.rails import Launch, largest_speed, rails_figure
 from kc2spice.scene.schema import Catch, Control, Scene, Sphere
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.fem.emtable import EMTable
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.loop_figures import loop_figures
 from kc2spice.report.metrics import compare, metrics
 from kc2spice.report.run_page import fact, write_run
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.waveforms import Waveforms
 
 
 def loop_waves() -> Waveforms:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
 from kc2spice.scene.rings import free_stroke, indentation_modulus, kept_rings, reach

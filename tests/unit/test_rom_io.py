@@ -11,14 +11,14 @@ from scipy import io, sparse
 from scipy.sparse.linalg import splu
 from typer.testing import CliRunner
 
-from kc2spice.cli import app
-from kc2spice.errors import UsageError
+from kc2spice.cli.main import app
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.foreign import read_model
 from kc2spice.rom.general import reduce_model
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.memory import factor_bytes
-from kc2spice.study.reduce import export_rom, reduce
-from kc2spice.study.scaling import grid_model
+from kc2spice.workflow.reduce import export_rom, reduce
+from kc2spice.workflow.scaling import grid_model
 
 N = 12
 
@@ -264,7 +264,7 @@ def test_damaged_reduced_models_are_refused(tmp_path):
 
 def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
     model = read_model(write_family(tmp_path, chain()))
-    monkeypatch.setattr("kc2spice.fem.budget.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.linalg.memory.available_bytes", lambda: 1000.0)
     with pytest.raises(UsageError, match="too large"):
         reduce_model(model, (0.0, 0.1), tolerance=1e-3)
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import read_deck
-from kc2spice.netlist.scan import scan, third_party
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.circuit import Deck
+from kc2spice.spice.lint import lint
+from kc2spice.spice.read import read_deck
+from kc2spice.spice.scan import scan, third_party
 
 AMPLIFIER = """* a vendor's amplifier
 .subckt amp inp inn out

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import did_you_mean, scene_keys
 from kc2spice.scene.load import MAX_BYTES, gallery, load_scene

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from kc2spice.study.sweep.engines import Call, LocalEngine, completed
+from kc2spice.workflow.sweep.engines import Call, LocalEngine, completed
 
 
 def results(calls, workers=2):
@@ -20,7 +20,7 @@ def fresh(calls):
     """
     code = (
         "import math, os\n"
-        "from kc2spice.study.sweep.engines import Call, Lost, LocalEngine, completed\n"
+        "from kc2spice.workflow.sweep.engines import Call, Lost, LocalEngine, completed\n"
         f"ended = completed(LocalEngine(2), iter({calls}))\n"
         "print({c.name: 'lost' if isinstance(r, Lost) else r for c, r in ended})\n"
     )

@@ -6,13 +6,13 @@ from importlib import resources
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.study.sweep.definition import request_of, studies
-from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.ranges import parse
-from kc2spice.study.sweep.source import SceneText, scene_text
-from kc2spice.study.sweep.stages import shared_models, slow_blocks
-from kc2spice.study.sweep.study import Request, make_study, read_plan, write_plan
+from kc2spice.core.errors import UsageError
+from kc2spice.workflow.sweep.definition import request_of, studies
+from kc2spice.workflow.sweep.plan import make_plan
+from kc2spice.workflow.sweep.ranges import parse
+from kc2spice.workflow.sweep.source import SceneText, scene_text
+from kc2spice.workflow.sweep.stages import shared_models, slow_blocks
+from kc2spice.workflow.sweep.study import Request, make_study, read_plan, write_plan
 
 SCENE = SceneText("kick_and_catch", None)
 

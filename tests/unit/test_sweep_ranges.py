@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kc2spice.errors import UsageError
-from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.ranges import Grid, Random, overrides, parameters, parse
+from kc2spice.core.errors import UsageError
+from kc2spice.workflow.sweep.plan import make_plan
+from kc2spice.workflow.sweep.ranges import Grid, Random, overrides, parameters, parse
 
 
 def test_linear_range_has_both_ends():

@@ -5,10 +5,10 @@ import csv
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.report.sweep_figures import sweep_figures
 from kc2spice.report.sweep_page import yields
-from kc2spice.study.sweep.table import Journal, columns, publish
+from kc2spice.workflow.sweep.table import Journal, columns, publish
 
 KINDS = {"a": float, "word": str, "t": float, "caught": bool, "status": str}
 

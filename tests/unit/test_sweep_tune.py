@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.study.sweep import tune
-from kc2spice.study.sweep.point import Outcome
-from kc2spice.study.sweep.source import SceneText
-from kc2spice.study.sweep.study import Request, make_study
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.workflow.sweep import tune
+from kc2spice.workflow.sweep.point import Outcome
+from kc2spice.workflow.sweep.source import SceneText
+from kc2spice.workflow.sweep.study import Request, make_study
 
 BOUNDS = ["control.kp=1e4:1e6", "control.kd=2:200"]
 BEST = {90.0: (1e5, 10.0), 110.0: (1e5, 40.0)}  # of each condition alone

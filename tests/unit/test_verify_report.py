@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report import verify_figures as figures
 from kc2spice.report.figures import run_figures
 from kc2spice.report.html import quantity
@@ -15,7 +16,6 @@ from kc2spice.report.paper import paper_section
 from kc2spice.report.verdict import Check, Findings, Road
 from kc2spice.report.verify_page import write_verify
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.waveforms import Waveforms
 
 NAMES = ["R0", "R1", "anode"]
 

@@ -10,11 +10,11 @@ from hard_cases.kit import HEADER, bench_deck, case, kick, relative, scene
 from hard_cases.oracle import Plain
 from scipy.interpolate import CubicHermiteSpline
 
+from kc2spice import reference
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.report.metrics import compare, separation
-from kc2spice.sim import reference
 
 MASS = scene("impact").sphere.mass
 

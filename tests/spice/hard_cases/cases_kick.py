@@ -10,14 +10,14 @@ from hard_cases.cases_contact import impact_error, launch_error
 from hard_cases.kit import HEADER, bench_deck, case, kick, relative, scene
 from scipy.linalg import expm
 
-from kc2spice.fem.system import Port
-from kc2spice.netlist.realize import realize
+from kc2spice import reference
+from kc2spice.fem.piezo.system import Port
 from kc2spice.parts.drivers import charge_drive_subcircuit, half_bridge_subcircuit
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.report.metrics import separation
 from kc2spice.scene.drivers import ChargeDrive, HalfBridge
-from kc2spice.sim import reference
+from kc2spice.spice.realize import realize
 
 LAUNCH = "launch, relative"
 

@@ -10,14 +10,14 @@ from device import RADII, chip
 from hard_cases import kit
 from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
 
-from kc2spice.netlist.included import included_netlists
-from kc2spice.netlist.realize_signal import realize_signal
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.rom.foreign import make_model
 from kc2spice.rom.general import reduce_model
 from kc2spice.scene.checks import check
 from kc2spice.scene.load import load_scene
+from kc2spice.spice.included import included_netlists
+from kc2spice.spice.realize_signal import realize_signal
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "physics"))
 import mor_families as families

@@ -13,7 +13,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.kit import HEADER, Bench, bench_deck
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.schema import Sphere

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 from device import RADII, chip, magnets
 
-from kc2spice.errors import Kc2spiceError
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.circuit import Deck, Subcircuit
-from kc2spice.netlist.header import Header
+from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.truth import find_truth, require
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.header import Header
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed

@@ -20,15 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
+from kc2spice.core.progress import Clock, silent
+from kc2spice.reference.law import law
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
-from kc2spice.sim.reference.law import law
-from kc2spice.study.bench.floor import Floor
-from kc2spice.study.decks import make_deck
-from kc2spice.study.models import Models, build_models
-from kc2spice.study.progress import Clock, silent
-from kc2spice.study.simulate import simulate
+from kc2spice.workflow.bench.floor import Floor
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import Models, build_models
+from kc2spice.workflow.simulate import simulate
 
 COUNT = 150
 AFTER = 60e-6  # s from the kick's start: the launch and the flight that makes it one

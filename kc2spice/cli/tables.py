@@ -1,0 +1,147 @@
+"""What the commands print for a person: results, verdicts, plans, keys and findings as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kc2spice.cli.console import print_facts, print_table
+
+if TYPE_CHECKING:
+    from kc2spice.cli.doctor import Finding
+    from kc2spice.scene.keys import Key
+    from kc2spice.scene.plan import Plan
+
+
+def show_result(result: Mapping[str, Any], directory: Path) -> None:
+    """What ``run`` found."""
+    for part, facts in result.get("model", {}).items():
+        print_facts(f"model: {part}", facts)
+    if "rom" in result:
+        rom = result["rom"]
+        low, high = rom["band_hz"]
+        rows = [
+            ("order", str(rom["order"])),
+            ("band", f"{low:g} … {high:g} Hz"),
+            ("error estimate", f"{rom['error_estimate']:.3g}"),
+        ]
+        print_table("reduced model", rows)
+    print_facts("metrics", result.get("metrics", {}))
+    _show_checks(result.get("checks", ()))
+    _show_attempts(result.get("simulator", {}).get("attempts", ()))
+    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            "ok" if check["passed"] else "VIOLATED",
+            check["name"],
+            f"{check['value']:.3g} {check['unit']}",
+            f"limit {check['limit']:.3g}",
+        )
+        for check in checks
+    ]
+    if rows:
+        print_table("truth checks", rows)
+
+
+def _show_attempts(attempts: Sequence[Mapping[str, Any]]) -> None:
+    """The rungs of the retry ladder, where more than the first was needed."""
+    rows = [
+        (each["rung"], each["settings"], each["cause"] or "held", f"{each['wall_s']:.3g} s")
+        for each in attempts
+    ]
+    if len(rows) > 1:
+        print_table("retry ladder", rows, header=("rung", "settings", "outcome", "time"))
+
+
+def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
+    """What ``verify`` found."""
+    for name, record in found.items():
+        rows = [
+            (
+                "ok" if check["passed"] else "MISSED",
+                check["name"],
+                "-" if check["value"] is None else f"{check['value']:.3g}",
+                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
+            )
+            for check in record["checks"]
+        ]
+        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
+        roads = [
+            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
+        ]
+        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        for baseline, ratio in record["speedup"].items():
+            print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
+        for note in record["notes"]:
+            print(f"  {note}")
+        if "meshes" in record:
+            _show_meshes(name, record["meshes"])
+    print(f"all of it, with errors and plots: {directory / 'verify.html'}")
+
+
+def _show_meshes(name: str, points: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            point["label"],
+            f"{point['unknowns']}",
+            f"{point['imprint_force_n']:.5g}",
+            f"{point['resonance_short_hz'] / 1e3:.5g}",
+            f"{point['resonance_open_hz'] / 1e3:.5g}",
+            f"{point['min_position_m'] * 1e6:.5g}",
+            f"{point['rebound_velocity_m_s']:.5g}",
+        )
+        for point in points
+    ]
+    head = ("mesh", "unknowns", "force N", "short kHz", "open kHz", "lowest um", "rebound m/s")
+    print_table(f"{name}: meshes", rows, header=head)
+
+
+def show_plan(plan: Plan) -> None:
+    """What ``explain`` says after the scene's name."""
+    rows = [(part.part, part.source, part.detail) for part in plan.parts]
+    print_table("modelled", rows, header=("part", "model", "detail"))
+    if plan.ports:
+        print(f"\nports of the reduced chip: {', '.join(plan.ports)}\n")
+    title = "errors, relative"
+    if plan.error_budget is not None:
+        title += f"; error_budget {plan.error_budget:g} divided"
+    errors = [
+        (each.stage, _ratio(each.share), _ratio(each.expected), each.settings, each.why)
+        for each in plan.errors
+    ]
+    print_table(title, errors, header=("stage", "share", "expected", "settings", ""))
+    left = [(item.effect, item.why, item.error) for item in plan.left_out]
+    print_table("left out", left, header=("effect", "why", "size"))
+
+
+def _ratio(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def show_keys(keys: Iterable[Key]) -> None:
+    """What ``scenes --keys`` lists."""
+    rows = [
+        (
+            key.name,
+            key.unit or "",
+            "" if key.default is None else str(key.default),
+            " | ".join(key.choices) or key.doc,
+        )
+        for key in keys
+    ]
+    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """What ``doctor`` found."""
+    marks = {(True, True): "ok", (True, False): "ok", (False, True): "MISSING"}
+    rows = [
+        (marks.get((f.ok, f.needed), "absent"), f.name, f.found, "" if f.ok else f.fix)
+        for f in findings
+    ]
+    print_table("doctor", rows, header=("", "what", "found", "fix"))

@@ -1,0 +1,147 @@
+"""``reduce`` and ``export --rom``: matrices of any tool to a certified model to a netlist."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Progress, silent
+from kc2spice.linalg.factor import Solver
+from kc2spice.rom.band import natural_band
+from kc2spice.rom.foreign import read_model
+from kc2spice.rom.general import reduce_model
+from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.model import FirstOrderModel, ReducedModel
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.dialect import DIALECTS, translate_text
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import realize
+from kc2spice.spice.realize_signal import realize_signal
+from kc2spice.spice.veriloga import library
+
+TOLERANCE = 1e-4
+
+
+def reduce(
+    path: Path | str,
+    out: Path | None = None,
+    *,
+    band: tuple[float, float] | None = None,
+    tolerance: float | None = None,
+    order: int | None = None,
+    solver: str = "scipy",
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
+
+    The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
+    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+
+    Raises
+    ------
+    UsageError : see :func:`kc2spice.rom.foreign.read_model`; nothing was written.
+    SimulationError : the tolerance cannot be met; nothing was written.
+    MissingToolError : pypardiso is asked for and not installed.
+    """
+    chosen = _solver(solver)
+    progress("reduce", None, "reading matrices")
+    model = read_model(path)
+    name = f"{model.name}_rom"
+    directory = Path(name) if out is None else Path(out)
+    if tolerance is None and order is None:
+        tolerance = TOLERANCE
+    band = band or model.band or natural_band(model.pencil, chosen)
+    progress("reduce", None, f"{model.pencil.size} equations")
+    reduced = reduce_model(model, band, tolerance=tolerance, order=order, solver=chosen)
+    with staged(directory) as work:
+        files = write_rom(reduced, work, name)
+    certificate = reduced.certificate
+    return {
+        "model": model.name,
+        "unknowns": model.pencil.size,
+        "form": "first order" if isinstance(reduced, FirstOrderModel) else "second order",
+        "order": reduced.order,
+        "band_hz": list(certificate.band_hz),
+        "error_estimate": certificate.error_estimate,
+        "method": certificate.method,
+        "stable": certificate.stable,
+        "passive": certificate.passive,
+        "ports": [port.name for port in reduced.ports],
+        "rom": str(directory / files[0]),
+        "files": files,
+    }
+
+
+def _solver(name: str) -> Solver:
+    for known in get_args(Solver):
+        if name == known:
+            return known
+    expected = ", ".join(get_args(Solver))
+    raise UsageError("unknown direct solver", where="--solver", got=name, expected=expected)
+
+
+def export_rom(
+    path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
+) -> Path:
+    """Write the subcircuit of the reduced model at ``path`` into ``out`` as ``NAME.lib``, for
+    Verilog-A as ``NAME.va``.
+
+    Raises
+    ------
+    UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
+        be written; nothing was written.
+    """
+    if dialect not in DIALECTS:
+        expected = ", ".join(DIALECTS)
+        raise UsageError("unknown dialect", where="--dialect", got=dialect, expected=expected)
+    path = Path(path)
+    reduced = read_rom(path)
+    name = _part_name(path.stem)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    part = subcircuit(reduced, Header(path.stem, digest), name, dense=dense)
+    directory = Path(name) if out is None else Path(out)
+    with staged(directory) as work:
+        filename, text = _spelled(part, dialect)
+        (work / filename).write_text(text, encoding="utf-8")
+    return directory / filename
+
+
+def subcircuit(
+    reduced: ReducedModel | FirstOrderModel, header: Header, name: str, *, dense: bool = False
+) -> Subcircuit:
+    """Signal pins for signal ports; conservative pins for mechanical and electrical ports.
+
+    Raises
+    ------
+    UsageError : conservative ports on a model that is not one of decoupled resonators.
+    """
+    if all(port.kind == "signal" for port in reduced.ports):
+        return realize_signal(reduced, header, name=name, dense=dense)
+    if not isinstance(reduced, ReducedModel) or dense:
+        raise UsageError(
+            "conservative ports need the form of decoupled resonators",
+            where=name,
+            got="a dense form" if dense else "a first-order model",
+            hint="give the ports as signals, direction 'in' and 'out', in the model's TOML",
+        )
+    title = "reduced model with conservative ports"
+    return realize(resonators(reduced), header, name=name, title=title)
+
+
+def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:
+    """File name and text of ``part`` in the words of ``dialect``."""
+    if dialect == "ngspice":
+        return part.filename, part.text
+    if dialect == "verilog-a":
+        return next(iter(library([part]).items()))
+    return part.filename, translate_text(part.text, part.filename, dialect)
+
+
+def _part_name(stem: str) -> str:
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", stem)[:60]
+    return plain if plain[:1].isalpha() else f"rom_{plain}"[:64]

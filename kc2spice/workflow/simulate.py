@@ -1,0 +1,90 @@
+"""One deck through the simulator: ladder, truth checks, and what is kept of a failed run."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.schema import Scene
+from kc2spice.sim.ladder import Climb, LadderError, climb
+from kc2spice.sim.truth import Truth, TruthCheck, find_truth
+from kc2spice.spice.circuit import Deck
+from kc2spice.workflow.models import Models
+from kc2spice.workflow.results import save_arrays, write_record
+
+PARTIAL = "waveforms.partial.npz"
+
+
+def simulate(
+    scene: Scene,
+    models: Models | None,
+    deck: Deck,
+    directory: Path,
+    *,
+    progress: Callable[[float], None] | None = None,
+    timeout: float | None = None,
+) -> Climb:
+    """Run ``deck`` up the scene's retry ladder; without ``models`` its result is not judged.
+
+    Raises as :func:`climb` does.
+    """
+
+    def judge(waves: Waveforms) -> Truth:
+        if models is None:
+            return Truth()
+        model = None if models.kick is None else models.kick.resonators
+        return find_truth(waves, scene, models.table, model)
+
+    return climb(
+        deck, directory, retries=scene.solver.retries, judge=judge, progress=progress,
+        timeout=timeout,
+    )  # fmt: skip
+
+
+def warn_of(checks: Iterable[TruthCheck]) -> None:
+    """One warning for each violated check."""
+    for check in checks:
+        if not check.passed:
+            limit = f"limit {check.limit:.3g}: {check.advice}"
+            warnings.warn(
+                f"check {check.name}: {check.value:.3g} {check.unit}, {limit}", stacklevel=2
+            )
+
+
+@contextmanager
+def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
+    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
+
+    No result is looked for there; ``failure.json`` says what the files are.
+    """
+    try:
+        yield
+    except SimulationError as error:
+        kept = Path(out).absolute().with_name(f"{Path(out).name}.failed")
+        with contextlib.suppress(OSError):  # a full disk must not hide the first error
+            shutil.rmtree(kept, ignore_errors=True)
+            shutil.copytree(work, kept)
+            _write_failure(error, kept, scene)
+            error.where = error.where and error.where.replace(str(work), str(kept))
+        raise
+
+
+def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
+    record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
+    record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
+    if isinstance(error, LadderError):
+        failure = error.failure
+        record["attempts"] = [attempt.record() for attempt in error.attempts]
+        if failure is not None:
+            record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
+        if failure is not None and failure.partial is not None:
+            save_arrays(failure.partial, kept / PARTIAL)
+            scale = next(iter(failure.partial.data.values()))
+            record |= {"waveforms": PARTIAL, "last_point": float(scale[-1])}
+    write_record(record, kept, "failure.json")

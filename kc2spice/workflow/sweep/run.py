@@ -1,0 +1,290 @@
+"""Run a sweep: resume what is recorded, keep the workers busy, stream the rows, draw the table."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Progress, silent
+from kc2spice.workflow.sweep.cost import METER, NOTHING, Cost
+from kc2spice.workflow.sweep.engines import Call, Engine, Lost, completed
+from kc2spice.workflow.sweep.point import Outcome, prepare, run_point
+from kc2spice.workflow.sweep.slurm import write_script
+from kc2spice.workflow.sweep.stages import shared_models, slow_blocks, task
+from kc2spice.workflow.sweep.study import (
+    PLAN,
+    Study,
+    check_parameters,
+    make_study,
+    read_plan,
+    write_plan,
+)
+from kc2spice.workflow.sweep.table import Journal, columns, need_parquet, publish
+
+JOURNAL = "journal.csv"
+SHARDS = "shards"
+NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part ``number`` of ``count`` equal parts of a sweep, for one task of an array."""
+
+    number: int
+    count: int
+
+
+def sweep(study: Study, out: Path, engine: Engine, progress: Progress = silent) -> dict[str, Any]:
+    """Run all points that ``out`` does not hold yet; return the contract's summary.
+
+    Rows go to ``out/journal.csv`` as they come; the table, its figures and ``sweep.html`` appear
+    when all are there. A sweep that was killed goes on where it was when it is asked for again.
+
+    Raises
+    ------
+    UsageError : ``out`` holds another sweep, or another process writes there.
+    MissingToolError : no workers, or no ngspice where they are.
+    """
+    claim(study, out)
+    table = _table(study, out)
+    if table.exists():
+        resumed, spent = study.plan.size, NO_TIME
+    else:
+        check_parameters(study)
+        journal = Journal(out / JOURNAL, study.plan.size)
+        try:
+            resumed = int(journal.done.sum())
+            spent = _fill(study, journal, engine, progress, None)
+        finally:
+            journal.close()
+        publish([journal.path], table, study.header, study.kinds)
+        journal.path.unlink()
+    return {**_conclude(study, out, progress), "resumed": resumed, **spent}
+
+
+def sweep_shard(
+    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent
+) -> dict[str, Any]:
+    """Run one part of the sweep that is planned in ``directory``; its rows wait to be collected."""
+    study = planned(directory)
+    if not 0 <= shard.number < shard.count:
+        raise UsageError("no such shard", got=shard.number, expected=f"0 … {shard.count - 1}")
+    path = directory / SHARDS / f"{shard.number:06d}.csv"
+    journal = Journal(path, study.plan.size)
+    try:
+        resumed = int(journal.done.sum())
+        spent = _fill(study, journal, engine, progress, shard)
+        points, failed = int(journal.done.sum()), journal.failed
+    finally:
+        journal.close()
+    return {
+        "points": points, "failed": failed, "resumed": resumed, "table": str(path.absolute()),
+        **spent,
+    }  # fmt: skip
+
+
+def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
+    """Put the rows of all shards into the sweep's table.
+
+    Raises
+    ------
+    SimulationError : points are missing; the rows that are there stay where they are.
+    """
+    study = planned(directory)
+    table = _table(study, directory)
+    journals = sorted((directory / SHARDS).glob("*.csv"))
+    if not table.exists():
+        found = [Journal(path, study.plan.size) for path in journals]
+        for journal in found:
+            journal.close()
+        there = np.any([journal.done for journal in found], axis=0).sum() if found else 0
+        missing = study.plan.size - int(there)
+        if missing:
+            raise SimulationError(
+                "the sweep is not complete", where=str(directory), got=f"{missing} points missing",
+                expected=f"{study.plan.size} points",
+                hint="submit the array again: only what is missing is run",
+            )  # fmt: skip
+        publish(journals, table, study.header, study.kinds)
+    return {**_conclude(study, directory, progress), "resumed": 0, "wall_s": 0.0}
+
+
+def outlook(study: Study, out: Path) -> dict[str, Any]:
+    """What :func:`sweep` would do in ``out``; nothing is run or written."""
+    return {
+        "scene": study.base.name,
+        "points": study.plan.size,
+        "failed": 0,
+        "resumed": 0,
+        "table": str(_table(study, out).absolute()),
+        "runs": study.stages.runs,
+    }
+
+
+def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
+    """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
+    claim(study, directory)
+    script = write_script(study, directory, min(shards, study.plan.size))
+    return {**outlook(study, directory), "script": str(script.absolute()),
+            "files": [PLAN, script.name]}  # fmt: skip
+
+
+def planned(directory: Path) -> Study:
+    """The study that ``directory`` holds the plan of.
+
+    Raises
+    ------
+    UsageError : there is none, or this version would plan it differently.
+    """
+    request, digest = read_plan(directory)
+    study = make_study(request)
+    if study.digest != digest:
+        raise UsageError("planned by another version of kc2spice", where=str(directory / PLAN),
+                         hint="plan the sweep anew")  # fmt: skip
+    return study
+
+
+def claim(study: Study, out: Path, purpose: object = None) -> None:
+    """Make ``out`` the directory of this sweep, done for ``purpose``.
+
+    Raises
+    ------
+    UsageError : it is already that of another one, or cannot be written.
+    """
+    own = study.digest if purpose is None else study.plan.digest([study.digest, purpose])
+    if study.request.format == "parquet":
+        need_parquet()
+    if out.exists() and not out.is_dir():
+        raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
+    if (out / PLAN).exists():
+        _, digest = read_plan(out)
+        if digest == own:
+            return
+        raise UsageError(
+            "holds another sweep", where=str(out), got=f"plan {digest}",
+            expected=f"plan {own}", hint="choose another --out, or remove the old one",
+        )  # fmt: skip
+    for name in (JOURNAL, _table(study, out).name):
+        if (out / name).exists():
+            raise UsageError("would be overwritten", where=str(out / name),
+                             hint="choose another --out, or remove it")  # fmt: skip
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_plan(study, out, own)
+    except OSError as error:
+        raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
+
+
+def _table(study: Study, out: Path) -> Path:
+    return out / f"sweep.{study.request.format}"
+
+
+def _fill(
+    study: Study, journal: Journal, engine: Engine, progress: Progress, shard: Shard | None
+) -> dict[str, float | None]:
+    """Run the points that the journal lacks; return ``wall_s`` and what it cost."""
+    start = time.monotonic()
+    METER.since_last()
+    mine = _share(study, shard)
+    missing = sum(not journal.done[index] for index in _share(study, shard))
+    if not missing:
+        return NO_TIME
+    spent = NOTHING
+    meter = _Meter(progress, missing, start)
+    for call, result in completed(engine, _calls(study, journal, mine, missing, engine)):
+        if not isinstance(call.name, int):
+            progress("models", None, f"models of the {call.name}")
+            meter.restart()
+            continue
+        outcome = result
+        if isinstance(result, Lost):
+            outcome = Outcome(call.name, failure="its worker process died, twice")
+        cells = outcome.values or (None,) * len(study.job.metrics)
+        journal.record(call.name, (*study.plan.values(call.name), *cells), outcome.failure)
+        spent += outcome.cost
+        meter.count(journal.failed)
+    wall, parent = time.monotonic() - start, Cost(own=METER.since_last().own)
+    return {"wall_s": wall, **(spent + parent).summary(engine.workers, wall)}
+
+
+def _share(study: Study, shard: Shard | None) -> Iterator[int]:
+    """Points in the order in which they are run."""
+    order = study.plan.order(slow_blocks(study.plan, study.stages))
+    if shard is None:
+        return order
+    first, last = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
+    return islice(order, first, last)
+
+
+def _calls(
+    study: Study, journal: Journal, points: Iterator[int], missing: int, engine: Engine
+) -> Iterator[Call | None]:
+    if missing > 1 and engine.workers > 1:
+        for part, group in shared_models(study.plan, study.stages):
+            yield Call(part, prepare, (study.job, part, group))
+        yield None
+    for index in points:
+        if not journal.done[index]:
+            yield Call(index, run_point, (study.job, task(study.plan, index)))
+
+
+class _Meter:
+    """Progress in points, with rate and time left."""
+
+    def __init__(self, progress: Progress, total: int, start: float) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+        self._start = start
+
+    def restart(self) -> None:
+        """Models took the time so far; it says nothing about the points to come."""
+        self._start = time.monotonic()
+
+    def count(self, failed: int) -> None:
+        """One more point is recorded."""
+        self._done += 1
+        rate = self._done / max(time.monotonic() - self._start, 1e-9)
+        left = (self._total - self._done) / rate
+        text = (
+            f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, "
+            f"{_duration(left)} left"
+        )
+        self._progress("sweep", self._done / self._total, text)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
+    """Summary of a finished table, with figures and page beside it."""
+    from kc2spice.report.sweep_page import write_sweep, yields
+
+    table = _table(study, out)
+    progress("report", None, "figures and page")
+    data = columns(table, study.kinds)
+    failed = [text for text in data["status"] if text != "ok"]
+    flags = [name for name in study.job.metrics if study.kinds[name] is bool]
+    found = yields(data, flags) if study.plan.random else {}
+    files = write_sweep(
+        out, study.base, data, study.plan.keys, study.job.metrics, study.plan.random,
+        study.describe(), found,
+    )  # fmt: skip
+    return {
+        "scene": study.base.name,
+        "points": study.plan.size,
+        "failed": len(failed),
+        "table": str(table.absolute()),
+        "directory": str(out.absolute()),
+        "runs": study.stages.runs,
+        "yield": found,
+        "files": [table.name, *files],
+    }
