@@ -22,7 +22,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bench import Sampled
 from kc2spice.scene.schema import Control
 from kc2spice.sim.log import classify, statistics
-from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Deck
 
 Values = Mapping[str, float]
 Function = Callable[[float, Values], Values]

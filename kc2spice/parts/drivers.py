@@ -1,24 +1,29 @@
-"""Drivers: electronics between a command and the kick's electrodes or the catch's coils."""
+"""Drivers: electronics between a command and electrodes or coils."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from kc2spice.core.quantities import Section
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    Capacitance,
+    Current,
+    Frequency,
+    Resistance,
+    Section,
+    Slew,
+    Time,
+    Voltage,
+)
 from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE
-from kc2spice.scene.drivers import (
-    Amplifier,
-    CatchDriver,
-    ChargeDrive,
-    HalfBridge,
-    KickDriver,
-    LinearDrive,
-    PwmDrive,
-)
-from kc2spice.spice.cards import name as checked
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
@@ -27,18 +32,55 @@ CARRIER = 10.0  # V, peak of the modulator's triangle
 _VOLT, _SIGNAL = ("V", "A"), ("V", "-")
 
 
-@dataclass(frozen=True)
-class Driver:
-    """A driver in a bench: its library parts, the subcircuit's name, the nodes of its pins."""
+class HalfBridgeKeys(Section):
+    """Two transistors from a charged capacitor; the high one is on during the kick pulse."""
 
-    parts: tuple[Subcircuit, ...]
-    name: str
-    nodes: tuple[str, ...]
+    rail: Voltage = Field(100.0, gt=0)
+    resistance: Resistance = Field(2.0, gt=0, description="between the bridge and the chip")
+    gate_resistance: Resistance = Field(10.0, gt=0)
+    current_limit: Current = Field(15.0, gt=0, description="at which a transistor saturates")
+    reservoir: Capacitance = Field(10e-6, gt=0, description="limits the charge of a pulse")
+    supply_resistance: Resistance = Field(100.0, gt=0, description="that refills the reservoir")
 
-    @property
-    def known(self) -> bool:
-        """Is it one of ours, whose output current can be read at ``Rout``?"""
-        return bool(self.parts)
+
+class AmplifierKeys(Section):
+    """High-voltage operational amplifier with a class-AB output stage, gain 20."""
+
+    rail: Voltage = Field(120.0, gt=0)
+    resistance: Resistance = Field(2.0, gt=0, description="between the amplifier and the chip")
+    bandwidth: Frequency = Field(2e6, gt=0, description="of the closed loop")
+    slew: Slew = Field(1e9, gt=0)
+    current_limit: Current = Field(15.0, gt=0)
+
+
+class ChargeKeys(Section):
+    """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
+
+    capacitance: Capacitance = Field(150e-9, gt=0)
+    sense: Capacitance = Field(1e-6, gt=0, description="in series with the floating chip")
+    rail: Voltage = Field(300.0, gt=0)
+    resistance: Resistance = Field(20.0, gt=0, description="between the amplifier and the chip")
+    bandwidth: Frequency = Field(200e3, gt=0, description="of the closed loop")
+    slew: Slew = Field(1e9, gt=0)
+    current_limit: Current = Field(10.0, gt=0)
+
+
+class LinearKeys(Section):
+    """Current source for the coils: operational amplifier between two rails, sense resistor."""
+
+    rail: Voltage = Field(48.0, gt=0, description="supplies of plus and minus this voltage")
+    bandwidth: Frequency = Field(50e3, gt=0, description="of the current loop")
+    slew: Slew = Field(20e6, gt=0)
+
+
+class PwmKeys(Section):
+    """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
+
+    rail: Voltage = Field(100.0, gt=0)
+    frequency: Frequency = Field(100e3, gt=0, description="of the carrier")
+    bandwidth: Frequency = Field(10e3, gt=0, description="of the current loop")
+    resistance: Resistance = Field(0.5, gt=0, description="of each switch when on")
+    edge: Time = Field(50e-9, gt=0, description="of the switched voltage")
 
 
 @dataclass(frozen=True)
@@ -57,38 +99,9 @@ def coil_load(table: EMTable, height: float) -> Load:
     )
 
 
-def kick_driver(header: Header, driver: KickDriver) -> Driver:
-    """The driver that a scene chose for the chip, between ``command`` and ``anode``."""
-    if driver.half_bridge:
-        part = half_bridge_subcircuit(header, driver.half_bridge)
-    elif driver.amplifier:
-        part = amplifier_subcircuit(header, driver.amplifier)
-    elif driver.charge:
-        part = charge_drive_subcircuit(header, driver.charge)
-    else:
-        return _user(driver, ("command", "anode", "0"))
-    nodes = {"out": "anode", "ref": "0"}
-    amplifier = () if driver.half_bridge else (opamp_subcircuit(header, "slew"),)
-    return Driver((*amplifier, part), part.name, _nodes(part, nodes))
-
-
-def coil_driver(header: Header, driver: CatchDriver, load: Load, current: float) -> Driver:
-    """The driver that a scene chose for the coils, from ``wanted`` to ``drive`` and ``ret``.
-
-    ``current`` [A] is the largest that the controller asks for.
-    """
-    if driver.linear:
-        part = linear_subcircuit(header, driver.linear, load, current)
-        amplifier = opamp_subcircuit(header, "slew")
-    elif driver.pwm:
-        part = pwm_subcircuit(header, driver.pwm, load)
-        amplifier = opamp_subcircuit(header)
-    else:
-        return _user(driver, ("wanted", "drive", "ret", "0"))
-    return Driver((amplifier, part), part.name, _nodes(part, {"command": "wanted", "ref": "0"}))
-
-
-def half_bridge_subcircuit(header: Header, drive: HalfBridge) -> Subcircuit:
+def half_bridge_subcircuit(
+    header: Header, drive: HalfBridgeKeys, name: str = "half_bridge"
+) -> Subcircuit:
     """Two transistors, gate resistors, reservoir; ``command`` switches at half the rail."""
     docs = {
         "rail": "supply",
@@ -98,15 +111,19 @@ def half_bridge_subcircuit(header: Header, drive: HalfBridge) -> Subcircuit:
         "reservoir": "capacitor that the pulse's charge comes from",
         "supply_resistance": "through which it is refilled",
     }
-    return _part(header, "half_bridge", "half-bridge for the chip", drive, docs)
+    return _part(header, "half_bridge", name, "half-bridge for the chip", drive, docs)
 
 
-def amplifier_subcircuit(header: Header, drive: Amplifier) -> Subcircuit:
+def amplifier_subcircuit(
+    header: Header, drive: AmplifierKeys, name: str = "amplifier"
+) -> Subcircuit:
     """``V(out) = V(command)`` within rails, bandwidth, slew rate and current; needs opamp_slew."""
-    return _part(header, "amplifier", "high-voltage amplifier for the chip", drive, _AMPLIFIER)
+    return _part(
+        header, "amplifier", name, "high-voltage amplifier for the chip", drive, _AMPLIFIER
+    )
 
 
-def charge_drive_subcircuit(header: Header, drive: ChargeDrive) -> Subcircuit:
+def charge_drive_subcircuit(header: Header, drive: ChargeKeys, name: str = "charge") -> Subcircuit:
     """Chip charge ``= capacitance V(command)`` on a floating chip; needs opamp_slew."""
     docs = {
         "capacitance": "charge of the chip per volt of command",
@@ -114,10 +131,12 @@ def charge_drive_subcircuit(header: Header, drive: ChargeDrive) -> Subcircuit:
         **_AMPLIFIER,
     }
     pins = ("anode", "cathode")
-    return _part(header, "charge", "charge drive for the chip", drive, docs, pins)
+    return _part(header, "charge", name, "charge drive for the chip", drive, docs, pins)
 
 
-def linear_subcircuit(header: Header, drive: LinearDrive, load: Load, current: float) -> Subcircuit:
+def linear_subcircuit(
+    header: Header, drive: LinearKeys, load: Load, current: float, name: str = "linear"
+) -> Subcircuit:
     """Coil current ``V(command) / 100 Ohm`` from an amplifier between ``+-rail``."""
     resistance = load.resistance + SENSE
     ratio = 2 * math.pi * drive.bandwidth * load.inductance / SENSE
@@ -128,14 +147,14 @@ def linear_subcircuit(header: Header, drive: LinearDrive, load: Load, current: f
     )
     r2 = 1e3 * ratio
     return _rendered(
-        header, "linear", "current source for the coils", params, ("drive", "ret"),
+        header, "linear", name, "current source for the coils", params, ("drive", "ret"),
         sense=SENSE, inductance=load.inductance, resistance=resistance, bandwidth=drive.bandwidth,
         r2=r2, c1=load.inductance / resistance / r2,
         gbw=5 * drive.bandwidth * (1 + ratio),
     )  # fmt: skip
 
 
-def pwm_subcircuit(header: Header, drive: PwmDrive, load: Load) -> Subcircuit:
+def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm") -> Subcircuit:
     """Coil current ``V(command) / 100 Ohm`` from an H-bridge; needs opamp."""
     resistance = load.resistance + 2 * drive.resistance + 1.0
     r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
@@ -146,7 +165,7 @@ def pwm_subcircuit(header: Header, drive: PwmDrive, load: Load) -> Subcircuit:
         Param("edge", drive.edge, "s", "of the switched voltage"),
     )
     return _rendered(
-        header, "pwm", "H-bridge for the coils", params, ("drive", "ret"),
+        header, "pwm", name, "H-bridge for the coils", params, ("drive", "ret"),
         sense=SENSE, inductance=load.inductance, resistance=resistance, bandwidth=drive.bandwidth,
         carrier=CARRIER, r2=r2, c1=load.inductance / resistance / r2,
     )  # fmt: skip
@@ -168,6 +187,7 @@ _UNITS = {
 
 def _part(
     header: Header,
+    template: str,
     name: str,
     title: str,
     drive: Section,
@@ -176,11 +196,12 @@ def _part(
 ) -> Subcircuit:
     """A driver whose parameters are the keys of its scene section."""
     params = tuple(Param(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items())
-    return _rendered(header, name, title, params, terminals)
+    return _rendered(header, template, name, title, params, terminals)
 
 
 def _rendered(
     header: Header,
+    template: str,
     name: str,
     title: str,
     params: tuple[Param, ...],
@@ -193,7 +214,7 @@ def _rendered(
         Pin("ref", *_VOLT),
     )
     text = render(
-        f"driver_{name}.j2",
+        f"driver_{template}.j2",
         header=part_header(header, f"{name}: {title}", pins, params),
         name=name,
         pins=[pin.name for pin in pins],
@@ -203,10 +224,111 @@ def _rendered(
     return Subcircuit(name, pins, params, text)
 
 
-def _nodes(part: Subcircuit, renamed: dict[str, str]) -> tuple[str, ...]:
-    return tuple(renamed.get(pin.name, pin.name) for pin in part.pins)
+class _Driver(PartType):
+    """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``."""
+
+    terminals: tuple[str, ...] = ("out",)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        ends = (Terminal(name, *_VOLT, required=True) for name in self.terminals)
+        return (Terminal("command", *_SIGNAL), *ends, Terminal("ref", *_VOLT, "gnd"))
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        values = ", ".join(f"{key} {value:g}" for key, value in part.keys)
+        return Modelled(f"{part.name} ({self.name})", "circuit", values)
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        if pin == self.terminals[0] and self.terminals[0] != "drive":
+            return Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
+        return None
 
 
-def _user(driver: KickDriver | CatchDriver, nodes: tuple[str, ...]) -> Driver:
-    assert driver.user is not None, "a checked scene chose one driver"
-    return Driver((), checked(driver.user.subckt, where="driver.user.subckt"), nodes)
+class HalfBridge(_Driver):
+    name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
+    schema = HalfBridgeKeys
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        return (half_bridge_subcircuit(header, part.keys, build.libraries[part.name]),)
+
+
+class Amplifier(_Driver):
+    name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
+    schema = AmplifierKeys
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (
+            opamp_subcircuit(header, "slew"), amplifier_subcircuit(header, part.keys, name)
+        )  # fmt: skip
+
+
+class ChargeDrive(_Driver):
+    name, title = "charge_drive", "charge drive for a floating capacitive load"
+    schema = ChargeKeys
+    terminals = ("anode", "cathode")
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return "charge" if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (
+            opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, part.keys, name)
+        )  # fmt: skip
+
+
+class _CoilDriver(_Driver):
+    terminals = ("drive", "ret")
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        control = scene.only("pid")
+        return {} if control is None else {"command": f"{control.name}.command"}
+
+    def load(self, part: Part, build: Build) -> Load:
+        """What the coils at its terminals are, with the sphere at the set point."""
+        coils = _neighbour(part, "drive", build.scene, "ring_magnet_coils")
+        control = _neighbour(part, "command", build.scene, "pid")
+        height = control.keys.setpoint if control else 0.0
+        return coil_load(build.model(coils), height)
+
+
+class LinearDrive(_CoilDriver):
+    name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
+    schema = LinearKeys
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return "linear" if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        control = _neighbour(part, "command", build.scene, "pid")
+        limit = control.keys.current_limit if control else 1.0
+        name = build.libraries[part.name]
+        load = self.load(part, build)
+        return (
+            opamp_subcircuit(header, "slew"),
+            linear_subcircuit(header, part.keys, load, limit, name),
+        )
+
+
+class PwmDrive(_CoilDriver):
+    name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
+    schema = PwmKeys
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return "pwm" if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name, load = build.libraries[part.name], self.load(part, build)
+        return (opamp_subcircuit(header), pwm_subcircuit(header, part.keys, load, name))
+
+
+def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
+    """The part of this kind that a pin is joined to."""
+    for name, _ in scene.joined(part.name, pin):
+        if scene.parts[name].type.name == kind:
+            return scene.parts[name]
+    return None
+
+
+for _type in (HalfBridge, Amplifier, ChargeDrive, LinearDrive, PwmDrive):
+    register(_type())

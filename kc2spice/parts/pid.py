@@ -2,19 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from math import pi
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.opamp import BANDWIDTH
-from kc2spice.scene.schema import Control
+from kc2spice.core.quantities import Current, Length, Section, Time, si
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+EDGE = 1e-8  # s, of the enabling signal
+SETTLING_BAND = 0.05  # of the step from rest to set point
+SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
+
+
+class Control(Section):
+    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+
+    setpoint: Length = 2.5e-3
+    kp: Annotated[float, si("A/m")] = 5e4
+    ki: Annotated[float, si("A/(m s)")] = 10.0
+    kd: Annotated[float, si("A s/m")] = 20.0
+    rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
+    current_limit: Current = Field(0.1, gt=0)
+    enable_at: Time | tuple[Time, ...] = Field(0.5e-3, description="one time or a list")
+    disable_at: tuple[Time, ...] = Field((), description="after each enable_at but the last")
+    of: str | None = Field(None, description="the sphere whose height it controls; the only one")
+    coils: str | None = Field(None, description="the coils that it feeds; the only ones")
+
+    @property
+    def switching(self) -> tuple[tuple[float, float], ...]:
+        """Times [s] and states, 1 enabled and 0 not, in order."""
+        on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
+        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
+        return tuple(sorted(both))
 
 
 def pid_current(
@@ -87,3 +119,188 @@ def pid_subcircuit(
         output=output,
     )
     return Subcircuit(name, pins, params, text)
+
+
+class Pid(PartType):
+    name = "pid"
+    title = "PID controller of a sphere's height, of operational amplifiers"
+    schema = Control
+    short_for = ("control",)
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
+        if len(switching) == 1:
+            wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
+            return {f"{part.name}_enable": {"part": "source", "pulse": wave, "pins": pins}}
+        points, state = [(0.0, 0.0)], 0.0
+        for time, value in switching:
+            points += [(max(time, 1e-9), state), (max(time, 1e-9) + EDGE, value)]
+            state = value
+        return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        ends = (
+            (Terminal("command", "V", "A"),)
+            if _remote(part, scene)
+            else (Terminal("drive", "V", "A"), Terminal("sense", "V", "A"))
+        )
+        return (
+            Terminal("y", "um", "-", required=True),
+            Terminal("enable", "V", "-"),
+            *ends,
+            Terminal("ref", "V", "A", "gnd"),
+        )
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        joins = {}
+        ball = part.keys.of or getattr(scene.only("sphere"), "name", None)
+        if ball is not None:
+            joins["y"] = f"{ball}.y"
+        coils = _coils(part, scene)
+        if not _remote(part, scene):
+            joins |= {"drive": f"{coils.name}.drive", "sense": f"{coils.name}.ret"}
+        return joins
+
+    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        coils = _coils(part, scene)
+        return () if _remote(part, scene) else (f"{coils.name}.drive", f"{coils.name}.ret")
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, coils = part.keys, _coils(part, scene)
+        if not coils.keys.y_min < keys.setpoint < coils.keys.y_max:
+            yield UsageError(
+                "outside the force table", where=f"{part.name}.setpoint",
+                got=f"height {keys.setpoint:g} m",
+                expected=f"between {coils.keys.y_min:g} and {coils.keys.y_max:g} m",
+                hint=f"{coils.name}.y_min and {coils.name}.y_max set the table's range",
+            )  # fmt: skip
+        times = [time for time, _ in keys.switching]
+        states = [state for _, state in keys.switching]
+        if min(times) < 0 or states != [1.0, 0.0] * (len(states) // 2) + [1.0] * (len(states) % 2):
+            yield UsageError(
+                "enable and disable times do not alternate", where=f"{part.name}.enable_at",
+                got=f"{keys.enable_at}, disabled at {keys.disable_at}",
+                expected="an enable time, then a disable time, and so on, all from 0 on",
+            )  # fmt: skip
+        if scene.analysis.type == "transient" and times[0] >= scene.stop:
+            yield UsageError(
+                "the controller starts after the simulation ends",
+                where=f"{part.name}.enable_at", got=f"{times[0]:g} s",
+                expected=f"before the end of the simulation, {scene.stop:g} s",
+            )  # fmt: skip
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        local = not _remote(part, build.scene)
+        name = build.libraries[part.name]
+        return (
+            opamp_subcircuit(header),
+            pid_subcircuit(header, part.keys, output=local, name=name),
+        )
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
+        if _remote(part, build.scene):
+            wanted = f"v({build.net(part, 'command')})"
+            found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
+        return found
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        ball = _ball(part, build.scene)
+        if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
+            return {}
+        t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
+        step = abs(setpoint - ball.keys.radius)
+        settled = settling_time(t, y, setpoint, SETTLING_BAND * step)
+        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        return {
+            "settling_time_s": settled,
+            "final_error_m": float(setpoint - y[-1]),
+            "hold_current_a": None if current is None else tail_mean(t, current),
+            "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
+        }
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        if current is None or "time" not in waves:
+            return
+        t, start = waves["time"], part.keys.switching[0][0]
+        limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
+        share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
+        yield Check(
+            "saturation", share, SATURATED, "of the time",
+            f"the coils cannot give what the controller asks for: raise {part.name}.current_limit",
+            build.scene.checks.saturation,
+        )  # fmt: skip
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        coils = "real coils" if _remote(part, scene) else "current-driven coils"
+        detail = f"op-amp PID, output clamped at {part.keys.current_limit:g} A, {coils}"
+        return Modelled(part.name, "circuit", detail)
+
+    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        known = part.keys.current_limit == Control().current_limit
+        yield ErrorRow(
+            "controller",
+            None,
+            3.5e-5 if known else None,
+            "op-amps with finite gain",
+            "not part of the budget: what real op-amps do to the position, against an ideal PID",
+        )
+
+
+def _ball(part: Part, scene: Scene) -> Part | None:
+    return scene.parts.get(part.keys.of) if part.keys.of else scene.only("sphere")
+
+
+def _coils(part: Part, scene: Scene) -> Part:
+    """The coils that it feeds.
+
+    Raises
+    ------
+    UsageError : none are named and there are not exactly one pair.
+    """
+    if part.keys.coils is not None:
+        return scene.part(part.keys.coils, f"{part.name}.coils")
+    found = scene.only("ring_magnet_coils")
+    if found is None:
+        raise UsageError(
+            f"{part.name} needs this part", where="catch",
+            hint="add [catch]; an empty table takes the defaults, or name one with coils = NAME",
+        )  # fmt: skip
+    return found
+
+
+def _remote(part: Part, scene: Scene) -> bool:
+    """Whether another circuit drives the coils, so that it ends at ``command``."""
+    targets = [t for other in scene.parts.values() for t in other.pins.values()]
+    return (
+        bool(_coils(part, scene).keys.driver)
+        or f"{part.name}.command" in targets
+        or "command" in part.pins
+    )
+
+
+def _label(part: Part, scene: Scene) -> str:
+    coils = _coils(part, scene)
+    return "coil" if coils.name == "catch" else coils.name
+
+
+def tail_mean(t: np.ndarray, values: np.ndarray) -> float:
+    """Time average over the last twentieth of the run."""
+    tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
+    return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
+
+
+def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
+    """Last entry into ``target`` ± ``band``, interpolated; None if the data end outside."""
+    outside = np.abs(y - target) > band
+    if outside[-1]:
+        return None
+    if not outside.any():
+        return float(t[0])
+    k = int(np.flatnonzero(outside)[-1])
+    edge = target + np.copysign(band, y[k] - target)
+    return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
+
+
+register(Pid())

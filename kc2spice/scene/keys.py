@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, get_args
@@ -12,7 +11,8 @@ from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Frame
+from kc2spice.scene.parttype import part_types
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,11 @@ class Key:
     default: Any
     choices: tuple[str, ...]
     doc: str
+
+
+def short_names() -> dict[str, str]:
+    """Names of tables that need no ``part`` key, and the type that they mean."""
+    return {short: kind.name for kind in part_types().values() for short in kind.short_for}
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -47,13 +52,13 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return tuple(arg for arg in get_args(annotation) if isinstance(arg, str))
 
 
-def scene_keys(model: type[BaseModel] = Scene, prefix: str = "") -> Iterator[Key]:
-    """All keys in the order of the schema."""
+def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """All keys of a schema in its order, those of its tables by dotted names."""
     for name, field in model.model_fields.items():
         section = submodel(field.annotation)
-        dotted = f"{prefix}{name}"
+        dotted = f"{prefix}{field.alias or name}"
         if section is not None:
-            yield from scene_keys(section, f"{dotted}.")
+            yield from model_keys(section, f"{dotted}.")
             continue
         default = None if field.default is PydanticUndefined else field.default
         yield Key(
@@ -61,10 +66,12 @@ def scene_keys(model: type[BaseModel] = Scene, prefix: str = "") -> Iterator[Key
         )
 
 
-def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
-    """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
-    leaves: dict[str, str] = {}
-    for choice in choices:
-        leaves.setdefault(choice.rpartition(".")[2], choice)
-    near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
-    return f"did you mean {leaves[near[0]]!r}?" if near else None
+def scene_keys() -> Iterator[Key]:
+    """All keys of all scenes: those of no part, then those of each part type.
+
+    A part's keys stand under the name that needs no ``part`` key, else under the type's name.
+    """
+    yield from model_keys(Frame)
+    for kind in part_types().values():
+        for name in kind.short_for or (kind.name,):
+            yield from model_keys(kind.schema, f"{name}.")

@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.words import did_you_mean
+from kc2spice.scene.budget import BUDGET_KEYS, fill
 from kc2spice.scene.checks import problems
-from kc2spice.scene.division import KEYS
-from kc2spice.scene.keys import did_you_mean, scene_keys, submodel
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.compose import composed
+from kc2spice.scene.keys import model_keys, short_names, submodel
+from kc2spice.scene.model import GROUND, Frame, Part, Scene
+from kc2spice.scene.parttype import PartType, part_types
 
 MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
+_GRAMMAR = ("part", "pins")  # keys of every part table
 
 KeyPath = tuple[str | int, ...]
 
@@ -34,34 +39,142 @@ def gallery() -> dict[str, Traversable]:
     return {name: found[name] for name in sorted(found) if found[name].name.endswith(".toml")}
 
 
-def load_scene(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene, apply ``dotted.key=value`` overrides in order, check it.
+def load_scene(
+    name_or_path: str | Path | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+) -> Scene:
+    """Read a scene, apply overrides in order, check it and join its parts.
 
-    A value is TOML (``80``, ``"80 V"``, ``[0, 1e5]``) or a bare word or quantity (``80 V``,
-    ``antiparallel``); numbers are SI.
+    Parameters
+    ----------
+    name_or_path : gallery name, path of a TOML file, or the tables themselves.
+    overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
+        or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
+        values; numbers are SI.
 
     Raises
     ------
-    UsageError : no such scene, not TOML, unknown key, bad value, keys that contradict each other.
+    UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
+        each other, pins that do not fit.
     """
-    source = _open(name_or_path)
-    data = source.parse()
+    if isinstance(name_or_path, Mapping):
+        source = _Source("scene", "scene", "", Path())
+        data = _copied(name_or_path)
+    else:
+        source = _open(name_or_path)
+        data = source.parse()
     data.setdefault("name", source.stem)
-    for override in overrides:
-        _override(data, override, source)
+    if isinstance(overrides, Mapping):
+        for name, value in overrides.items():
+            _put(data, name, value, f"{name}={value}", source)
+    else:
+        for override in overrides:
+            _override(data, override, source)
+    return _scene(data, source)
+
+
+def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy whose tables may be changed."""
+    return {k: _copied(v) if isinstance(v, Mapping) else v for k, v in tables.items()}
+
+
+def _scene(data: dict[str, Any], source: _Source) -> Scene:
+    types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
+    for name, part_type in types.items():
+        if "part" not in data[name]:
+            data[name] = {**part_type.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
-        _make_way(data, source)
+        _drop_budgeted(data, source)
+    data, budgeted = fill(data, types)
+    frame = {key: data[key] for key in data if key not in types}
     try:
-        scene = Scene.model_validate(data)
+        scene = Scene(Frame.model_validate(frame), {}, home=source.folder, budgeted=budgeted)
     except ValidationError as error:
-        raise _explain(error.errors()[0], data, source) from None
-    for problem in problems(scene):
-        key = tuple(str(problem.where).split("."))
-        problem.where = source.where(key)
-        raise problem
-    if scene.include:
-        scene._home = source.folder
-    return scene
+        raise _explain(error.errors()[0], (), Frame, source) from None
+    parts = {name: _part(name, data[name], kind, source) for name, kind in types.items()}
+    for part in list(parts.values()):
+        for name, table in part.type.expand(part, data).items():
+            if name in parts:
+                raise UsageError(
+                    "this name is taken", where=source.where((name,)), got=name,
+                    expected=f"another name: {part.name} brings a part of this one along",
+                )  # fmt: skip
+            parts[name] = _part(name, dict(table), part_types()[table["part"]], source)
+    scene = replace(scene, parts=parts)
+    if scene.frame.analysis == Frame.model_fields["analysis"].default:
+        asked = [part.type.analysis(part, scene) for part in parts.values()]
+        chosen = [each for each in asked if each is not None]
+        if chosen:
+            frame_now = scene.frame.model_copy(update={"analysis": chosen[0]})
+            scene = replace(scene, frame=frame_now)
+    try:
+        for problem in problems(scene):
+            raise problem
+        return composed(scene)
+    except UsageError as problem:
+        if problem.where is not None:
+            problem.where = source.where(tuple(str(problem.where).split(".")))
+        raise
+
+
+def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str, Mapping]]:
+    """Top-level tables that are parts."""
+    taken: dict[str, str] = {}
+    for name, table in data.items():
+        if name in Frame.model_fields:
+            continue
+        if not isinstance(table, Mapping):
+            near = did_you_mean(name, Frame.model_fields)
+            raise UsageError(
+                "unknown key", where=source.where((name,)), hint=near,
+                expected="one of " + ", ".join(Frame.model_fields) + ", or a table with part = TYPE",
+            )  # fmt: skip
+        if not _NAME.fullmatch(name) or name.lower() == GROUND:
+            raise UsageError(
+                "not a name for a part", where=source.where((name,)), got=repr(_short(name)),
+                expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
+            )  # fmt: skip
+        if name.lower() in taken:
+            raise UsageError(
+                "two parts whose names differ in case only", where=source.where((name,)),
+                got=f"{taken[name.lower()]} and {name}", expected="netlists do not tell case apart",
+            )  # fmt: skip
+        taken[name.lower()] = name
+        yield name, table
+
+
+def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
+    types, short = part_types(), short_names()
+    chosen = table.get("part", short.get(name))
+    if chosen is None:
+        near = did_you_mean(name, [*Frame.model_fields, *short])
+        raise UsageError(
+            "this table is no part of the grammar and says no part type",
+            where=source.where((name,)),
+            expected="part = one of " + ", ".join(types),
+            hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
+        )
+    if not isinstance(chosen, str) or chosen not in types:
+        raise UsageError(
+            "unknown part type", where=source.where((name, "part")), got=repr(chosen),
+            expected="one of " + ", ".join(types), hint=did_you_mean(str(chosen), types),
+        )  # fmt: skip
+    return types[chosen]
+
+
+def _part(name: str, table: Mapping[str, Any], part_type: PartType, source: _Source) -> Part:
+    pins = table.get("pins", {})
+    if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
+        raise UsageError(
+            "pins is no table of names", where=source.where((name, "pins")), got=_short(repr(pins)),
+            expected='pins = { PIN = "part.pin" } or "gnd"',
+        )  # fmt: skip
+    keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
+    try:
+        checked = part_type.schema.model_validate(keys, context={"home": source.folder})
+    except ValidationError as error:
+        raise _explain(error.errors()[0], (name,), part_type.schema, source) from None
+    return Part(name, part_type, checked, dict(pins))
 
 
 @dataclass(frozen=True)
@@ -129,6 +242,10 @@ def _override(data: dict[str, Any], text: str, source: _Source) -> None:
     if not equals or not value or not _KEY.fullmatch(name):
         example = "dotted.key=value, such as kick.drive.voltage=80"
         raise UsageError("not an override", where="--set", got=repr(_short(text)), expected=example)
+    _put(data, name, _toml_value(value), text, source)
+
+
+def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source) -> None:
     path = tuple(name.split("."))
     source.overrides[path] = text
     table = data
@@ -138,12 +255,12 @@ def _override(data: dict[str, Any], text: str, source: _Source) -> None:
             prefix = ".".join(path[:depth])
             raise UsageError(f"{prefix} is a value, not a table", where=source.where(path))
     table.pop(_ALTERNATIVES.get(name, ""), None)
-    table[path[-1]] = _toml_value(value)
+    table[path[-1]] = value
 
 
-def _make_way(data: dict[str, Any], source: _Source) -> None:
+def _drop_budgeted(data: dict[str, Any], source: _Source) -> None:
     """Drop what the file says about keys that an overriding error_budget sets."""
-    for name in (name for names in KEYS.values() for name in names):
+    for name in BUDGET_KEYS:
         section, key = name.split(".")
         if (section, key) not in source.overrides and isinstance(data.get(section), dict):
             data[section].pop(key, None)
@@ -158,13 +275,15 @@ def _toml_value(text: str) -> Any:
     return table["value"] if set(table) == {"value"} else text
 
 
-def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> UsageError:
-    """One finding of the schema in the words of a scene's author."""
-    path, context = error["loc"], error.get("ctx", {})
+def _explain(
+    error: ErrorDetails, prefix: KeyPath, schema: type[BaseModel], source: _Source
+) -> UsageError:
+    """One finding of a schema in the words of a scene's author."""
+    path, context = (*prefix, *error["loc"]), error.get("ctx", {})
     where, got = source.where(path), _short(repr(error["input"]))
     match error["type"]:
         case "extra_forbidden":
-            return _unknown_key(path, where)
+            return _unknown_key(error["loc"], schema, where, prefix)
         case "missing":
             return UsageError(f"{_dotted(path)} is missing", where=where)
         case "string_pattern_mismatch":
@@ -188,25 +307,31 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> U
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
-            return UsageError("out of range", where=where, got=got, expected=limit + _in_unit(path))
+            return UsageError(
+                "out of range",
+                where=where,
+                got=got,
+                expected=limit + _in_unit(error["loc"], schema),
+            )
         case _:
             return UsageError(error["msg"], where=where, got=got)
 
 
-def _unknown_key(path: KeyPath, where: str) -> UsageError:
-    model: Any = Scene
+def _unknown_key(path: KeyPath, schema: type[BaseModel], where: str, prefix: KeyPath) -> UsageError:
+    model: Any = schema
     for part in path[:-1]:
-        model = submodel(model.model_fields[str(part)].annotation)
-    fields = list(model.model_fields)
+        if isinstance(part, str) and part in model.model_fields:
+            model = submodel(model.model_fields[part].annotation) or model
+    fields = [*model.model_fields, *(_GRAMMAR if prefix and len(path) == 1 else ())]
     near = did_you_mean(str(path[-1]), fields)
     if near is None:
-        near = did_you_mean(_dotted(path), [key.name for key in scene_keys()])
+        near = did_you_mean(str(path[-1]), [key.name for key in model_keys(schema)])
     return UsageError("unknown key", where=where, expected="one of " + ", ".join(fields), hint=near)
 
 
-def _in_unit(path: KeyPath) -> str:
+def _in_unit(path: KeyPath, schema: type[BaseModel]) -> str:
     names = [str(part) for part in path if isinstance(part, str)]
-    unit = {key.name: key.unit for key in scene_keys()}.get(".".join(names))
+    unit = {key.name: key.unit for key in model_keys(schema)}.get(".".join(names))
     return f" {unit}" if unit else ""
 
 

@@ -20,8 +20,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
-from kc2spice.sim.rungs import own_reltol
-from kc2spice.spice.circuit import Deck
+from kc2spice.sim.settings import own_reltol
+from kc2spice.spice.deck import Deck, terms
 
 POLL = 0.05  # s between two looks at the growing raw file
 
@@ -222,7 +222,7 @@ def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     scale = names[0] if names[0] in ("time", "frequency") else "sweep"
     data = {scale: vectors[names[0]].real.copy()}
     for key, (expression, factor) in deck.vectors.items():
-        parts = [_vector(deck, vectors, v) for v in expression.split("+")]
+        parts = [sign * _vector(deck, vectors, v) for sign, v in terms(expression)]
         data[key] = factor * np.sum(parts, axis=0)
     return data
 

@@ -1,4 +1,4 @@
-"""Netlists as data: pins, parameters, subcircuits and decks. Text is made once, from these."""
+"""Netlists as data: pins, parameters and subcircuits."""
 
 from __future__ import annotations
 
@@ -32,25 +32,9 @@ class Subcircuit:
     pins: tuple[Pin, ...]
     params: tuple[Param, ...]
     text: str
+    file: str | None = None
 
     @property
     def filename(self) -> str:
         """Name of the library file that holds this part."""
-        return f"{self.name}.lib"
-
-
-@dataclass(frozen=True)
-class Deck:
-    """A testbench with its libraries: ``{file name: text}``; ``main`` is the file ngspice reads.
-
-    ``vectors`` maps result names of ``waveforms.npz`` to ngspice vectors and the factor to SI.
-    ``stop`` is the last time point [s] of a transient, None otherwise. ``parts`` are the
-    subcircuits whose texts the library files are.
-    """
-
-    name: str
-    main: str
-    files: dict[str, str]
-    vectors: dict[str, tuple[str, float]]
-    stop: float | None
-    parts: tuple[Subcircuit, ...] = ()
+        return self.file or f"{self.name}.lib"

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Xyce
 from kc2spice.spice.statements import Statement, statements
 from kc2spice.spice.veriloga import library

@@ -38,7 +38,6 @@ def plan_lines(found: Plan) -> str:
     budget = "" if found.error_budget is None else f", error_budget {found.error_budget:g}"
     facts = {
         "modelled": ", ".join(part.part for part in found.parts),
-        "ports": ", ".join(found.ports),
         f"relative errors expected{budget}": ", ".join(errors),
         "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
     }

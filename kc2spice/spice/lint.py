@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.elements import Element, Scope, behaviour, circuit
 from kc2spice.spice.expression import Binary, Call, Name, Number, Probe, parse, walk
 from kc2spice.spice.statements import Statement

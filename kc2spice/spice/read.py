@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.statements import beside, statements
 
 
@@ -30,4 +30,5 @@ def read_deck(main: Path) -> Deck:
             if s.keyword in (".include", ".inc") and " " in s.text:
                 target = beside(name, s.text.split(None, 1)[1].strip("\"' "))
                 waiting += [target] if target not in files else []
-    return Deck(main.stem, main.name, files, {}, None)
+    text = files.pop(main.name)
+    return Deck(name=main.stem, text=text, more=files)

@@ -1,31 +1,157 @@
-"""From a scene and its models to a deck, whichever experiment it is."""
+"""From a scene and the models of its parts to a deck: every part is asked, none is known."""
 
 from __future__ import annotations
 
-from kc2spice.parts.experiments import scene_deck
+from collections.abc import Iterable, Iterator
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
 from kc2spice.scene.hash import scene_hash
-from kc2spice.scene.schema import Scene
-from kc2spice.spice.circuit import Deck
-from kc2spice.spice.header import Header
-from kc2spice.spice.included import included_netlists
-from kc2spice.workflow.models import Models
+from kc2spice.scene.keys import model_keys
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.scene.plan import plan
+from kc2spice.spice.cards import number
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.spice.header import Header, plan_lines
 
 
-def make_deck(scene: Scene, models: Models, *, trust: bool = False) -> Deck:
-    """The testbench of ``scene`` with the libraries that it includes.
-
-    ``trust`` lets included files act on the machine (see :mod:`kc2spice.spice.scan`).
+def make_deck(build: Build) -> Deck:
+    """The testbench of a scene with its libraries.
 
     Raises
     ------
-    UsageError : an included file that is missing or could act on the machine.
+    UsageError : an included file that is missing or could act on the machine, two libraries with
+        one name, a dc sweep of a key that no source has.
     """
-    kick = models.kick
-    return scene_deck(
-        scene,
-        Header(scene.name, scene_hash(scene)),
-        model=None if kick is None else kick.resonators,
-        ring_radii=None if kick is None else kick.ring_radii,
-        table=models.table,
-        included=included_netlists(scene, trust=trust),
+    scene = build.scene
+    header = Header(scene.name, scene_hash(scene))
+    parts = tuple(_libraries(build, header))
+    results = _results(build)
+    return Deck(
+        name=scene.name,
+        title=f"{scene.name}: {scene.title}",
+        notes=f"{header.origin()}\n{plan_lines(plan(scene))}",
+        parts=parts,
+        blocks=tuple(_blocks(build)),
+        options=tuple(_options(build)),
+        command=_command(build),
+        vectors={name: (v.expression, v.factor) for name, v in results.items()},
+        units={name: v.unit for name, v in results.items()},
+        stop=scene.stop if scene.analysis.type == "transient" else None,
+        initial=_initial(build),
     )
+
+
+def libraries(scene: Scene) -> dict[str, str]:
+    """Name of every part's subcircuit; parts that would share a name get one of their own."""
+    names = {part.name: part.type.library(part, scene) for part in scene.parts.values()}
+    low = [name.lower() for name in names.values()]
+    return {
+        part: name
+        if low.count(name.lower()) == 1 or scene.parts[part].type.uses_netlists(scene.parts[part])
+        else part
+        for part, name in names.items()
+    }
+
+
+def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
+    known: dict[str, Subcircuit] = {}
+    for part in build.scene.parts.values():
+        for found in part.type.subcircuits(part, build, header):
+            same = known.get(found.filename.lower())
+            if same is None:
+                known[found.filename.lower()] = found
+                yield found
+            elif same.text != found.text:
+                raise UsageError(
+                    "two different libraries have one name", where=part.name, got=found.filename,
+                    expected="names that differ", hint="rename the part or the included file",
+                )  # fmt: skip
+
+
+def _results(build: Build) -> dict:
+    found: dict = {}
+    for part in build.scene.parts.values():
+        found |= part.type.vectors(part, build)
+    return found
+
+
+def _blocks(build: Build) -> Iterator[Block]:
+    scene = build.scene
+    replaced = {
+        name: cards
+        for part in scene.parts.values()
+        for name, cards in part.type.instances(part, build).items()
+    }
+    for part in scene.parts.values():
+        cards = replaced.get(part.name)
+        cards = part.type.cards(part, build) if cards is None else cards
+        if cards:
+            yield Block(f"{part.name}: {part.type.title}", tuple(cards))
+
+
+def _options(build: Build) -> Iterable[Option]:
+    scene = build.scene
+    own = [
+        Option(key, value, reason)
+        for part in scene.parts.values()
+        for key, (value, reason) in part.type.options(part, scene).items()
+    ]
+    if scene.analysis.type != "transient":
+        return own
+    solver = scene.solver
+    speeds = [s for p in scene.parts.values() if (s := p.type.speed(p, scene)) is not None]
+    # Displacements shrink with the speed of an impact, and so does what a step may miss.
+    chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
+    return [
+        Option("reltol", number(solver.reltol), "error per step; decides the launch velocity"),
+        Option("trtol", "1", "trust the error estimate: contact needs every step it asks for"),
+        Option(
+            "chgtol",
+            number(chgtol),
+            f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step",
+        ),
+        Option("method", solver.method, "of integration"),
+        Option("acct", "", "print accepted and rejected steps, iterations and time"),
+        *own,
+    ]
+
+
+def _command(build: Build) -> Command:
+    scene = build.scene
+    chosen = scene.analysis
+    if chosen.type == "transient":
+        uic = any(p.type.without_operating_point(p, scene) for p in scene.parts.values())
+        return transient(scene.stop, scene.solver.max_step, uic=uic)
+    if chosen.type == "ac":
+        return ac(chosen.start, float(chosen.stop or 0.0), chosen.points, chosen.scale)
+    if chosen.type == "op":
+        return Command("op", ())
+    name, _, key = str(chosen.sweep).partition(".")
+    part = scene.part(name, "analysis.sweep")
+    found = part.type.dc(part, key, build)
+    if found is None:
+        raise UsageError(
+            "cannot be swept by dc", where="analysis.sweep", got=str(chosen.sweep),
+            expected="the dc value of a source, such as push.dc",
+            hint="kc2spice sweep varies any key, one run each",
+        )  # fmt: skip
+    source, scale = found
+    first, last = part.type.sweep_range(part, scene) or _range(part, key, chosen)
+    return dc(source, scale * first, scale * last, chosen.points)
+
+
+def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
+    units = {each.name: each.unit for each in model_keys(type(part.keys))}
+    unit = getattr(part.keys, "unit", None) or units.get(key) or ""
+    first, last = (quantity(getattr(chosen, name), unit) for name in ("from_", "to"))
+    return first, last
+
+
+def _initial(build: Build) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for part in build.scene.parts.values():
+        found |= part.type.initial(part, build)
+    return found if build.scene.analysis.type == "transient" else {}

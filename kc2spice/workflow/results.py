@@ -12,17 +12,17 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 
-_UNITS = {
-    "time": "s", "frequency": "Hz", "sphere.y": "m", "sphere.v": "m/s", "contact.force": "N",
-    "kick.u": "m", "kick.voltage": "V", "kick.current": "A", "coil.lower.current": "A",
-    "coil.upper.current": "A", "control.error": "m",
-}  # fmt: skip
+_SCALES = {"time": "s", "frequency": "Hz"}
 
 
-def write_waveforms(waves: Waveforms, directory: Path) -> list[str]:
+def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
     """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
     save_arrays(waves, directory / "waveforms.npz")
-    columns = {head: values for name in waves.data for head, values in _columns(name, waves[name])}
+    columns = {
+        head: values
+        for name in waves.data
+        for head, values in _columns(name, waves[name], units.get(name) or _SCALES.get(name, ""))
+    }
     head, table = ",".join(columns), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
@@ -33,17 +33,13 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
     np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
-def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
     """Heads and columns of one array; real and imaginary part of a complex one."""
     if np.iscomplexobj(values):
         yield f"{name} real", values.real
         yield f"{name} imag", values.imag
     else:
-        yield (f"{name} [{unit}]" if (unit := _unit(name)) else name), values
-
-
-def _unit(name: str) -> str:
-    return _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0], "")
+        yield (f"{name} [{unit}]" if unit else name), values
 
 
 def write_record(record: Mapping[str, Any], directory: Path, name: str = "result.json") -> None:

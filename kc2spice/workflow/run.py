@@ -6,26 +6,29 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 import kc2spice
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.fem.magnetics import table as emtable
-from kc2spice.report.easel import Easel
-from kc2spice.report.figures import model_figures, run_figures
-from kc2spice.report.metrics import metrics
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.figures import draw_all
+from kc2spice.report.plotworker import PlotWorker
 from kc2spice.report.run_page import write_run
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
-from kc2spice.scene.schema import Scene
-from kc2spice.sim.ladder import Climb
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_deck, write_files
-from kc2spice.spice.circuit import Deck
+from kc2spice.sim.retries import Outcome
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.dialect import DIALECTS, dialect_files
 from kc2spice.spice.lint import lint
 from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import Models, build_models, model_facts
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
@@ -45,27 +48,25 @@ def run(
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    # Drawing, and loading what draws, need not wait for the simulator, nor it for them.
-    with Easel() as easel, staged(out) as work:
-        models = build_models(scene, clock)
-        known = easel.draw(model_figures, work, scene, models.table)
+    # Loading what draws need not wait for the simulator, nor it for that.
+    with PlotWorker() as plots, staged(out) as work:
+        build = build_models(scene, clock, trust=trust)
         with clock.stage("export", "netlists"):
-            deck = _linted(scene, models, trust)
+            deck = _linted(build)
             write_deck(deck, work)
         simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
         kept = kept_on_failure(work, out, scene.name)
         with simulating as share, kept:
-            climbed = simulate(scene, models, deck, work, progress=share)
-        deck, waves = climbed.deck, climbed.waves
-        warn_of(climbed.truth.checks)
+            outcome = simulate(build, deck, work, progress=share)
+        deck, waves = outcome.deck, outcome.waves
+        warn_of(outcome.verdict.checks)
         with clock.stage("report", "metrics, plots and page"):
-            drawn = easel.draw(run_figures, work, scene, waves)
-            record = _record(scene, models, simulator, climbed, clock)
-            files = [*sorted(deck.files), *write_waveforms(waves, work)]
-            if models.table is not None:
-                emtable.save(models.table, work / "em_table.npz")
-                files.append("em_table.npz")
-            pictures = [*drawn.result(), *known.result()]
+            figures = run_figures(build, waves)
+            drawn = plots.draw(draw_all, work, figures)
+            record = _record(build, simulator, outcome, clock)
+            files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
+            files += _arrays(build, work)
+            pictures = drawn.result()
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
         write_run(work / "report.html", record, scene, pictures)
@@ -73,6 +74,22 @@ def run(
         for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
             spare.unlink(missing_ok=True)
     return cast(dict[str, Any], plain(record))
+
+
+def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
+    """What the parts of a scene show of a run."""
+    parts = build.scene.parts.values()
+    return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
+
+
+def _arrays(build: Build, directory: Path) -> list[str]:
+    """Write the parts' tables, and return the names of the files."""
+    names = []
+    for part in build.scene.parts.values():
+        for name, arrays in part.type.arrays(part, build).items():
+            np.savez_compressed(directory / name, **arrays)
+            names.append(name)
+    return names
 
 
 def export(
@@ -97,65 +114,53 @@ def export(
         )
     clock = Clock(progress)
     with staged(out) as work:
-        models = build_models(scene, clock)
+        build = build_models(scene, clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
-            deck = _linted(scene, models, trust)
+            deck = _linted(build)
             files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck.parts, dialect)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
 
 
-def _linted(scene: Scene, models: Models, trust: bool) -> Deck:
+def _linted(build: Build) -> Deck:
     """The scene's deck; wrong wiring is named with file and line before a simulator sees it."""
-    deck = make_deck(scene, models, trust=trust)
+    deck = make_deck(build)
     lint(deck)
     return deck
 
 
-def _record(
-    scene: Scene,
-    models: Models,
-    simulator: Simulator,
-    climbed: Climb,
-    clock: Clock,
-) -> dict[str, Any]:
-    waves, attempts, truth = climbed.waves, climbed.attempts, climbed.truth
+def _record(build: Build, simulator: Simulator, outcome: Outcome, clock: Clock) -> dict[str, Any]:
+    waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
     record: dict[str, Any] = {
-        "scene": scene.name,
+        "scene": build.scene.name,
         "version": kc2spice.__version__,
-        "netlist": climbed.deck.main,
+        "netlist": outcome.deck.main,
         "simulator": {
             "name": simulator.name,
             "version": simulator.version,
             "engine": "batch",
-            "rung": attempts[-1].rung,
+            "setting": attempts[-1].setting,
             "attempts": [attempt.record() for attempt in attempts],
         },
-        "model": model_facts(models),
+        "model": model_facts(build),
     }
-    if models.kick is not None:
-        record["rom"] = _rom(models.kick.resonators)
+    reduced = {
+        part.name: rom
+        for part in build.scene.parts.values()
+        if (rom := part.type.rom(part, build)) is not None
+    }
+    if reduced:
+        record["rom"] = next(iter(reduced.values()))
+        if len(reduced) > 1:
+            record["roms"] = reduced
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
         "simulator_cpu_s": waves.stats.get("cpu_s"),
-        "metrics": metrics(waves, scene),
-        "checks": [check.record() for check in truth.checks],
-        "energy_j": {name: book.entries for name, book in truth.books},
-        "plan": asdict(plan(scene)),
+        "metrics": metrics(waves, build),
+        "checks": [check.record() for check in found.checks],
+        "energy_j": {name: balance.entries for name, balance in found.balances},
+        "plan": asdict(plan(build.scene)),
         "wall_s": clock.wall_s,
     }
     return record
-
-
-def _rom(model: ResonatorModel) -> dict[str, Any]:
-    certificate = model.certificate
-    return {
-        "order": model.order,
-        "ports": [port.name for port in model.ports],
-        "band_hz": list(certificate.band_hz),
-        "error_estimate": certificate.error_estimate,
-        "method": certificate.method,
-        "stable": certificate.stable,
-        "passive": certificate.passive,
-    }

@@ -1,4 +1,4 @@
-"""One deck through the simulator: ladder, truth checks, and what is kept of a failed run."""
+"""One deck through the simulator: retries, checks, and what is kept of a failed run."""
 
 from __future__ import annotations
 
@@ -11,43 +11,39 @@ from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.schema import Scene
-from kc2spice.sim.ladder import Climb, LadderError, climb
-from kc2spice.sim.truth import Truth, TruthCheck, find_truth
-from kc2spice.spice.circuit import Deck
-from kc2spice.workflow.models import Models
+from kc2spice.scene.judge import Check, Verdict
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.retries import Outcome, RetriesFailedError, run_with_retries
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.results import save_arrays, write_record
 
 PARTIAL = "waveforms.partial.npz"
 
 
 def simulate(
-    scene: Scene,
-    models: Models | None,
+    build: Build,
     deck: Deck,
     directory: Path,
     *,
     progress: Callable[[float], None] | None = None,
     timeout: float | None = None,
-) -> Climb:
-    """Run ``deck`` up the scene's retry ladder; without ``models`` its result is not judged.
+) -> Outcome:
+    """Run ``deck`` with the scene's retries, its result judged by the scene's parts.
 
-    Raises as :func:`climb` does.
+    Raises as :func:`run_with_retries` does.
     """
 
-    def judge(waves: Waveforms) -> Truth:
-        if models is None:
-            return Truth()
-        model = None if models.kick is None else models.kick.resonators
-        return find_truth(waves, scene, models.table, model)
+    def judge(waves: Waveforms) -> Verdict:
+        return verdict(waves, build)
 
-    return climb(
-        deck, directory, retries=scene.solver.retries, judge=judge, progress=progress,
+    return run_with_retries(
+        deck, directory, retries=build.scene.solver.retries, judge=judge, progress=progress,
         timeout=timeout,
     )  # fmt: skip
 
 
-def warn_of(checks: Iterable[TruthCheck]) -> None:
+def warn_of(checks: Iterable[Check]) -> None:
     """One warning for each violated check."""
     for check in checks:
         if not check.passed:
@@ -78,7 +74,7 @@ def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
 def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
     record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
-    if isinstance(error, LadderError):
+    if isinstance(error, RetriesFailedError):
         failure = error.failure
         record["attempts"] = [attempt.record() for attempt in error.attempts]
         if failure is not None:

@@ -14,14 +14,14 @@ import numpy as np
 
 from kc2spice.fem.magnetics import mesh as magmesh
 from kc2spice.fem.magnetics.forms import LOWER, RING, SPHERE, UPPER
+from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.system import Pieces, assemble, condense
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.scene.schema import Catch, Part, Sphere
 
 Progress = Callable[[int, int], None]
 
 
-def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) -> EMTable:
+def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -> EMTable:
     """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
 
     ``progress(done, total)`` is called after each height.
@@ -35,7 +35,7 @@ def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) 
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = np.empty(y.size, dtype=int)
-    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y, condense), 1):
+    for done, (index, pieces) in enumerate(_pieces(catch, radius, y, condense), 1):
         system = pieces.system(y[index])
         fields = system.solve(system.loads)
         forces[index] = system.force(fields)
@@ -62,7 +62,7 @@ def catch_table(catch: Catch, sphere: Sphere, progress: Progress | None = None) 
 
 
 def brute_force(
-    catch: Catch, sphere: Sphere, currents: np.ndarray, progress: Progress | None = None
+    catch: Catch, radius: float, currents: np.ndarray, progress: Progress | None = None
 ) -> np.ndarray:
     """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
 
@@ -72,7 +72,7 @@ def brute_force(
     y = positions(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
-    for done, (index, pieces) in enumerate(_pieces(catch, sphere, y, lambda pieces: pieces), 1):
+    for done, (index, pieces) in enumerate(_pieces(catch, radius, y, lambda pieces: pieces), 1):
         for case, amplitude in enumerate(amplitudes):
             system = pieces.system(y[index])
             field = system.solve(system.loads @ amplitude[:, None])
@@ -92,21 +92,21 @@ def ring_sign(catch: Catch) -> float:
     return 1.0 if catch.polarity == "parallel" else -1.0
 
 
-def coil_resistance(catch: Catch, coil: Part) -> float:
+def coil_resistance(catch: Catch, coil: Ring) -> float:
     """``rho l / S`` [Ohm] of ``turns`` circles with the coil's mean radius."""
     length = catch.turns * pi * (coil.inner + coil.outer)
     return catch.resistivity * length / (pi * catch.wire_diameter**2 / 4)
 
 
 def _pieces(
-    catch: Catch, sphere: Sphere, y: np.ndarray, prepare: Callable[[Pieces], Pieces]
+    catch: Catch, radius: float, y: np.ndarray, prepare: Callable[[Pieces], Pieces]
 ) -> Iterator[tuple[int, Pieces]]:
     """Index and prepared pieces of each height; heights on one lattice share their meshes."""
-    pitch = magmesh.lattice_pitch(catch, sphere.radius, (y[-1] - y[0]) / (y.size - 1))
+    pitch = magmesh.lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
         chosen = np.flatnonzero(offset == value)
-        bore = magmesh.bore(catch, sphere.radius, pitch, y[chosen[0]], y[chosen[-1]])
+        bore = magmesh.bore(catch, radius, pitch, y[chosen[0]], y[chosen[-1]])
         pieces = prepare(assemble(catch, bore))
         for index in chosen:
             yield int(index), pieces

@@ -23,7 +23,7 @@ from skfem import Basis, BilinearForm, ElementTriP2, LinearForm, MeshTri2, conde
 from skfem.models.poisson import laplace
 
 from kc2spice.fem.magnetics import mesh as magmesh
-from kc2spice.scene.schema import Catch, Part
+from kc2spice.fem.magnetics.keys import Catch, Ring
 
 MU0 = 4e-7 * pi
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
@@ -124,6 +124,6 @@ def _body(catch: Catch, mesh: MeshTri2, magnet: np.ndarray, loads: list[np.ndarr
     return Body(basis.doflocs, centres, rows, cols, local, np.column_stack(loads))
 
 
-def _within(part: Part, points: np.ndarray) -> np.ndarray:
+def _within(part: Ring, points: np.ndarray) -> np.ndarray:
     left, low, right, high = magmesh.rectangle(part)
     return (points[0] > left) & (points[0] < right) & (points[1] > low) & (points[1] < high)

@@ -18,7 +18,7 @@ from skfem import MeshTri, MeshTri2
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.gmsh_session import gmsh_session
-from kc2spice.scene.schema import Catch, Part
+from kc2spice.fem.magnetics.keys import Catch, Ring
 
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
 # the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
@@ -45,12 +45,12 @@ class Bore:
     size: float
 
 
-def parts(catch: Catch) -> tuple[Part, Part, Part]:
+def parts(catch: Catch) -> tuple[Ring, Ring, Ring]:
     """Ring magnet, lower coil, upper coil."""
     return catch.ring, catch.lower, catch.upper
 
 
-def rectangle(part: Part) -> tuple[float, float, float, float]:
+def rectangle(part: Ring) -> tuple[float, float, float, float]:
     """Section of a part: r_min, y_min, r_max, y_max [m]."""
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
@@ -161,7 +161,7 @@ def _gap(catch: Catch, radius: float) -> float:
     if gap <= 0:
         raise UsageError(
             "the sphere does not fit through the ring and the coils",
-            where="sphere.radius",
+            where="radius",
             got=f"{radius:g} m",
             expected=f"less than the smallest inner radius, {gap + radius:g} m",
         )

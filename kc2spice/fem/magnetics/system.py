@@ -18,7 +18,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics import forms as magforms
 from kc2spice.fem.magnetics import mesh as magmesh
 from kc2spice.fem.magnetics.forms import Body
-from kc2spice.scene.schema import Catch
+from kc2spice.fem.magnetics.keys import Catch
 
 _MAX_RESIDUAL = 1e-9
 _COLUMNS = 64  # right-hand sides at a time in condense(): bounds its memory

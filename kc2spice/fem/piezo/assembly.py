@@ -10,10 +10,10 @@ from scipy.constants import epsilon_0
 from skfem import Basis, BilinearForm, ElementVector
 
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.keys import Chip, Material
+from kc2spice.fem.piezo.memory import require_memory
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.piezo.system import PiezoSystem, Port
-from kc2spice.linalg.memory import require_memory
-from kc2spice.scene.schema import Kick, Material
 
 QUARTERS = 4
 _AXES = 3
@@ -72,7 +72,7 @@ def _require_definite(matrix: np.ndarray, where: str) -> None:
         )
 
 
-def assemble_kick(kick: Kick, mesh: KickMesh | None = None) -> PiezoSystem:
+def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     """FE model of the quarter chip with ring ports R0, R1, ... and the anode, voltage driven.
 
     Boundary conditions: u_x = 0 on x = 0, u_y = 0 on y = 0, u_z = 0 on z = 0; even electrode

@@ -12,8 +12,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.assembly import free_displacements, ring_shapes
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh
-from kc2spice.scene.schema import Contact, Kick, Sphere
 
 ITERATIONS = 60
 
@@ -43,26 +43,24 @@ def sphere_gap(radius: float, distance: np.ndarray) -> np.ndarray:
 
 
 def contact_surface(
-    kick: Kick, contact: Contact, sphere: Sphere, *, per_node: bool = False
+    kick: Chip, stiffness: float, radius: float, *, per_node: bool = False
 ) -> ContactSurface:
     """One spring per ring (paper 2.3, grouped forces), or one per node with the ring's share.
 
-    ``contact.penalty`` is the stiffness of a ring of the sector in both cases; nodes on a symmetry
+    ``stiffness`` [N/m] is that of a ring of the sector in both cases, ``radius`` [m] the sphere's; nodes on a symmetry
     plane get half of their neighbours' share.
     """
     mesh = kick_mesh(kick)
     rings = ring_shapes(mesh)[free_displacements(mesh)]
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
     if not per_node:
-        penalty = np.full(rings.shape[1], contact.penalty)
-        return ContactSurface(
-            rings, sphere_gap(sphere.radius, radii), penalty, np.arange(len(radii))
-        )
+        penalty = np.full(rings.shape[1], stiffness)
+        return ContactSurface(rings, sphere_gap(radius, radii), penalty, np.arange(len(radii)))
     dof, ring = np.nonzero(rings)
     shapes = np.zeros((rings.shape[0], dof.size))
     shapes[dof, np.arange(dof.size)] = 1.0
     return ContactSurface(
-        shapes, sphere_gap(sphere.radius, radii[ring]), contact.penalty * rings[dof, ring], ring
+        shapes, sphere_gap(radius, radii[ring]), stiffness * rings[dof, ring], ring
     )
 
 

@@ -17,7 +17,7 @@ from skfem import ElementHex1, ElementHex2, MeshHex1, MeshHex2
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.gmsh_session import gmsh_session
-from kc2spice.scene.schema import Kick
+from kc2spice.fem.piezo.keys import Chip
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class KickMesh:
         return (len(self.heights) - 1) // self.steps
 
 
-def kick_mesh(kick: Kick) -> KickMesh:
+def kick_mesh(kick: Chip) -> KickMesh:
     """Mesh the quarter chip as ``kick.mesh`` says (paper 2.2.2, Fig. 3b).
 
     Raises
@@ -76,7 +76,7 @@ def kick_mesh(kick: Kick) -> KickMesh:
     )
 
 
-def _check(kick: Kick) -> None:
+def _check(kick: Chip) -> None:
     mesh, half = kick.mesh, kick.side / 2
     if mesh.rings * mesh.ring_spacing > half * (1 - 1e-6):
         raise UsageError(
@@ -95,7 +95,7 @@ def _check(kick: Kick) -> None:
         )
 
 
-def _in_plane(kick: Kick, steps: int) -> np.ndarray:
+def _in_plane(kick: Chip, steps: int) -> np.ndarray:
     """Lattice (rings + 1, spokes + 1, 2) of node positions; row 0 repeats the centre."""
     with gmsh_session("chip") as gmsh:
         _transfinite_patches(gmsh, kick, steps)
@@ -109,7 +109,7 @@ def _in_plane(kick: Kick, steps: int) -> np.ndarray:
     return _lattice(np.asarray(xyz).reshape(-1, 3)[:, :2], cells)
 
 
-def _transfinite_patches(gmsh: ModuleType, kick: Kick, steps: int) -> None:
+def _transfinite_patches(gmsh: ModuleType, kick: Chip, steps: int) -> None:
     """Two patches (below and above the diagonal) per ring, and two from the last ring to the edge.
 
     Curves carry ``steps`` nodes per ring and sector, so every node is the product of two lines.
@@ -165,7 +165,7 @@ def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:
 
 
 def _layer(
-    kick: Kick, plane: np.ndarray, steps: int
+    kick: Chip, plane: np.ndarray, steps: int
 ) -> tuple[MeshHex1, ElementHex1 | ElementHex2, np.ndarray]:
     """Bottom layer: a box in (ring, spoke, plane) coordinates whose nodes are then moved in place.
 

@@ -17,7 +17,6 @@ from kc2spice.fem.piezo.contact import ContactSurface, resting_forces
 from kc2spice.fem.piezo.newmark import Advance, Chip, LowRank, Refactorise
 from kc2spice.fem.piezo.operator import ShiftedSolver
 from kc2spice.fem.piezo.system import PiezoSystem
-from kc2spice.scene.schema import Drive
 
 Voltage = Callable[[float], float]
 Road = Literal["low_rank", "refactorise"]
@@ -57,12 +56,6 @@ class TransientResult:
     def force(self) -> np.ndarray:
         """Total contact force of the sector [N]."""
         return self.ring_force.sum(axis=1)
-
-
-def kick_pulse(drive: Drive) -> Voltage:
-    """The drive's trapezoid with its rise at t = 0; ``width`` counts at half height."""
-    corners = [0.0, drive.edge, drive.width, drive.width + drive.edge]
-    return lambda t: float(np.interp(t, corners, [0.0, drive.voltage, drive.voltage, 0.0]))
 
 
 class _State(NamedTuple):

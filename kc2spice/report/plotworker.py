@@ -20,21 +20,21 @@ from kc2spice.report.plots import load
 _START = "fork" if "fork" in mp.get_all_start_methods() else None
 
 
-class Easel:
+class PlotWorker:
     """Draws in a process of its own, one thing after the other; leave it as a context."""
 
-    def __enter__(self) -> Easel:
+    def __enter__(self) -> PlotWorker:
         context: Any = mp.get_context(_START)  # which has no type for its processes
         self._ours, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(self._ours, theirs), daemon=True)
         self._process.start()
         theirs.close()
-        self._courier = ThreadPoolExecutor(1)
+        self._thread = ThreadPoolExecutor(1)
         return self
 
     def draw(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Ask for ``function(*arguments)``; the future has what it returns or raises."""
-        return self._courier.submit(self._carry, function, arguments)
+        return self._thread.submit(self._carry, function, arguments)
 
     def _carry(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         try:
@@ -51,7 +51,7 @@ class Easel:
 
     def __exit__(self, *_: object) -> None:
         self._process.kill()  # idle, or nobody wants what it draws any more
-        self._courier.shutdown()
+        self._thread.shutdown()
         self._process.join()
         self._ours.close()
 

@@ -1,14 +1,53 @@
-"""Sections that say what a result must keep: truth checks of every run, gates of a verification."""
+"""Tables of a scene that belong to no part: reduction, solver, checks of a run, gates of verify."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from kc2spice.core.quantities import GateLength, GateTime, Ratio, Section
+from kc2spice.core.quantities import (
+    Charge,
+    Count,
+    Frequency,
+    GateLength,
+    GateTime,
+    Ratio,
+    Section,
+    Time,
+)
 
 Action = Literal["fail", "warn", "off"]
+
+
+class Rom(Section):
+    """Reduction: a fixed order (30 unless told), or a tolerance over a band."""
+
+    order: Count | None = Field(None, ge=1, le=2000)
+    tolerance: Ratio | None = Field(None, gt=0, lt=1)
+    band: tuple[Frequency, Frequency] = (0.0, 500e3)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        if "order" in data and "tolerance" in data:
+            context = {"reason": "order and tolerance are both set", "expected": "one of the two"}
+            raise PydanticCustomError("quantity", "{reason}", context)
+        return data if "tolerance" in data else {"order": 30, **data}
+
+
+class Solver(Section):
+    """ngspice settings that are written into the deck."""
+
+    reltol: Ratio = Field(1e-4, gt=0, lt=1)
+    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
+    method: Literal["trap", "gear"] = "trap"
+    max_step: Time = Field(10e-6, gt=0)
+    stop: Time = Field(5e-3, gt=0)
+    retries: Count = Field(3, ge=0, le=4, description="with other settings, after a failure")
 
 
 class Checks(Section):

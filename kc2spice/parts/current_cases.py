@@ -1,0 +1,114 @@
+"""Force of a pair of coils on a sphere over its height, for every pair of currents (Fig. 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.quantities import Current, Section
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.spice.cards import number
+
+HEIGHTS = 2001  # at which the lookup is read: five per segment
+
+
+class CurrentCasesKeys(Section):
+    """Each coil takes each current; the sphere's height is swept over the whole table."""
+
+    currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
+
+
+class CurrentCases(PartType):
+    name = "current_cases"
+    title = "force on a sphere over height for every pair of coil currents"
+    schema = CurrentCasesKeys
+    short_for = ("em_force",)
+    analysis_type = "dc"
+
+    def analysis(self, part: Part, scene: Scene) -> Analysis:
+        return Analysis(type="dc", sweep=f"{part.name}.height", points=HEIGHTS)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
+
+    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (_sphere(scene),)
+
+    def coil_currents(self, part: Part, scene: Scene) -> float | None:
+        return max(abs(current) for current in part.keys.currents)
+
+    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
+        return {_coils(build.scene).name: ()}
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        library, cards = build.libraries[_coils(build.scene).name], []
+        cards.append(f"Vheight {build.net(part, 'y')} 0 0")
+        y = build.net(part, "y")
+        for k, (lower, upper) in enumerate(cases(part)):
+            cards += [
+                f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
+                f"Xcatch{k} lower{k} 0 upper{k} 0 {y} force{k} 0 {library}",
+                f"Ilower{k} 0 lower{k} {number(lower)}",
+                f"Iupper{k} 0 upper{k} {number(upper)}",
+                f"Rforce{k} force{k} 0 1",
+            ]
+        return tuple(cards)
+
+    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
+        return ("Vheight", 1e6) if key == "height" else None
+
+    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
+        keys = _coils(scene).keys
+        return (keys.y_min + keys.shift, keys.y_max + keys.shift)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found = {f"{_sphere(build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
+        for k in range(len(cases(part))):
+            found[f"{_coils(build.scene).name}.force.{k}"] = Vector(f"v(force{k})", 1.0, "N")
+        return found
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        name = _coils(build.scene).name
+        forces = [waves[f"{name}.force.{k}"] for k in range(len(cases(part)))]
+        return {
+            "force_max_n": max(float(np.abs(force).max()) for force in forces),
+            "position_m": waves[f"{_sphere(build.scene)}.y"].tolist(),
+            "current_pairs_a": [list(case) for case in cases(part)],
+            "force_n": [force.tolist() for force in forces],
+        }
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")
+
+
+def cases(part: Part) -> list[tuple[float, float]]:
+    """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
+    currents = part.keys.currents
+    return [(lower, upper) for lower in currents for upper in currents]
+
+
+def _coils(scene: Scene) -> Part:
+    from kc2spice.core.errors import UsageError
+
+    found = scene.only("ring_magnet_coils")
+    if found is None:
+        raise UsageError(
+            "needs one pair of coils", where="catch",
+            hint="add [catch]; an empty table takes the defaults",
+        )  # fmt: skip
+    return found
+
+
+def _sphere(scene: Scene) -> str:
+    coils = _coils(scene)
+    from kc2spice.parts.ring_magnet_coils import sphere_of
+
+    return sphere_of(coils, scene).name
+
+
+register(CurrentCases())

@@ -1,0 +1,137 @@
+"""Frequency response of a body from every port to every port: one copy of it per load (Fig. 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Frequency, Section
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.spice.cards import number
+
+
+class PortLoadsKeys(Section):
+    """A unit load on each port in turn, all outputs, over a linear range of frequencies."""
+
+    start: Frequency = Field(0.0, ge=0)
+    stop: Frequency = Field(500e3, gt=0)
+    steps: Count = Field(200, ge=2, le=100_000)
+    of: str | None = Field(None, description="the body; the only one with a surface")
+
+
+class PortLoads(PartType):
+    name = "port_loads"
+    title = "unit load on every port of a body in turn, all responses"
+    schema = PortLoadsKeys
+    short_for = ("harmonic",)
+    analysis_type = "ac"
+
+    def analysis(self, part: Part, scene: Scene) -> Analysis:
+        keys = part.keys
+        first = keys.start + (keys.stop - keys.start) / keys.steps
+        return Analysis(type="ac", start=first, stop=keys.stop, points=keys.steps, scale="linear")
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return ()
+
+    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        body = body_of(part, scene)
+        surface = body.type.surface(body, scene)
+        return tuple(f"{body.name}.{port}" for port in (surface.ports if surface else ()))
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        body_of(part, scene)
+        if part.keys.start >= part.keys.stop:
+            yield UsageError(
+                "empty frequency range", where=f"{part.name}.stop",
+                got=f"{part.keys.start:g} … {part.keys.stop:g} Hz", expected="start < stop",
+            )  # fmt: skip
+
+    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
+        return {body_of(part, build.scene).name: ()}
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        body = body_of(part, build.scene)
+        rings, library = _rings(body, build), build.libraries[body.name]
+        is_open = body.keys.electrical == "open"
+        cards = []
+        for load in (*rings, "anode"):
+            nodes = " ".join(f"{ring}_{load}" for ring in rings)
+            cards += [f"* Load on {load}", f"X{load} anode_{load} 0 {nodes} 0 {library}"]
+            if load != "anode":
+                cards.append(f"I{load} 0 {load}_{load} AC 1")
+            if is_open and load == "anode":
+                cards += [
+                    "Vload load 0 AC 1", "Cload load 0 1", f"Fload 0 anode_{load} Vload -1",
+                ]  # fmt: skip
+            if not is_open:
+                cards += [
+                    f"Vanode_{load} anode_{load} 0 AC {int(load == 'anode')}",
+                    f"Fcharge_{load} charge_{load} 0 Vanode_{load} 1",
+                    f"Ccharge_{load} charge_{load} 0 1",
+                    f"Rcharge_{load} charge_{load} 0 {number(1e9)}",
+                ]
+        return tuple(cards)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
+        body = body_of(part, build.scene)
+        rings = _rings(body, build)
+        meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")
+        found = {}
+        for load in (*rings, "anode"):
+            for ring in rings:
+                node = f"{ring}_{load}".lower()
+                found[f"{load}>{ring}"] = Vector(f"v({node})", 1e-6, "m")
+            found[f"{load}>anode"] = Vector(f"v({meter}_{load.lower()})", 1.0, unit)
+        return found
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
+        amplitude: dict[str, dict[str, list[float]]] = {}
+        for name, response in waves.data.items():
+            source, arrow, sink = name.partition(">")
+            if arrow:
+                amplitude.setdefault(source, {})[sink] = np.abs(response).tolist()
+        return {"frequency_hz": waves["frequency"].tolist(), "amplitude": amplitude}
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        keys = part.keys
+        detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
+        return Modelled(part.name, "unit loads", detail)
+
+
+def body_of(part: Part, scene: Scene) -> Part:
+    """The body that is loaded.
+
+    Raises
+    ------
+    UsageError : none is named and there is not exactly one.
+    """
+    if part.keys.of is not None:
+        return scene.part(part.keys.of, f"{part.name}.of")
+    found = [p for p in scene.parts.values() if p.type.reduced]
+    if len(found) != 1:
+        raise UsageError(
+            f"{part.name} needs to know which body it loads", where=f"{part.name}.of",
+            got=", ".join(p.name for p in found) or "no body",
+            expected="the name of a body", hint="add [kick]; an empty table takes the defaults",
+        )  # fmt: skip
+    return found[0]
+
+
+def _rings(body: Part, build: Build) -> tuple[str, ...]:
+    return tuple(
+        pin.name
+        for pin in body.type.pins(body, build.scene)
+        if pin.unit == "um" and pin.name != "base"
+    )
+
+
+register(PortLoads())

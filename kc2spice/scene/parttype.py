@@ -1,0 +1,342 @@
+"""What a part type is: one class with hooks, registered under its name.
+
+A module defines a subclass of :class:`PartType` and calls :func:`register` with an instance.
+Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
+``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
+``kc2spice.parts`` are loaded by themselves, those of other packages through the entry point group
+``kc2spice.parts``.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Section
+from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from kc2spice.core.waveforms import Waveforms
+    from kc2spice.scene.judge import Balance, Check
+
+PACKAGE = "kc2spice.parts"
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """A part of the deck: where it comes from and how large its model is."""
+
+    part: str
+    source: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An effect without a model, why, and what its absence changes at most."""
+
+    effect: str
+    why: str
+    error: str
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """One stage of the computation: the relative error expected of its settings.
+
+    ``share`` is its part of ``error_budget`` (None where it is no part of it), ``expected`` is
+    None where no error is known.
+    """
+
+    stage: str
+    share: float | None
+    expected: float | None
+    settings: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a part offers to a contact: its pins there and their distance from the axis [m].
+
+    ``force`` pins take the force, ``place`` pins give the position in um; they differ where a
+    force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
+    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for.
+    """
+
+    ports: tuple[str, ...]
+    force: tuple[str, ...]
+    place: tuple[str, ...]
+    distance: tuple[float, ...]
+    radius: float | None = None
+    sectors: int = 1
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far two surfaces can approach each other beyond touching [m], and by what.
+
+    ``prescribed`` beats all estimates.
+    """
+
+    depth: float
+    why: str
+    prescribed: bool = False
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A result: an ngspice expression (``a+b`` is a sum), the factor to SI, the SI unit."""
+
+    expression: str
+    factor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Build:
+    """A scene with the models of its parts: what netlist, metrics and checks are made from.
+
+    ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
+    of its subcircuit.
+    """
+
+    scene: Scene
+    models: Mapping[str, Any]
+    libraries: Mapping[str, str] = field(default_factory=dict)
+    trust: bool = False
+
+    def model(self, part: str | Part) -> Any:
+        """The model of a part, None where it has none."""
+        return self.models.get(part if isinstance(part, str) else part.name)
+
+    def net(self, part: Part, pin: str) -> str:
+        """Node of the netlist that a pin is joined to."""
+        return self.scene.net(part.name, pin)
+
+
+class PartType:
+    """Base of all part types; every hook but ``schema``, ``pins`` and ``subcircuits`` may stay.
+
+    ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    schema: ClassVar[type[Section]]
+    #: names of tables that mean this type where a scene has no ``part`` key in them
+    short_for: ClassVar[tuple[str, ...]] = ()
+    #: whether its model is a reduced one, so that ``rom`` matters
+    reduced: ClassVar[bool] = False
+    #: its key that sets the number of points of a lookup, if it has one
+    lookup_key: ClassVar[str | None] = None
+    #: type of the analysis that it asks for (:meth:`analysis`)
+    analysis_type: ClassVar[str | None] = None
+
+    # --- scene: keys, pins, what a part brings along -------------------------------------------
+
+    def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+        """Keys that a table without ``part`` means by itself (short form of a scene)."""
+        return {}
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Tables of further parts that this one stands for; ``data`` is the whole scene."""
+        return {}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins in the order of its subcircuit."""
+        raise NotImplementedError
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
+        return {}
+
+    def uses_netlists(self, part: Part) -> bool:
+        """Whether it names a subcircuit out of the scene's ``include`` files."""
+        return False
+
+    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
+        return ()
+
+    def coil_currents(self, part: Part, scene: Scene) -> float | None:
+        """Largest current [A] if it feeds two coils each on their own, else None."""
+        return None
+
+    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Parts whose motion it prescribes, so that they have none of their own."""
+        return ()
+
+    def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
+        """Velocity [m/s] and height [m] at t = 0 that it gives to other parts."""
+        return {}
+
+    def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
+        """Pairs of pins whose difference it sets as an ideal source."""
+        return ()
+
+    def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+        """What is wrong with it in this scene, ``where`` a dotted key."""
+        return ()
+
+    def analysis(self, part: Part, scene: Scene) -> Analysis | None:
+        """The analysis that this part asks for, if the scene has none."""
+        return None
+
+    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+        """What it offers to a contact."""
+        return None
+
+    def reach(self, part: Part, scene: Scene) -> Iterable[Reach]:
+        """How far it can press contacts of the scene together."""
+        return ()
+
+    # --- models and netlist --------------------------------------------------------------------
+
+    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
+        """What its model depends on; parts with equal keys share a model. None: no model."""
+        return None
+
+    def build(self, part: Part, scene: Scene, clock: Any) -> Any:
+        """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""
+        return None
+
+    def library(self, part: Part, scene: Scene) -> str:
+        """Name of its subcircuit: the type's where the scene has one part of it, else its own."""
+        return self.name if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
+        return ()
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        """Its lines in the deck: an instance of its subcircuit, unless it says otherwise."""
+        nodes = [build.net(part, pin.name) for pin in self.pins(part, build.scene)]
+        return (f"X{part.name} {' '.join(nodes)} {build.libraries[part.name]}",)
+
+    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
+        """Cards that stand instead of those of other parts, by part: copies for several loads."""
+        return {}
+
+    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
+        """The source that a dc sweep of ``key`` moves, and its volts or amperes per SI unit."""
+        return None
+
+    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float] | None:
+        """First and last value of its own dc analysis, in SI."""
+        return None
+
+    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+        """Simulator options that it needs, with the reason."""
+        return {}
+
+    def speed(self, part: Part, scene: Scene) -> float | None:
+        """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
+        return None
+
+    def initial(self, part: Part, build: Build) -> Mapping[str, float]:
+        """Node voltages at t = 0 (``.ic``), by node."""
+        return {}
+
+    def without_operating_point(self, part: Part, scene: Scene) -> bool:
+        """Whether a transient starts from the parts' initial states (``uic``)."""
+        return False
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """Its results by name."""
+        return {}
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        """The current that leaves it through an electrical pin, where it can be read."""
+        return None
+
+    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+        """Force [N] over time that it puts on what its mechanical pin is joined to."""
+        return None
+
+    # --- what a run says -----------------------------------------------------------------------
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Numbers that describe what it did."""
+        return {}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check]:
+        """Physics that the simulator was not told."""
+        return ()
+
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
+        """Energy balances that it can draw up, by name."""
+        return {}
+
+    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
+        """``model`` of ``result.json``: the numbers by which an engineer knows the part."""
+        return {}
+
+    def rom(self, part: Part, build: Build) -> Mapping[str, Any] | None:
+        """``rom`` of ``result.json``, where its model is a reduced one."""
+        return None
+
+    def arrays(self, part: Part, build: Build) -> Mapping[str, Mapping[str, Any]]:
+        """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
+        return {}
+
+    def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
+        """Its equations for the independent reference; None where it has none."""
+        return None
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
+        """Plots of its results (:class:`kc2spice.report.plots.Plot`) for the report."""
+        return ()
+
+    # --- what explain says ---------------------------------------------------------------------
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        """Its row of ``explain``."""
+        return Modelled(part.name, "circuit", self.title)
+
+    def left_out(self, part: Part, scene: Scene) -> Iterable[LeftOut]:
+        """Effects that it has no model of."""
+        return ()
+
+    def errors(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
+        """Errors of its model."""
+        return ()
+
+
+_types: dict[str, PartType] = {}
+_loaded: list[bool] = []
+
+
+def register(part_type: PartType) -> PartType:
+    """Make a part type known under its name; the last of a name wins.
+
+    Raises
+    ------
+    UsageError : it has no name or no schema.
+    """
+    name = getattr(part_type, "name", "")
+    if not name or not hasattr(part_type, "schema"):
+        raise UsageError("a part type needs a name and a schema", where=repr(part_type))
+    _types[name] = part_type
+    return part_type
+
+
+def part_types() -> Mapping[str, PartType]:
+    """All known part types by name."""
+    if not _loaded:
+        _loaded.append(True)
+        package = import_module(PACKAGE)
+        for module in pkgutil.iter_modules(package.__path__):
+            import_module(f"{PACKAGE}.{module.name}")
+        for entry in entry_points(group=PACKAGE):
+            found = entry.load()
+            if isinstance(found, PartType):
+                register(found)
+    return dict(sorted(_types.items()))
