@@ -16,13 +16,11 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.+-]")
 def read_bounded(path: Path, limit: int) -> bytes:
     """Content of the regular file ``path``, of which more than ``limit`` bytes are never read.
 
-    Returns at most ``limit + 1`` bytes: whoever gets more than ``limit`` has a file that is too
-    large. A pipe or a device, which could keep a reader waiting for ever, is refused unopened for
-    reading.
+    A pipe or a device, which could keep a reader waiting for ever, is refused.
 
     Raises
     ------
-    OSError : it is not there, no regular file, or cannot be read.
+    OSError : it is not there, no regular file, longer, or cannot be read.
     ValueError : the name has a zero byte.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -33,7 +31,10 @@ def read_bounded(path: Path, limit: int) -> bytes:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
-        return file.read(limit + 1)
+        data = file.read(limit + 1)
+    if len(data) > limit:
+        raise OSError(errno.EFBIG, f"too long, more than {limit} bytes", str(path))
+    return data
 
 
 def text_of(data: bytes) -> str:
@@ -51,7 +52,7 @@ def name_threat(name: str) -> str | None:
         return "an empty name"
     if re.match(r"([A-Za-z]:|[/\\~]|\w+://)", name):
         return "an absolute path"
-    parts = [part for part in re.split(r"[/\\]", name)]
+    parts = re.split(r"[/\\]", name)
     if ".." in parts:
         return "a parent directory"
     if "\\" in name or any(_PART.fullmatch(part) is None for part in parts if part != "."):

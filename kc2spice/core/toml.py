@@ -16,7 +16,8 @@ LONGEST_KEY = 200  # characters of one part of a key
 # Strings and comments first, whatever is in them; then what nests and what chains.
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
-    r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+|[^"\'#\w\-\[\]{}. \t]+',
+    r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
+    r'|[^"\'#\w\-\[\]{}. \t]+',
     re.DOTALL,
 )
 

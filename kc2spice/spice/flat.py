@@ -124,15 +124,15 @@ class _Reader:
             message = "the include leads out of the circuit's directory"
             raise UsageError(message, where=where, got=name)
         try:
-            data = read_bounded(real, LARGEST) if real.is_file() else None
-            self.size += len(data or b"")
-            if data is None or self.size > LARGEST:
-                expected = f"a text file, at most {LARGEST} bytes in all"
-                raise UsageError("cannot include this", where=where, got=name, expected=expected)
+            data = read_bounded(real, LARGEST - self.size)
+            self.size += len(data)
             return _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
-            message = "cannot read the included circuit"
-            raise UsageError(message, where=where, got=str(error)) from None
+            reason = getattr(error, "strerror", None) or str(error)
+            expected = f"a text file, at most {LARGEST} bytes with all that it includes"
+            raise UsageError(
+                "cannot include this", where=where, got=f"{name}: {reason}", expected=expected
+            ) from None
 
 
 def refusal(reason: str, path: str, where: str, text: str) -> UsageError:
