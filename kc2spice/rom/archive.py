@@ -1,4 +1,4 @@
-"""numpy archives of others: what a member declares is compared with limits before it is unpacked."""
+"""numpy archives of others: what they declare is compared with limits before it is unpacked."""
 
 from __future__ import annotations
 

@@ -166,7 +166,10 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> U
             return UsageError(f"{_dotted(path)} is missing", where=where)
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
-            if path == ("title",):  # it ends up in the netlist, where a line is a command
+            if path[0] in (
+                "title",
+                "include",
+            ):  # it ends up in the netlist, where a line is a command
                 expected = "one line of text without control characters"
             return UsageError("not allowed", where=where, got=got, expected=expected)
         case "quantity":
@@ -213,7 +216,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _shown(value: Any) -> str:
-    """``repr``, or what can be said where there is none: numbers of more digits than Python prints."""
+    """``repr``, or what can be said of a number of more digits than Python prints."""
     try:
         return _short(repr(value))
     except ValueError:

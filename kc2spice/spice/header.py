@@ -69,7 +69,8 @@ def part_header(
     """
     lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
     lines += [
-        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n" for i, p in enumerate(pins, 1)
+        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
+        for i, p in enumerate(pins, 1)
     ]
     lines += [
         f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)} {comment(p.doc)}\n"

@@ -25,6 +25,7 @@ CALL = re.compile(r"^(\d+) +(execve|openat|creat)\((?:AT_FDCWD, )?\"((?:[^\"\\]|
 # What ngspice may look at besides the files that are written for it.
 SYSTEM = ("/usr/", "/lib", "/etc/", "/proc/", "/sys/", "/dev/")
 OWN = (".ngspice_history", ".editrc")
+THEIRS = ("inner.lib", "nested.lib", "extra.lib", "link.lib", "payload.lib")
 OUR_FILES = re.compile(r"(\./)?([a-z_]+|user\.lib_inner)\.(lib|cir|raw\.part)")
 
 
@@ -50,9 +51,8 @@ def acts(calls, program):
         elif "outside/payload" in path or "pwned" in path.lower() or "home/payload" in path:
             found.append(f"opens {path}")
         elif pid in simulators and not path.startswith(SYSTEM) and "O_TMPFILE" not in rest:
-            if Path(path).name not in OWN and not OUR_FILES.fullmatch(path):
-                found.append(f"ngspice opens {path}")
-            elif Path(path).name in ("inner.lib", "nested.lib", "extra.lib", "link.lib"):
+            file = Path(path).name
+            if file in THEIRS or (file not in OWN and not OUR_FILES.fullmatch(path)):
                 found.append(f"ngspice opens {path}")
     return found
 

@@ -4,9 +4,9 @@ import contextlib
 import time
 
 import pytest
-from kc2spice.core.foreign import name_threat
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.circuit import Deck
 from kc2spice.spice.included import included_netlists
