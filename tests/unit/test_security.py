@@ -301,8 +301,11 @@ def test_a_header_takes_no_line_break():
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),))
 
 
-@pytest.mark.parametrize("letter", ["K", "record", "M.data"])
-def test_an_archive_is_refused_by_what_it_declares(letter, tmp_path):
+@pytest.mark.parametrize(
+    ("letter", "read"),
+    [("K", read_rom), ("record", read_rom), ("K", read_model), ("M.data", read_model)],
+)
+def test_an_archive_is_refused_by_what_it_declares(letter, read, tmp_path):
     """Seven gigabytes of zeros in seven megabytes; never unpacked."""
     path = tmp_path / "bomb.npz"
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (30000, 30000), }"
@@ -312,12 +315,11 @@ def test_an_archive_is_refused_by_what_it_declares(letter, tmp_path):
             stream.write(b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head)
             stream.write(bytes(1_000_000))
         archive.filelist[0].file_size = 128 + 8 * 30000**2  # so says the archive's directory
-    for read in (read_rom, read_model):
-        begin = time.process_time()
-        with pytest.raises(UsageError):
-            read(path)
-        assert time.process_time() - begin < 1.0
-    shutil.rmtree(tmp_path)
+    begin = time.process_time()
+    with pytest.raises(UsageError) as caught:
+        read(path)
+    assert "900000000 entries, more than" in str(caught.value.got)
+    assert time.process_time() - begin < 1.0
 
 
 def test_a_name_with_blanks_is_a_name(tmp_path):
