@@ -135,8 +135,8 @@ def flattened(deck: Deck) -> str:
         for line in deck.files[file].splitlines():
             word, _, target = line.partition(" ")
             # what a trusted circuit includes from elsewhere is not among the deck's files
-            file = target.strip().strip("\"'") if word.lower() in (".include", ".inc") else None
-            found += lines(file) if file in deck.files else [line]
+            inner = target.strip().strip("\"'") if word.lower() in (".include", ".inc") else ""
+            found += lines(inner) if inner in deck.files else [line]
         return found
 
     return "\n".join(lines(deck.main))

@@ -44,19 +44,19 @@ def read_archive(
         found = {}
         for name, item in chosen.items():
             with archive.open(item) as stream:
-                found[name] = np.lib.format.read_array(stream, allow_pickle=False)  # type: ignore[arg-type]
+                found[name] = np.lib.format.read_array(stream, allow_pickle=False)
         return found
 
 
 def _declared(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    version = np.lib.format.read_magic(stream)  # type: ignore[arg-type]
+    version = np.lib.format.read_magic(stream)
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
     }
     if version not in readers:
         raise ValueError(f"array format {version} is not read")
-    shape, _, kind = readers[version](stream)  # type: ignore[arg-type]
+    shape, _, kind = readers[version](stream)
     if any(not isinstance(n, int) or n < 0 for n in shape):
         raise ValueError("a size is not a number")
     return shape, kind
