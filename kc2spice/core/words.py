@@ -5,9 +5,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST = 200  # characters of a word that is compared with others
+
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
+    if len(word) > LONGEST:
+        return None  # comparing takes time with the square of the length
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -10,10 +12,12 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
 from kc2spice.core.words import did_you_mean
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, register
+from kc2spice.spice.cards import name as checked
 from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.scan import third_party
+from kc2spice.spice.included import included_netlists
+from kc2spice.spice.statements import statements
 
 KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
 
@@ -21,7 +25,7 @@ KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V
 class NetlistKeys(Section):
     """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
 
-    file: str = Field(min_length=1, max_length=255)
+    file: FileName
     subckt: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
     units: dict[str, str] = Field(
         default_factory=dict, description="kind of a pin, V/A unless told: um/N, m/s/N, V"
@@ -57,10 +61,10 @@ class Netlist(PartType):
         return str(part.keys.subckt)
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        path = build.scene.home / part.keys.file
-        text = third_party(path, trust=build.trust)
+        found = included_netlists((part.keys.file,), build.scene.home, trust=build.trust)
+        (name, text), *_ = found.items()
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
-        return (Subcircuit(part.keys.subckt, pins, (), text, file=path.name),)
+        return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         detail = f".subckt {part.keys.subckt} of {part.keys.file}"
@@ -74,7 +78,9 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     ------
     UsageError : the file cannot be read or has no such subcircuit.
     """
-    known: Mapping[str, tuple[str, ...]] = subcircuit_pins(scene.home / part.keys.file)
+    path = scene.home / part.keys.file
+    stamp = path.stat().st_mtime_ns if path.is_file() else 0
+    known = _subcircuits(part.keys.file, scene.home, stamp)
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise UsageError(
@@ -82,7 +88,24 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
             expected=", ".join(known) or f"a .subckt in {part.keys.file}",
             hint=did_you_mean(part.keys.subckt, known),
         )  # fmt: skip
+    for pin in pins:
+        checked(pin, where=f"{part.name}.subckt")
     return pins
+
+
+@lru_cache(maxsize=64)
+def _subcircuits(file: str, home: Path, stamp: int) -> dict[str, tuple[str, ...]]:
+    """Pins of every subcircuit of a file, by its name in lower case; ``stamp`` is its age.
+
+    Nothing is run here, so the text need not be trusted yet.
+    """
+    ((name, text),) = included_netlists((file,), home, trust=True).items()
+    found = {}
+    for card in statements(text, name):
+        if card.keyword == ".subckt" and len(card.words) > 1:
+            pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
+            found[card.words[1].lower()] = tuple(pins)
+    return found
 
 
 register(Netlist())

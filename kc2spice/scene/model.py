@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from kc2spice.scene.parttype import PartType
 
 GROUND = "gnd"
+_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
+FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class Frame(Section):
     """Keys of a scene outside of its parts."""
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
-    title: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")
+    title: str = Field("", max_length=200, pattern=rf"^{_ONE_LINE}*$")
     gravity: Acceleration = 9.81
     error_budget: Ratio | None = Field(
         None, gt=0, lt=1, description="relative; sets what the scene leaves open, see explain"
@@ -94,7 +96,9 @@ class Frame(Section):
     solver: Solver = Solver()
     checks: Checks = Checks()
     gates: Gates = Gates()
-    include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
+    include: tuple[FileName, ...] = Field(
+        (), max_length=16, description="netlists beside the scene"
+    )
 
 
 @dataclass(frozen=True)
