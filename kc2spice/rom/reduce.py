@@ -11,7 +11,7 @@ from kc2spice.rom.model import ReducedModel
 from kc2spice.rom.project import certify, project, project_again
 from kc2spice.rom.response import frequency_response, relative_error
 from kc2spice.rom.schur import CondensedSystem, condense
-from kc2spice.scene.schema import Rom
+from kc2spice.scene.settings import Rom
 
 BAND_SAMPLES = 201
 

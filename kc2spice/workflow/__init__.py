@@ -1,5 +1,1 @@
 """Scene to result: the one place that strings the stages together."""
-
-from kc2spice.workflow.run import export, run
-
-__all__ = ["export", "run"]

@@ -9,7 +9,7 @@ from kc2spice.core.units import quantity
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.parttype import Build, Vector
 from kc2spice.scene.plan import plan
 from kc2spice.spice.cards import number
 from kc2spice.spice.circuit import Subcircuit
@@ -71,20 +71,24 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )  # fmt: skip
 
 
-def _results(build: Build) -> dict:
-    found: dict = {}
+def replacements(build: Build) -> dict[str, tuple[str, ...]]:
+    """Cards of parts that other parts write for them."""
+    parts = build.scene.parts.values()
+    return {k: v for part in parts for k, v in part.type.instances(part, build).items()}
+
+
+def _results(build: Build) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own."""
+    replaced = replacements(build)
+    found: dict[str, Vector] = {}
     for part in build.scene.parts.values():
-        found |= part.type.vectors(part, build)
+        if part.name not in replaced:
+            found |= part.type.vectors(part, build)
     return found
 
 
 def _blocks(build: Build) -> Iterator[Block]:
-    scene = build.scene
-    replaced = {
-        name: cards
-        for part in scene.parts.values()
-        for name, cards in part.type.instances(part, build).items()
-    }
+    scene, replaced = build.scene, replacements(build)
     for part in scene.parts.values():
         cards = replaced.get(part.name)
         cards = part.type.cards(part, build) if cards is None else cards
