@@ -22,7 +22,7 @@ from kc2spice.cli.tables import show_findings, show_keys, show_plan, show_result
 from kc2spice.core.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
-    from kc2spice.scene.schema import Scene
+    from kc2spice.scene.model import Scene
 
 app = typer.Typer(
     name="kc2spice",
@@ -30,7 +30,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 ok, 2 bad usage or scene, 3 simulator or library missing, "
     "4 accuracy gate failed, 5 simulation failed.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # plain help: loading rich for it takes as long as all the rest
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -104,7 +104,7 @@ def run(
     """
     with reported_errors():
         study_scene, directory = _load(scene, set_, out)
-        from kc2spice import workflow as study
+        from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
             result = study.run(study_scene, directory, progress, trust=trust)
@@ -150,7 +150,7 @@ def export(
             raise UsageError("nothing to export", expected="SCENE or --rom FILE")
         overrides = [*(set_ or []), *([] if tolerance is None else [f"rom.tolerance={tolerance}"])]
         study_scene, directory = _load(scene, overrides, out)
-        from kc2spice import workflow as study
+        from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
             files = study.export(study_scene, directory, dialect, progress, trust=trust)

@@ -45,17 +45,17 @@ def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
         for check in checks
     ]
     if rows:
-        print_table("truth checks", rows)
+        print_table("physics checks", rows)
 
 
 def _show_attempts(attempts: Sequence[Mapping[str, Any]]) -> None:
-    """The rungs of the retry ladder, where more than the first was needed."""
+    """All retry settings, where more than the first was needed."""
     rows = [
-        (each["rung"], each["settings"], each["cause"] or "held", f"{each['wall_s']:.3g} s")
+        (each["setting"], each["settings"], each["cause"] or "succeeded", f"{each['wall_s']:.3g} s")
         for each in attempts
     ]
     if len(rows) > 1:
-        print_table("retry ladder", rows, header=("rung", "settings", "outcome", "time"))
+        print_table("retries", rows, header=("setting", "changes", "outcome", "time"))
 
 
 def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
@@ -105,8 +105,7 @@ def show_plan(plan: Plan) -> None:
     """What ``explain`` says after the scene's name."""
     rows = [(part.part, part.source, part.detail) for part in plan.parts]
     print_table("modelled", rows, header=("part", "model", "detail"))
-    if plan.ports:
-        print(f"\nports of the reduced chip: {', '.join(plan.ports)}\n")
+    print_table("joined", [(line,) for line in plan.joins])
     title = "errors, relative"
     if plan.error_budget is not None:
         title += f"; error_budget {plan.error_budget:g} divided"

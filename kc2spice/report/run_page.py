@@ -8,8 +8,8 @@ from typing import Any
 
 from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.plots import Picture
-from kc2spice.scene.plan import plan
 from kc2spice.scene.model import Scene
+from kc2spice.scene.plan import plan
 
 # Longest suffix first: the key's name says its unit, as in result.json.
 _SUFFIXES = (
