@@ -170,7 +170,9 @@ class PiezoStack(PartType):
             found[f"{part.name}.voltage"] = Vector(plus, 1.0, "V")
         else:
             found[f"{part.name}.voltage"] = Vector(f"{plus}-v({cathode})", 1.0, "V")
-        for name, pin in build.scene.joined(part.name, "anode"):
+        joined = build.scene.joined(part.name, "anode")
+        if len(joined) == 1:  # a source with other loads tells the sum of their currents
+            ((name, pin),) = joined
             other = build.scene.parts[name]
             meter = other.type.current(other, pin, build)
             if meter is not None:
