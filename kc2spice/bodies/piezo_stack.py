@@ -9,7 +9,7 @@ import numpy as np
 
 from kc2spice.bodies.facts import electromechanical
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.rom.linear import LinearModel, Port, with_potentials
+from kc2spice.rom.linear import LinearModel, with_potentials
 
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.mesh import KickMesh
@@ -42,10 +42,7 @@ def from_sector(system: PiezoSystem) -> LinearModel:
     model = with_potentials(
         M=n * system.M, K_uu=n * system.K_uu, K_up=n * system.K_up, K_pp=n * system.K_pp,
         k_uV=n * system.k_uV, k_pV=n * system.k_pV, c_VV=n * system.c_VV, B=system.B,
-        ports=[
-            Port("anode", "electrical", pins=("anode", "cathode")) if p.kind == "electrical" else p
-            for p in system.ports
-        ],
+        ports=system.ports,
         alpha=system.alpha, beta=system.beta, name="piezo_stack",
     )  # fmt: skip
     facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}

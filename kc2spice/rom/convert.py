@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, solve, solve_triangular, svd
-from scipy.signal import StateSpace
 
 from kc2spice.core.errors import MissingToolError, UsageError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.operators import dense, largest
 from kc2spice.rom.structure import semidefinite
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 # Masses and algebraic parts this far below the largest are zero.
@@ -22,6 +24,8 @@ COUPLING = 1e-10
 
 def to_statespace(model: LinearModel) -> StateSpace:
     """``x' = A x + B u``, ``y = C x + D u``; see :func:`state_space`."""
+    from scipy.signal import StateSpace  # a second to import
+
     return StateSpace(*state_space(model))
 
 
