@@ -1,7 +1,7 @@
 """Laws of parts: what each type of part says of itself to the independent integrator.
 
-A law is plain data in SI with named, typed pins. It knows no scene and no netlist. Quantities of a
-pin by its kind, the *across* one shared by all pins of a net and the *through* ones summing to zero:
+A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind
+says which *across* quantity all pins of a net share and which *through* ones sum to zero there:
 
 ================  ===================  ==========================
 kind              across               through
@@ -135,7 +135,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Sine:
-    """``offset + amplitude sin(2 pi frequency (t - start))`` from ``start`` on, ``offset`` before."""
+    """``offset + amplitude sin(2 pi frequency (t - start))`` from ``start`` on."""
 
     amplitude: float
     frequency: float
@@ -179,7 +179,8 @@ class Port:
 class LinearBody:
     """``M x'' + E x' + K x = B in``, ``out = C x + D in``.
 
-    ``M``, ``E``, ``K`` (n, n) or, for diagonal ones, (n,); ``B`` (n, p), ``C`` (p, n), ``D`` (p, p).
+    ``M``, ``E``, ``K`` (n, n) or, for diagonal ones, (n,); ``B`` (n, p), ``C`` (p, n), ``D`` (p, p)
+    or None.
     A port with ``D`` must be electrical or have an own positive compliance.
     """
 
@@ -313,7 +314,8 @@ class Source:
     """A prescribed quantity between ``out`` and ``ret``.
 
     ``kind``: ``voltage`` [V], ``current`` [A] out of ``out``, ``force`` [N] on what is joined to
-    ``out``, ``displacement`` [m], ``signal``. ``ac`` is the complex amplitude of an ac analysis.
+    ``out``, ``displacement`` [m], ``acceleration``
+    [m/s^2] (a signal pin), ``signal``. ``ac`` is the complex amplitude of an ac analysis.
     """
 
     name: str
@@ -325,7 +327,9 @@ class Source:
     @property
     def pins(self) -> tuple[Pin, ...]:
         """``out``, and ``ret``, which is grounded by default."""
-        kinds = {"voltage": "electrical", "current": "electrical", "signal": "signal"}
+        kinds = {"voltage": "electrical", "current": "electrical", "signal": "signal"} | {
+            "acceleration": "signal"
+        }
         kind = self.pin_kind or kinds.get(self.kind, "displacement")
         out = Pin("out", kind)
         return (out,) if kind == "signal" else (out, Pin("ret", kind, grounded=True))
@@ -333,7 +337,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Signal ``out = gain (across(a) - across(b)) + offset``, behind a pole at ``bandwidth`` [Hz]."""
+    """Signal ``out = gain (across(a) - across(b)) + offset``, with a pole at ``bandwidth`` [Hz]."""
 
     name: str
     gain: float = 1.0
@@ -405,9 +409,19 @@ class Device:
         """Signal pins that it sets."""
         return ()
 
-    def initial(self, taps: np.ndarray) -> np.ndarray:
-        """States at the start (len(states),), given the taps then."""
-        return np.zeros(len(self.states))
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Sizes of the states that errors are judged by."""
+        return (1.0,) * len(self.states)
+
+    @property
+    def affine(self) -> bool:
+        """Whether ``evaluate`` is affine in ``e`` and constant in time within a mode."""
+        return False
+
+    def initial(self, taps: np.ndarray) -> np.ndarray | None:
+        """States at the start (len(states),), given the taps then; None: those in equilibrium."""
+        return None
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
@@ -444,8 +458,13 @@ class Device:
         """Power that it turns into heat [W]; negative for what it brings in from outside."""
         return 0.0
 
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Names of further quantities to record as ``NAME.EXTRA``."""
+        return ()
+
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
-        """Further quantities to record, by the part of their name after ``NAME.``."""
+        """Their values."""
         return {}
 
 
@@ -481,6 +500,11 @@ class Contact(Device):
     def flows(self) -> tuple[Flow, ...]:
         """A force per pair."""
         return tuple(Flow(p, "b") for p in self.ports)
+
+    @property
+    def affine(self) -> bool:
+        """A linear spring without damping."""
+        return self.power == 1.0 and not self.damping
 
     def _penetration(self, e: np.ndarray) -> np.ndarray:
         return e[: len(self.ports)] - self.gaps
@@ -596,6 +620,11 @@ class Switch(Device):
         """Current."""
         return (Flow("a", "b"),)
 
+    @property
+    def affine(self) -> bool:
+        """Within a mode."""
+        return True
+
     def corners(self, stop: float) -> np.ndarray:
         """The times."""
         return np.array([t for t in self.times if 0.0 < t < stop])
@@ -666,9 +695,10 @@ class Amplifier(Device):
         """Output before its resistance."""
         return ("x",)
 
-    def initial(self, taps: np.ndarray) -> np.ndarray:
-        """Settled."""
-        return np.clip(self.gain * taps[:1], self.low, self.high)
+    @property
+    def affine(self) -> bool:
+        """Within a mode."""
+        return True
 
     def _demands(self, e: np.ndarray, rail: int) -> tuple[float, float]:
         aim = self.gain * e[0]
@@ -747,7 +777,7 @@ class ForceTable:
         return quartic
 
     def coefficients(self, y: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Integral over y, value and slope of all columns at ``y``; the end cubics go on outside."""
+        """Integral over y, value and slope of all columns; the end cubics go on outside."""
         j = min(max(int(self.y.searchsorted(y, side="right")) - 1, 0), self.y.size - 2)
         s, p = y - self.y[j], self._potential[:, j]
         integral = (((p[0] * s + p[1]) * s + p[2]) * s + p[3]) * s + p[4]
@@ -824,9 +854,14 @@ class PositionForce(Device):
         """Minus the work on the moving part: magnets and current sources give it."""
         return float(self.evaluate(t, e, mode)[0][0] * e[1])
 
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Scaled currents and the force."""
+        return (*(f"coil{k + 1}" for k in range(self.table.coils)), "force")
+
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """Coil currents and force."""
-        currents = {f"i{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:]))}
+        currents = {f"coil{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:], strict=True))}
         return currents | {"force": -float(self.evaluate(t, e, mode)[0][0])}
 
 
@@ -869,9 +904,10 @@ class CoilForce(Device):
         """Coil currents."""
         return tuple(f"i{k + 1}" for k in range(self.table.coils))
 
-    def initial(self, taps: np.ndarray) -> np.ndarray:
-        """``v / R``."""
-        return taps[1:] / self.resistance
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Milliamperes."""
+        return (1e-3,) * self.table.coils
 
     def _split(self, e: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         m = self.table.coils
@@ -928,8 +964,8 @@ class CoilForce(Device):
 class Pid(Device):
     """``out = clip(kp e + I + kd d, -limit, limit)``, ``e = setpoint - (across(y) + offset)``.
 
-    ``d = (e - f) / rolloff``, ``f' = d`` is the rolled-off rate; ``I' = ki e`` while switched on and
-    not at the limit. Switched on and off at the times ``enable`` and ``disable``; 0 while off.
+    ``d = (e - f) / rolloff``, ``f' = d`` is the rolled-off rate; ``I' = ki e`` while switched on
+    and not at the limit. Switched on and off at the times ``enable`` and ``disable``; 0 while off.
     """
 
     name: str
@@ -963,6 +999,16 @@ class Pid(Device):
     def drives(self) -> tuple[str, ...]:
         """The output."""
         return ("out",)
+
+    @property
+    def affine(self) -> bool:
+        """Within a mode."""
+        return True
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """A micrometre, and a hundredth of the limit."""
+        return (1e-6, 0.01 * self.limit)
 
     def initial(self, taps: np.ndarray) -> np.ndarray:
         """At rest."""
@@ -1016,6 +1062,11 @@ class Pid(Device):
             out[2] = side * self.limit
         return out, jac
 
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """The error."""
+        return ("error",)
+
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """The error."""
         return {"error": self._error(e)}
@@ -1054,6 +1105,11 @@ class Sampled(Device):
     def corners(self, stop: float) -> np.ndarray:
         """The sampling instants."""
         return self.period * np.arange(1, int(np.ceil(stop / self.period)))
+
+    @property
+    def affine(self) -> bool:
+        """Within a mode."""
+        return True
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[float, ...]:
         """The values held."""
