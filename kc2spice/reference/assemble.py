@@ -290,7 +290,8 @@ class _Assembly:
 
     def _null(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Basis of what the constraints leave free, in units of ``sizes``, and ``R``: y = R s."""
-        G = np.array([f[where] for f, _ in self.constraints]).reshape(-1, sizes.size)
+        G = np.array([f[where] for f, _ in self.constraints])
+        G = G.reshape(len(self.constraints), sizes.size)
         chosen = [k for k, row in enumerate(G) if row.any()]
         R = np.zeros((sizes.size, len(self.sources)))
         basis = np.diag(sizes)
@@ -379,7 +380,8 @@ class _Assembly:
             for o, q in pins
             if q.kind in L.MECHANICAL
         }
-        G = np.array([f for f, _ in self.constraints]).reshape(-1, n)
+        G = np.array([f for f, _ in self.constraints])
+        G = G.reshape(len(self.constraints), n)
         return System(
             M=M * level[:, None], A=A * level[:, None], Gs=W.T @ self.M @ Ts,
             Gd=W.T @ self.M @ Td, Bs=W.T @ (self.A @ Ts + self.S), Bd=W.T @ self.A @ Td,
