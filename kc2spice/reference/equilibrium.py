@@ -9,7 +9,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.reference.assemble import System
-from kc2spice.reference.integrate import Piece
+from kc2spice.reference.piece import Piece
 
 _ITERATIONS = 400
 

@@ -12,6 +12,8 @@ from scipy.optimize import brentq
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
 from kc2spice.reference.assemble import Rows, System
+from kc2spice.reference.modal import Flight, FlightStep, Modes, flown_loss, modes_of
+from kc2spice.reference.piece import Piece
 from kc2spice.reference.radau import NODES, WEIGHTS, Radau, Step
 
 _MAX_PIECES = 20_000  # a chattering contact beyond this is a modelling error, not a waveform
@@ -54,98 +56,13 @@ class Balance:
         return sum(abs(s.supplied) + abs(s.dissipated) + abs(s.before) for s in parts)
 
 
-class Piece:
-    """The system with its devices in fixed modes, sources smooth: a `radau.Problem`."""
-
-    def __init__(self, system: System, modes: list[Any], within: float) -> None:
-        self.system, self.modes, self.within = system, modes, within
-        self.A, self.const = system.A, system.const
-        self.Bs, self.Bd = system.Bs, system.Bd
-        self.curved = []
-        for device, mode in zip(system.devices, modes, strict=True):
-            if not device.law.affine:
-                self.curved.append((device, mode))
-                continue
-            out, slope = device.law.evaluate(0.0, np.zeros(device.inputs.z.shape[0]), mode)
-            act = device.into @ slope
-            self.A = self.A + act @ device.inputs.z
-            self.Bs, self.Bd = self.Bs + act @ device.inputs.s, self.Bd + act @ device.inputs.d
-            self.const = self.const + device.into @ out
-        self.differential = system.differential
-        self.rows = np.abs(system.M).max(axis=1, initial=0.0) > 0.0
-        for device in system.devices:
-            if device.stores is not None:
-                self.rows = self.rows | device.stores.any(axis=1)
-        self.linear = not self.curved
-
-    def stored(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """``g`` (n, nt)."""
-        s, d = self.system.inputs(t, self.within)
-        g = self.system.M @ z + self.system.Gs @ s + self.system.Gd @ d
-        for device, _ in self.curved:
-            if device.stores is not None:
-                e = device.inputs.at(z, s, d)
-                g += device.stores @ np.array([device.law.store(x)[0] for x in e.T]).T
-        return g
-
-    def flow(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """``f`` (n, nt)."""
-        s, d = self.system.inputs(t, self.within)
-        f = self.A @ z + self.Bs @ s + self.Bd @ d + self.const[:, None]
-        for device, mode in self.curved:
-            e = device.inputs.at(z, s, d)
-            out = [device.law.evaluate(tau, x, mode)[0] for tau, x in zip(t, e.T, strict=True)]
-            f += device.into @ np.array(out).T
-        return f
-
-    def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``dg/dz`` and ``df/dz``."""
-        M, J = self.system.M, self.A
-        s, d = self.system.inputs(t, self.within)
-        for device, mode in self.curved:
-            e = device.inputs.at(z, s, d)
-            J = J + device.into @ device.law.evaluate(t, e, mode)[1] @ device.inputs.z
-            if device.stores is not None:
-                M = M + device.stores @ device.law.store(e)[1] @ device.inputs.z
-        return M, J
-
-    def inputs_of(self, t: float, z: np.ndarray) -> list[np.ndarray]:
-        """Inputs ``e`` of every device."""
-        s, d = self.system.inputs(t, self.within)
-        return [device.inputs.at(z, s, d) for device in self.system.devices]
-
-    def guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Guards of all devices in turn."""
-        found = [
-            device.law.guards(t, e, mode)
-            for device, e, mode in zip(
-                self.system.devices, self.inputs_of(t, z), self.modes, strict=True
-            )
-        ]
-        return np.concatenate(found) if found else np.empty(0)
-
-    def settle(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Make the algebraic unknowns agree with the others."""
-        algebraic, rows = ~self.differential, ~self.rows
-        z = z.copy()
-        if not algebraic.any():
-            return z
-        for _ in range(30):
-            f = self.flow(np.array([t]), z[:, None])[rows, 0]
-            J = self.slopes(t, z)[1][np.ix_(rows, algebraic)]
-            change = np.linalg.lstsq(J, -f, rcond=1e-14)[0]
-            z[algebraic] += change
-            if self.linear or np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max()):
-                break
-        return z
-
-
 @dataclass(frozen=True)
 class Stretch:
     """Accepted steps of one piece."""
 
     piece: Piece
     steps: tuple[Step, ...]
+    flight: Flight | None = None
 
     @property
     def end(self) -> float:
@@ -321,19 +238,22 @@ def transient(
                 d.law.mode(begin, x, m) if np.any(at == begin) else m
                 for d, x, m, at in zip(system.devices, e, modes, own, strict=True)
             ]
-        t = begin
+        t, piece = begin, None
         while t < end:
             if len(stretches) > _MAX_PIECES:
                 raise SimulationError("contact chatters without end", where=f"t = {t:.9e} s")
-            piece = Piece(system, modes, within)
-            steps, fired = _run(piece, t, z, end, rtol)
-            if steps:
-                stretches.append(Stretch(piece, tuple(steps)))
-                t, z = stretches[-1].end, steps[-1].last
+            if piece is None:
+                piece = Piece(system, modes, within)
+                flying = modes_of(piece)
+            stretch, fired = _run(piece, t, z, end, rtol, flying)
+            if stretch is not None:
+                stretches.append(stretch)
+                t, z = stretch.end, stretch.steps[-1].last
             if fired is not None:
                 modes, event = _switched(system, modes, fired, t)
                 events += event
-            elif steps:
+                piece = None
+            elif t >= end * (1 - 1e-15):
                 t = end
     grid = [s.start for p in stretches for s in p.steps] + [stop]
     time = np.unique(grid) if times is None else np.union1d(times, [e.time for e in events])
@@ -362,33 +282,75 @@ def _switched(
 
 
 def _run(
-    piece: Piece, t: float, z: np.ndarray, end: float, rtol: float
-) -> tuple[list[Step], int | None]:
-    """Steps to ``end`` or to the first guard that falls to zero, and that guard."""
+    piece: Piece, t: float, z: np.ndarray, end: float, rtol: float, modes: Modes | None
+) -> tuple[Stretch | None, int | None]:
+    """Steps to ``end``, to the first guard that falls to zero (and its number), or to where modes
+    take off or land."""
     z = piece.settle(t, z)
-    solver = Radau(piece, t, z, rtol)
     before = piece.guards(t, z)
+    flight = None if modes is None else modes.launched(t, z)
+    if flight is not None and _landed(flight, t, before, 1.5):
+        flight = None
+    part = piece if flight is None else flight.modes.part
+    solver = Radau(part, t, z if flight is None else z[flight.modes.others], rtol)
+
+    def full(step: Step) -> Step:
+        return step if flight is None else FlightStep.of(step, flight, z.size)
+
     steps: list[Step] = []
-    h = solver.guess(end)
+    h, fired = solver.guess(end), None
     while solver.t < end:
-        step, h_next = solver.advance(h, end)
-        after = piece.guards(step.start + step.length, step.last)
+        inner, h_next = solver.advance(h, end)
+        step = full(inner)
+        now = step.start + step.length
+        if flight is not None:
+            late = _landing(piece, flight, step)
+            if late is not None:
+                if late - step.start <= 1e-15 * max(step.start, 1e-6):
+                    late = step.start + min(1e-3 * step.length, 1e-12)
+                step = full(_short(solver, inner, late - step.start))
+                now, end = late, late
+        after = piece.guards(now, step.last)
         wrong = (before < 0.0) & (after < before)
         if wrong.any():
-            return steps, int(np.flatnonzero(wrong)[0])
+            fired = int(np.flatnonzero(wrong)[0])
+            break
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
         if fell.size:
-            step, guard = _locate(piece, solver, step, fell)
-            _check(piece, step)
-            steps.append(step)
-            return steps, guard
+            step, fired = _locate(piece, solver, step, fell, full)
         _check(piece, step)
         steps.append(step)
-        if step.start + step.length >= end * (1 - 1e-16):
-            return steps, None
-        solver.accept(step)
+        if fired is not None or now >= end * (1 - 1e-16):
+            break
+        solver.accept(inner)
         before, h = after, h_next
-    return steps, None
+        if modes is not None and flight is None and not _landed(
+            modes.launched(now, step.last), now, after, 1.6
+        ):
+            break
+    return (Stretch(piece, tuple(steps), flight) if steps else None), fired
+
+
+def _landed(flight: Flight, t: float, guards: np.ndarray, margin: float) -> bool:
+    """Whether a watched guard may fall to zero through the flight's own motion."""
+    watched = flight.modes.watched
+    return bool(np.any((guards - margin * flight.swing(t) - 1e-9 * (margin > 1.0) <= 0.0)[watched]))
+
+
+def _landing(piece: Piece, flight: Flight, step: Step) -> float | None:
+    """First time within ``step`` from which a watched guard may fall to zero by the flight."""
+    times = step.start + step.length * np.linspace(0.0, 1.0, 9)[1:]
+
+    def value(t: float) -> float:
+        guards = piece.guards(t, step.at(t)[:, 0])
+        return float((guards - flight.swing(t))[flight.modes.watched].min(initial=np.inf))
+
+    low = step.start
+    for t in times:
+        if value(t) <= 0.0:
+            return brentq(value, low, t, xtol=1e-12) if value(low) > 0.0 else low
+        low = t
+    return None
 
 
 def _check(piece: Piece, step: Step) -> None:
@@ -397,7 +359,9 @@ def _check(piece: Piece, step: Step) -> None:
         device.law.check(t, e)
 
 
-def _locate(piece: Piece, solver: Radau, step: Step, fell: np.ndarray) -> tuple[Step, int]:
+def _locate(
+    piece: Piece, solver: Radau, step: Step, fell: np.ndarray, full: Callable[[Step], Step]
+) -> tuple[Step, int]:
     """The step shortened to the first zero of a guard, solved anew there."""
 
     def value(t: float, k: int) -> float:
@@ -413,16 +377,16 @@ def _locate(piece: Piece, solver: Radau, step: Step, fell: np.ndarray) -> tuple[
         roots.append(root)
     first = int(np.argmin(roots))
     h, guard = roots[first] - t0, int(fell[first])
-    if h <= 4e-16 * max(abs(t0), step.length):
-        return step if h >= step.length else _short(solver, step, low - t0), guard
-    found = _short(solver, step, h)
+    inner = step.inner if isinstance(step, FlightStep) else step
+    h = max(h, low - t0)
+    found = full(_short(solver, inner, h))
     for _ in range(2):  # the polynomial is of lower order than the step
         miss = float(piece.guards(t0 + h, found.last)[guard])
         rate = (value(t0 + h, guard) - value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or abs(miss / rate) > 0.01 * h or abs(miss / rate) < 1e-17:
             break
         h -= miss / rate
-        found = _short(solver, step, h)
+        found = full(_short(solver, inner, h))
     return found, guard
 
 
@@ -478,16 +442,20 @@ def _balance(result: Result) -> Balance:
         piece = part.piece
         t = np.concatenate([s.start + s.length * NODES for s in part.steps])
         w = np.concatenate([s.length * WEIGHTS for s in part.steps])
-        z = np.hstack([s.first[:, None] + s.increments for s in part.steps])
+        nodes = [s.nodes() for s in part.steps]
+        z, r = (np.hstack(rows) for rows in zip(*nodes, strict=True))
         if system.supplies:
-            r = np.hstack([s.rate(s.start + s.length * NODES) for s in part.steps])
             power, _ = _supplied(piece, t, z, r)
             for supply, row in zip(system.supplies, power, strict=True):
                 supplied[supply.law] = supplied.get(supply.law, 0.0) + float(row @ w)
         s, d = system.inputs(t, piece.within)
         for term in system.terms:
             if term.kind == "loss":
-                value = float(term.weight @ (term.rows.at(z, s, d) ** 2) @ w)
+                value = None
+                if part.flight is not None:
+                    value = flown_loss(part.flight, part.end, term, s[:, 0], d[:, 0])
+                if value is None:
+                    value = float(term.weight @ (term.rows.at(z, s, d) ** 2) @ w)
                 lost[term.law] = lost.get(term.law, 0.0) + value
         for k in losing:
             device, mode = system.devices[k], piece.modes[k]

@@ -76,6 +76,10 @@ class Step:
         square = self.increments @ _SQUARE.T @ (x ** (_POWERS - 1)[:, None])
         return self.first[:, None] + np.where(self.differential[:, None], cubic, square)
 
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """States and rates (n, 3) at the stages, for quadrature over the step."""
+        return self.first[:, None] + self.increments, self.rate(self.start + self.length * NODES)
+
     def rate(self, t: np.ndarray | float) -> np.ndarray:
         """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
         x = (np.atleast_1d(t) - self.start) / self.length
@@ -167,7 +171,7 @@ class Radau:
         self.before = step
         self.t, self.z = step.start + step.length, step.last
         self.g = p.stored(np.array([self.t]), self.z[:, None])[:, 0]
-        if not p.linear:
+        if not p.linear and self.iterations > 2:
             self.M, self.J = p.slopes(self.t, self.z)
             self.lu = None
 
