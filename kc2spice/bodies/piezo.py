@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from kc2spice.bodies.damping import Damping
@@ -14,7 +14,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.fem.potentials import Condensed, PiezoOperators, condense_potentials
 from kc2spice.rom.linear import LinearModel, Port
 
-_MODES = 12  # searched for the first one that an electrode moves
+_MODES = (12, 24, 48, 96)  # searched, one after the other, for one that an electrode moves
 _COUPLED = 1e-4  # square of the effective coupling from which a mode counts as coupled
 
 
@@ -66,7 +66,7 @@ def piezo_model(
     return LinearModel(B=B, C=B.T.copy(), D=D, ports=tuple(ports), M=M, E=E, K=K, facts=facts)
 
 
-def static(K: np.ndarray, load: np.ndarray, rigid: int = 0) -> np.ndarray:
+def static(K: sparse.csc_array, load: np.ndarray, rigid: int = 0) -> np.ndarray:
     """``K^-1 load``; a body free to move along z is held at one unknown.
 
     Loads of an electrode are in equilibrium, so that the support takes no force.
@@ -83,8 +83,7 @@ def first_mode(operators: PiezoOperators, condensed: Condensed) -> FirstMode:
     The update by ``b b'/C0`` has rank one, so that eigenvalues interlace: the open mode of the same
     number belongs to the short one.
     """
-    K, M, b, C0 = condensed.K, operators.M, condensed.b[:, 0], condensed.C0[0, 0]
-    count = min(_MODES, K.shape[0] - 1)
+    K, M, b, C0 = condensed.K, operators.M, condensed.b[:, 0], float(condensed.C0[0, 0])
     shift = -_scale(operators)
     factor = splu((K - shift * M).tocsc())
     moved = factor.solve(b)
@@ -94,23 +93,26 @@ def first_mode(operators: PiezoOperators, condensed: Condensed) -> FirstMode:
         y = factor.solve(x)
         return y - moved * (b @ y) / gain
 
-    short, modes = _eigenpairs(M, factor.solve, count, shift)
-    opened, _ = _eigenpairs(M, open_solve, count, shift)
-    rigid = int(np.sum(short < 1e-6 * np.abs(shift)))
-    if rigid > 1:
-        raise SimulationError("more than one rigid-body mode", got=rigid)
-    coupling = (b @ modes) ** 2 / (np.maximum(short, np.abs(shift) * 1e-6) * C0)
-    coupled = np.flatnonzero(coupling[rigid:] > _COUPLED) + rigid
-    if len(coupled) == 0:
+    for count in _MODES:
+        count = min(count, K.shape[0] - 1)
+        short, modes = _eigenpairs(M, factor.solve, count, shift)
+        rigid = int(np.sum(short < 1e-6 * abs(shift)))
+        if rigid > 1:
+            raise SimulationError("more than one rigid-body mode", got=rigid)
+        coupling = (b @ modes[:, rigid:]) ** 2 / (short[rigid:] * C0)
+        coupled = np.flatnonzero(coupling > _COUPLED) + rigid
+        if len(coupled):
+            break
+    else:
         raise SimulationError(
-            "no coupled resonance among the first modes",
-            got=f"largest squared coupling {coupling[rigid:].max():.1e}",
+            f"no coupled resonance among the first {count} modes",
+            got=f"largest squared coupling {coupling.max():.1e}",
             hint="are the electrodes and the poling directions as intended?",
         )
-    first = coupled[0]
-    return FirstMode(
-        math.sqrt(short[first]) / (2 * math.pi), math.sqrt(opened[first]) / (2 * math.pi), rigid
-    )
+    first = int(coupled[0])
+    opened, _ = _eigenpairs(M, open_solve, count, shift)
+    hertz = np.sqrt([short[first], opened[first]]) / (2 * np.pi)
+    return FirstMode(float(hertz[0]), float(hertz[1]), rigid)
 
 
 def _scale(operators: PiezoOperators) -> float:

@@ -131,8 +131,8 @@ def _grid(
     refine: int,
 ) -> Grid:
     faces = [*ports, *(face for electrode in electrodes for face in electrode.faces)]
-    r = [x for item in (*blocks, *faces, *supports) for x in item.r]
-    z = [x for item in (*blocks, *supports) for x in item.z]
+    r = [x for spans in (blocks, faces, supports) for item in spans for x in item.r]
+    z = [x for spans in (blocks, supports) for item in spans for x in item.z]
     return Grid(_divide(r, size, refine), _divide(z, size, refine))
 
 
@@ -162,7 +162,7 @@ def _mesh(blocks: Sequence[Block], grid: Grid) -> tuple[MeshQuad, np.ndarray]:
     t = np.array([corner, corner + nz + 1, corner + nz + 2, corner + 1])
     p = np.array([np.repeat(grid.r, nz + 1), np.tile(grid.z, nr + 1)])
     used, t = np.unique(t, return_inverse=True)
-    return MeshQuad(p[:, used], t.reshape(4, -1)), owner[i, j]
+    return MeshQuad(np.ascontiguousarray(p[:, used]), t.reshape(4, -1)), owner[i, j]
 
 
 def _strain(u, r: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
