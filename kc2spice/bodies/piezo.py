@@ -15,7 +15,8 @@ from kc2spice.fem.potentials import Condensed, PiezoOperators, condense_potentia
 from kc2spice.rom.linear import LinearModel, Port
 
 _MODES = (12, 24, 48, 96)  # searched, one after the other, for one that an electrode moves
-_COUPLED = 1e-4  # square of the effective coupling from which a mode counts as coupled
+_COUPLED = 1e-8  # square of the effective coupling above which it is not rounding
+_STRONG = 1e-2  # of the strongest one among these modes, from which a mode counts as coupled
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def first_mode(operators: PiezoOperators, condensed: Condensed) -> FirstMode:
         if rigid > 1:
             raise SimulationError("more than one rigid-body mode", got=rigid)
         coupling = (b @ modes[:, rigid:]) ** 2 / (short[rigid:] * C0)
-        coupled = np.flatnonzero(coupling > _COUPLED) + rigid
+        coupled = np.flatnonzero(coupling > max(_COUPLED, _STRONG * coupling.max())) + rigid
         if len(coupled):
             break
     else:

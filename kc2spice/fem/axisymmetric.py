@@ -168,7 +168,7 @@ def _mesh(blocks: Sequence[Block], grid: Grid) -> tuple[MeshQuad, np.ndarray]:
 def _strain(u, r: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
     """(4, …) strains rr, tt, zz, rz of a discrete field."""
     du = u.grad
-    return np.array([du[0, 0], u.value[0] / r, du[1, 1], du[0, 1] + du[1, 0]])
+    return np.array([du[0, 0], u[0] / r, du[1, 1], du[0, 1] + du[1, 0]])
 
 
 class _Fields:
@@ -255,7 +255,7 @@ def _stiffness_form(material: Material) -> BilinearForm:
 
 def _mass_form(density: float) -> BilinearForm:
     def form(u, v, w):  # type: ignore[no-untyped-def]
-        product = u.value[0] * v.value[0] + u.value[1] * v.value[1]
+        product = u[0] * v[0] + u[1] * v[1]
         return 2 * np.pi * w.x[0] * density * product
 
     return BilinearForm(form)
@@ -283,7 +283,7 @@ def _permittivity_form(material: Material) -> BilinearForm:
 @LinearForm
 def _axial_load(v, w):  # type: ignore[no-untyped-def]
     """A unit load along z per volume or area; its sum over all unknowns is that volume or area."""
-    return 2 * np.pi * w.x[0] * v.value[1]
+    return 2 * np.pi * w.x[0] * v[1]
 
 
 def _require_axisymmetric(material: Material) -> None:

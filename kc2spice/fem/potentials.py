@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.errors import UsageError
@@ -81,13 +82,8 @@ def condense_potentials(operators: PiezoOperators) -> Condensed:
     o = operators
     if o.K_pp.shape[0] == 0:
         return Condensed(o.K_uu, -o.k_uV, o.c_VV)
-    try:
-        factor = splu(o.K_pp)
-    except RuntimeError:
-        raise UsageError(
-            "a ceramic touches no electrode: its potential is undetermined",
-            hint="every piezoelectric layer needs an electrode on one face at least",
-        ) from None
+    _require_grounded(o.K_pp)
+    factor = splu(o.K_pp)
     coupled = np.unique(o.K_up.indices)
     K_up = o.K_up[coupled].toarray()
     solved = factor.solve(K_up.T.copy())
@@ -102,3 +98,14 @@ def condense_potentials(operators: PiezoOperators) -> Condensed:
     voltages = factor.solve(o.k_pV)
     C0 = o.c_VV - o.k_pV.T @ voltages
     return Condensed((o.K_uu + added).tocsc(), o.K_up @ voltages - o.k_uV, (C0 + C0.T) / 2)
+
+
+def _require_grounded(K_pp: sparse.csc_array) -> None:
+    """A piece whose constant potential stores no energy is tied to no electrode."""
+    count, labels = connected_components(K_pp, directed=False)
+    energy = np.bincount(labels, K_pp @ np.ones(K_pp.shape[0]), count)
+    if np.any(energy < 1e-10 * np.bincount(labels, K_pp.diagonal(), count)):
+        raise UsageError(
+            "a ceramic touches no electrode: its potential is undetermined",
+            hint="every piezoelectric layer needs an electrode on one face at least",
+        )
