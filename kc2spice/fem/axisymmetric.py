@@ -119,6 +119,7 @@ def assemble(
         parts=parts,
         mass=fields.volume_integral([block.material.density for block in blocks]),
         points=fields.points()[free],
+        potential_points=_places(fields, tie_free),
     )
 
 
@@ -373,6 +374,15 @@ def _ties(
         (len(owner), len(names)),
     )
     return free, terminal, tuple(names)
+
+
+def _places(fields: _Fields, tie_free: sparse.csc_array) -> np.ndarray:
+    """Where each free potential sits; a floating electrode is in many places, so in none."""
+    places = np.full((tie_free.shape[1], 2), np.nan)
+    nodes = np.diff(tie_free.indptr)
+    single = nodes == 1
+    places[single] = fields.potential.doflocs.T[tie_free.indices[tie_free.indptr[:-1][single]]]
+    return places
 
 
 def _selection(rows: np.ndarray, cols: np.ndarray, shape: tuple[int, int]) -> sparse.csc_array:

@@ -34,6 +34,7 @@ class PiezoOperators:
     parts : stiffness by block, whose sum is K_uu (for damping by material).
     mass : kg, without constraints.
     points : (n, 3) where each unknown sits, r, z [m], and its direction (0 radial, 1 axial).
+    potential_points : (m, 2) r, z [m] of each free potential, nan for a floating electrode.
     """
 
     M: sparse.csc_array
@@ -48,6 +49,7 @@ class PiezoOperators:
     parts: Sequence[sparse.csc_array]
     mass: float
     points: np.ndarray
+    potential_points: np.ndarray
 
     def __repr__(self) -> str:
         n, m = self.K_up.shape
