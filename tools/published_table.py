@@ -32,7 +32,7 @@ resonance that is due to the mesh.
 """
 
 
-def found(model: LinearModel, quantity: str) -> float:
+def predicted(model: LinearModel, quantity: str) -> float:
     """The model's value of a published quantity (SI)."""
     if quantity == "resonance_hz":
         return model.facts["resonance_short_hz"]
@@ -52,7 +52,7 @@ def rows(name: str, entry: dict[str, Any]) -> list[str]:
     for quantity, (label, unit, text) in UNITS.items():
         if quantity not in entry:
             continue
-        sheet, value = entry[quantity], found(model, quantity)
+        sheet, value = entry[quantity], predicted(model, quantity)
         difference = value / sheet["value"] - 1
         limit = f"{sheet['value'] / unit:.3g} {text} ± {100 * sheet['tolerance']:.0f} %"
         inside = "yes" if abs(difference) <= sheet["tolerance"] else "**no**"

@@ -18,10 +18,10 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.bodies.piezo import piezo_model
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Length, Ratio, Section
+from kc2spice.core.quantities import Length, Ratio, Section
 from kc2spice.core.schema import validated
 from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
 from kc2spice.fem.materials import Material, material
@@ -58,12 +58,6 @@ class Node(Section):
     """A knife edge under the body."""
 
     node: Length = Field(gt=0, description="diameter")
-
-
-class Mesh(Section):
-    """``refine`` divides every cell along both axes."""
-
-    refine: Count = Field(1, ge=1, le=8)
 
 
 class Disc(Section):
@@ -125,7 +119,7 @@ def _electrical(name: str) -> Port:
 
 
 def _materials(disc: Disc, where: str) -> list[Material]:
-    found = []
+    materials = []
     for i, layer in enumerate(disc.layers):
         here = f"{where}.layers.{i}"
         one = material(layer.material, f"{here}.material")
@@ -140,14 +134,14 @@ def _materials(disc: Disc, where: str) -> list[Material]:
                 got=f"{layer.electrodes:g} m",
                 expected=f"at most {layer.diameter:g} m",
             )
-        found.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
-    if not any(one.piezoelectric for one in found):
+        materials.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
+    if not any(one.piezoelectric for one in materials):
         raise UsageError(
             "no piezoelectric layer",
             where=f"{where}.layers",
-            got=", ".join(one.name for one in found),
+            got=", ".join(one.name for one in materials),
         )
-    return found
+    return materials
 
 
 def _qualities(disc: Disc, materials: list[Material], where: str) -> list[float]:

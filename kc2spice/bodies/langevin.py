@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.bodies.piezo import piezo_model
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Ratio, Section
@@ -74,12 +74,6 @@ class Bolt(Section):
         if (self.head_diameter is None) != (self.head_length is None):
             raise ValueError("a head needs head_diameter and head_length")
         return self
-
-
-class Mesh(Section):
-    """``refine`` divides every cell along both axes."""
-
-    refine: Count = Field(1, ge=1, le=8)
 
 
 class Langevin(Section):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.potentials import Condensed, PiezoOperators, condense_potentials
 from kc2spice.rom.linear import LinearModel, Port

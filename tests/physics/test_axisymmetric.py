@@ -152,11 +152,11 @@ def test_the_disc_part_holds_its_rim_as_its_key_says():
         {"material": "PZT-5A", "diameter": "1 mm", "thickness": "1 um"},
     ]
     for support in ("clamped", "simply_supported"):
-        found = disc.build({"layers": layers, "support": support}, refine=2)
-        values = eigh(found.K.toarray(), found.M.toarray(), eigvals_only=True)
+        model = disc.build({"layers": layers, "support": support}, refine=2)
+        values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
         theory = bending(plate_root(support), 20e-3, 0.4e-3)
         assert np.sqrt(values[0]) / (2 * np.pi) == approx(theory, rel=2e-3)
-        assert found.facts["rigid_modes"] == 0
+        assert model.facts["rigid_modes"] == 0
 
 
 # -- ceramics in closed form ----------------------------------------------------------------------
@@ -185,8 +185,8 @@ def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
     assert model.facts["resonance_short_hz"] == approx(pole, rel=5e-4)
     assert model.facts["resonance_open_hz"] == approx(zero, rel=5e-4)
     away = (np.abs(f - pole) > 5e3) & (np.abs(f - zero) > 5e3)
-    found = np.array([admittance(model, x).imag for x in f[away]])
-    np.testing.assert_allclose(found, theory[away], rtol=5e-3)
+    computed = np.array([admittance(model, x).imag for x in f[away]])
+    np.testing.assert_allclose(computed, theory[away], rtol=5e-3)
 
 
 def test_a_slender_rod_has_the_length_mode_of_piezoelectric_theory():

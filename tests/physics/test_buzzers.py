@@ -33,15 +33,15 @@ def test_every_buzzer_of_the_gallery_has_published_numbers():
 def test_resonance_and_capacitance_are_those_of_the_sheet_or_a_stated_miss(name):
     published = PUBLISHED[name]
     model = disc.build(keys_of(name))
-    found = {
+    predicted = {
         "resonance_hz": model.facts["resonance_short_hz"],
         "capacitance_f": model.facts["capacitance_free_f"],
     }
     if "feedback_capacitance_f" in published:
         b = model.B[:, 1]
-        found["feedback_capacitance_f"] = model.D[1, 1] + b @ static(model.K, b, 1)
+        predicted["feedback_capacitance_f"] = model.D[1, 1] + b @ static(model.K, b, 1)
     misses = published.get("misses", {})
-    for quantity, value in found.items():
+    for quantity, value in predicted.items():
         sheet = published[quantity]
         inside = abs(value / sheet["value"] - 1) <= sheet["tolerance"]
         assert inside != (quantity in misses), (quantity, value, sheet)

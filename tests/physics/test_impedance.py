@@ -25,15 +25,15 @@ def circuit(f, r=R, extra=0.0):
 def test_the_circuit_is_found_whatever_the_samples(samples, quality):
     r = np.sqrt(L / C) / quality
     f = np.geomspace(300, 20e3, samples)
-    found = analyse(f, circuit(f, r))
-    assert found.resonance_hz == approx(FS, rel=1e-6)
-    assert found.antiresonance_hz == approx(FS * np.sqrt(1 + C / C0), rel=1e-6)
-    assert found.quality == approx(quality, rel=1e-4)
-    assert found.coupling == approx(np.sqrt(C / (C + C0)), rel=1e-5)
-    bvd = found.metrics()["bvd"]
+    reading = analyse(f, circuit(f, r))
+    assert reading.resonance_hz == approx(FS, rel=1e-6)
+    assert reading.antiresonance_hz == approx(FS * np.sqrt(1 + C / C0), rel=1e-6)
+    assert reading.quality == approx(quality, rel=1e-4)
+    assert reading.coupling == approx(np.sqrt(C / (C + C0)), rel=1e-5)
+    bvd = reading.metrics()["bvd"]
     np.testing.assert_allclose(list(bvd.values()), [C0, r, L, C], rtol=1e-4)
     assert list(bvd) == ["c0_f", "rm_ohm", "lm_h", "cm_f"]
-    assert found.fit_error < 1e-5
+    assert reading.fit_error < 1e-5
 
 
 def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
@@ -52,19 +52,19 @@ def test_higher_modes_and_loss_are_left_to_the_rest():
     s = 2j * np.pi * f
     second = 1 / (200 + s * 0.06 + 1 / (s * 0.6e-9))  # at 26.5 kHz
     Z = 1 / (1 / circuit(f) + second + 0.02 * 2 * np.pi * f * C0)
-    found = analyse(f, Z)
-    assert found.resonance_hz == approx(FS, rel=1e-4)
-    assert found.quality == approx(np.sqrt(L / C) / R, rel=0.02)
-    assert found.bvd.c0_f == approx(C0 + 0.6e-9 / (1 - (FS / 26.5e3) ** 2), rel=0.02)
+    reading = analyse(f, Z)
+    assert reading.resonance_hz == approx(FS, rel=1e-4)
+    assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
+    assert reading.bvd.c0_f == approx(C0 + 0.6e-9 / (1 - (FS / 26.5e3) ** 2), rel=0.02)
 
 
 def test_noise_moves_the_figures_by_its_own_size():
     rng = np.random.default_rng(1)
     f = np.linspace(4e3, 9e3, 400)
     Z = circuit(f) * (1 + 1e-3 * rng.standard_normal(400))
-    found = analyse(f, Z)
-    assert found.resonance_hz == approx(FS, rel=1e-3)
-    assert found.quality == approx(np.sqrt(L / C) / R, rel=0.02)
+    reading = analyse(f, Z)
+    assert reading.resonance_hz == approx(FS, rel=1e-3)
+    assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
 
 
 def test_a_model_is_read_at_its_electrical_port():
