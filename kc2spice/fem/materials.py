@@ -28,11 +28,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from scipy.constants import epsilon_0
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si
+from kc2spice.core.schema import validated
 from kc2spice.core.units import quantity
 
 Symmetry: TypeAlias = Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"]
@@ -452,32 +453,14 @@ def _require_scale(C: np.ndarray, where: str) -> None:
 @cache
 def _library() -> dict[str, Material]:
     tables = tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
-    return {name: material_table(table, name).build(name) for name, table in tables.items()}
+    return {
+        name: validated(MaterialTable, table, name).build(name) for name, table in tables.items()
+    }
 
 
 def names() -> tuple[str, ...]:
     """Materials of the library."""
     return tuple(_library())
-
-
-def material_table(table: Mapping[str, Any], where: str) -> MaterialTable:
-    """Check a material's table.
-
-    Raises
-    ------
-    UsageError : a key is unknown, missing, of the wrong unit, or contradicts another.
-    """
-    try:
-        return MaterialTable.model_validate(dict(table))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise UsageError(
-            first["msg"].removeprefix("Value error, "),
-            where=f"{where}.{key}" if key else where,
-            got=None if first["type"] == "missing" or not key else first["input"],
-            hint=f"keys: {', '.join(MaterialTable.model_fields)}",
-        ) from None
 
 
 def material(given: str | Mapping[str, Any] | Material, where: str = "material") -> Material:
@@ -490,7 +473,7 @@ def material(given: str | Mapping[str, Any] | Material, where: str = "material")
     if isinstance(given, Material):
         return given
     if isinstance(given, Mapping):
-        return material_table(given, where).build(where.rsplit(".", 1)[-1], where)
+        return validated(MaterialTable, given, where).build(where.rsplit(".", 1)[-1], where)
     by_name = {name.lower(): value for name, value in _library().items()}
     if not isinstance(given, str) or given.lower() not in by_name:
         raise UsageError(
