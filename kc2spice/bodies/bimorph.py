@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -111,8 +112,8 @@ def device(keys: Bimorph, home: Path, *, refine: int = 1) -> Device:
     heights = np.concatenate([[0.0], np.cumsum([layer.thickness for layer in keys.layers])])
     wires = _wires(keys, materials, heights)
     poled = [m.poled((0, 0, wires.poling.get(k, 1.0))) for k, m in enumerate(materials)]
-    z = np.concatenate([*(np.linspace(a, b, refine + 1)[:-1]
-                          for a, b in zip(heights[:-1], heights[1:], strict=True)), heights[-1:]])  # fmt: skip
+    cuts = [np.linspace(*pair, refine + 1)[:-1] for pair in pairwise(heights)]
+    z = np.append(np.concatenate(cuts), heights[-1])
     x = np.union1d(np.linspace(0, keys.length, LENGTHWISE * refine + 1), list(keys.points.values()))
     mesh = MeshHex.init_tensor(x, np.linspace(0, keys.width, ACROSS * refine + 1), z)
     middle = mesh.p[2, mesh.t].mean(axis=0)
@@ -124,11 +125,17 @@ def _wires(keys: Bimorph, materials: Sequence[Material], heights: np.ndarray) ->
     active = [k for k, m in enumerate(materials) if m.piezoelectric]
     if not active:
         if keys.wiring is not None:
-            raise UsageError("wiring without a piezoelectric layer", where="wiring", got=keys.wiring)
+            raise UsageError(
+                "wiring without a piezoelectric layer", where="wiring", got=keys.wiring
+            )
         return _Wires([], [], [], {})
     tops = [heights[k + 1] for k in active]
     bottoms = [heights[k] for k in active]
-    levels = [[bottoms[0]], *([a, b] for a, b in zip(tops[:-1], bottoms[1:], strict=True)), [tops[-1]]]
+    levels = [
+        [bottoms[0]],
+        *([a, b] for a, b in zip(tops[:-1], bottoms[1:], strict=True)),
+        [tops[-1]],
+    ]
     last = len(active)
     series = keys.wiring != "parallel"
     anode = [last] if series else list(range(last, -1, -2))
@@ -155,7 +162,9 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
         return np.flatnonzero(np.isclose(z[:, None], planes, rtol=0, atol=near).any(axis=1))
 
     ends = [n for n in range(len(wires.levels)) if n not in wires.anode + wires.cathode]
-    end = node_shares(solid, facets=solid.mesh.facets_satisfying(lambda p: p[0] > keys.length - near))
+    end = node_shares(
+        solid, facets=solid.mesh.facets_satisfying(lambda p: p[0] > keys.length - near)
+    )
     shapes = [] if keys.support == "clamped" else [_port("tip", end, solid)]
     for name, place in keys.points.items():
         distance = np.hypot(x - place, y - keys.width / 2) + np.abs(z - z.max())
@@ -169,11 +178,11 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
         reference="cathode",
         floating=[level([n]) for n in ends],
         shapes=shapes,
-        base=[(Port("base", "acceleration", "m/s2", "N"), UP)] if keys.support != "free" else [],
+        base=[(Port("base", "acceleration"), UP)] if keys.support != "free" else [],
         lumped=keys.tip_mass * end,
-        rayleigh=keys.damping.rayleigh,
+        damping=keys.damping,
     )  # fmt: skip
 
 
 def _port(name: str, shares: np.ndarray, solid: Solid) -> Shape:
-    return Shape(Port(name, "mechanical", "um", "N"), spread(shares, UP, solid))
+    return Shape(Port(name, "mechanical"), spread(shares, UP, solid))

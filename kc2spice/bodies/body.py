@@ -11,7 +11,10 @@ Groups of the file name materials, supports, electrodes and ports::
     poling = { patch = [0, 0, 1] }
     fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
     electrodes = { anode = "top", cathode = "bottom" }
-    ports = [{ name = "tip", group = "end", axis = "z" }, { name = "base", kind = "base", axis = "z" }]
+    ports = [
+        { name = "tip", group = "end", axis = "z" },
+        { name = "base", kind = "base", axis = "z" },
+    ]
 
 In a CAD file, groups are its labels and what ``groups`` picks, by points that lie in an entity or
 by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
@@ -252,7 +255,7 @@ def _setup(keys: Body, groups: _Groups, solid: Solid) -> Setup:
     for port in keys.ports:
         if port.kind == "mean":
             shares = _shares(port, groups, solid)
-            motion = Port(port.name, "mechanical", "um", "N")
+            motion = Port(port.name, "mechanical")
             shapes.append(Shape(motion, spread(shares, port.direction, solid)))
         elif port.kind == "rigid":
             faces.append(_rigid(port, groups, solid))
@@ -264,11 +267,11 @@ def _setup(keys: Body, groups: _Groups, solid: Solid) -> Setup:
         shapes=shapes,
         faces=faces,
         base=[
-            (Port(port.name, "acceleration", "m/s2", "N"), port.direction)
+            (Port(port.name, "acceleration"), port.direction)
             for port in keys.ports
             if port.kind == "base"
         ],
-        rayleigh=keys.damping.rayleigh,
+        damping=keys.damping,
     )
 
 
@@ -342,6 +345,5 @@ def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
 
 def _motion(name: str, motion: str) -> Port:
     if motion.startswith("r"):
-        return Port(name, "rotational", "rad", "N m")
-    return Port(name, "mechanical", "um", "N")
-
+        return Port(name, "rotational")
+    return Port(name, "mechanical")

@@ -2,13 +2,13 @@
 
 Constraints are prolongations: ``u = P z`` from the free displacements and the six motions of each
 rigid face, ``phi = Q p + R V`` from the free potentials (floating electrodes are one each) and
-the voltages of the driven electrodes. What is left is exact and symmetric,
+the voltages of the driven electrodes. With shapes S of the forces,
 
-    [M 0; 0 0] x'' + [P'K_uu P, P'K_up Q; ., -Q'K_pp Q] x = [P'S, -P'K_up R; 0, Q'K_pp R] [f; V]
-    [y; charge] = B' x + [0 0; 0 R'K_pp R] [f; V],       x = [z; p / scale],
+    P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
+                     Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
+        charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
 
-where S are the shapes of the forces. Potentials have no mass and a negative stiffness block; they
-are scaled so that all unknowns are of one magnitude.
+of which :func:`kc2spice.rom.linear.with_potentials` eliminates p exactly.
 """
 
 from __future__ import annotations
@@ -18,20 +18,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, eigsh
 from skfem import Basis, BoundaryFacetBasis
 
+from kc2spice.bodies.coupled import electromechanical
+from kc2spice.bodies.damping import Damping
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.solid import Operators, Solid, assemble, element
-from kc2spice.linalg.factor import Factor, Inverse, factorise
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.fem.solid import Solid, assemble, element
+from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
-MODES = (8, 40)
-# A mode is excited by a port if it has more than this part of the static answer (mass norm).
-COUPLED = 0.03
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
-REFINEMENTS = 3
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,6 @@ class Setup:
     shapes, faces : ports of forces and moments.
     base : ports of base acceleration and their direction (3,).
     lumped : masses [kg] (nodes,) on top of those of the solid.
-    rayleigh : alpha [1/s] and beta [s] of ``E = alpha M + beta P'K_uu P``.
     """
 
     fixed: np.ndarray
@@ -76,15 +71,14 @@ class Setup:
     faces: Sequence[RigidFace] = ()
     base: Sequence[tuple[Port, np.ndarray]] = ()
     lumped: np.ndarray | None = None
-    rayleigh: tuple[float, float] = (0.0, 0.0)
+    damping: Damping = field(default_factory=Damping)
 
 
 @dataclass(frozen=True)
 class Device:
-    """A solid's linear model and how its unknowns x and voltages V give the fields at the nodes.
-
-    ``u = displacement @ x`` (d nodes,), ``phi = potential @ x + drive @ V`` (nodes,).
-    ``massless`` unknowns, the potentials, stand last.
+    """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
+    ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
+    ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
     """
 
     model: LinearModel
@@ -92,53 +86,62 @@ class Device:
     displacement: sparse.csc_array
     potential: sparse.csc_array
     drive: sparse.csc_array
-    massless: int
+    lift: np.ndarray
+    shift: float
 
 
-def make_device(solid: Solid, setup: Setup, operators: Operators | None = None) -> Device:
-    """Constrain, attach ports and state the facts; see the module.
+def make_device(solid: Solid, setup: Setup) -> Device:
+    """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
 
     Raises
     ------
-    UsageError : electrodes or rigid faces touch each other, or an electrode touches nothing
-        piezoelectric.
+    UsageError : electrodes or rigid faces touch each other, an electrode touches nothing
+        piezoelectric, or damping per material lacks a quality.
     """
-    full = assemble(solid) if operators is None else operators
+    full = assemble(solid)
     P, motions = _moving(solid, setup)
     Q, R, pins = _potentials(full.K_pp, setup)
     mass = full.M
     if setup.lumped is not None:
         mass = mass + sparse.diags_array(np.repeat(setup.lumped, solid.components), format="csc")
-    K_zz, K_zp, K_pp = P.T @ full.K_uu @ P, P.T @ full.K_up @ Q, Q.T @ full.K_pp @ Q
-    scale = 1.0
-    if Q.shape[1]:
-        scale = float(np.sqrt(np.median(K_zz.diagonal()) / np.median(K_pp.diagonal())))
-    K = sparse.block_array(
-        [[K_zz, scale * K_zp], [scale * K_zp.T, -(scale**2) * K_pp]], format="csc"
-    )
-    none = sparse.csc_array((Q.shape[1],) * 2)
-    M_zz = P.T @ mass @ P
-    alpha, beta = setup.rayleigh
-    E = sparse.block_diag([alpha * M_zz + beta * K_zz, none], format="csc")
-    M = sparse.block_diag([M_zz, none], format="csc")
     columns: list[tuple[Port, np.ndarray]] = [(s.port, P.T @ s.weights) for s in setup.shapes]
     columns += motions
-    columns += [(port, -(P.T @ (mass @ _translation(solid, a)))) for port, a in setup.base]
-    mechanical = np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T
-    electrical = [-(P.T @ full.K_up @ R).toarray(), scale * (Q.T @ full.K_pp @ R).toarray()]
-    B = np.zeros((K.shape[0], len(columns) + len(pins)))
-    B[: P.shape[1], : len(columns)] = mechanical
-    B[:, len(columns) :] = np.vstack(electrical)
-    D = np.zeros((B.shape[1],) * 2)
-    D[len(columns) :, len(columns) :] = (R.T @ full.K_pp @ R).toarray()
-    ports = (*(port for port, _ in columns), *pins)
-    model = LinearModel(B=B, C=B.T.copy(), D=D, ports=ports, M=M, E=E, K=K)
-    nothing_u, nothing_p = (sparse.csc_array((a.shape[0], b.shape[1])) for a, b in ((P, Q), (Q, P)))
-    device = Device(
-        model, solid, sparse.hstack([P, nothing_u], format="csc"),
-        sparse.hstack([nothing_p, scale * Q], format="csc"), R, Q.shape[1],
-    )  # fmt: skip
-    return replace(device, model=replace(model, facts=_facts(device, setup, mass)))
+    columns += [(port, -(P.T @ (mass @ translation(solid, a)))) for port, a in setup.base]
+    undamped = with_potentials(
+        M=sparse.csc_array(P.T @ mass @ P),
+        K_uu=sparse.csc_array(P.T @ full.K_uu @ P),
+        K_up=P.T @ full.K_up @ Q,
+        K_pp=Q.T @ full.K_pp @ Q,
+        k_uV=(P.T @ full.K_up @ R).toarray(),
+        k_pV=(Q.T @ full.K_pp @ R).toarray(),
+        c_VV=(R.T @ full.K_pp @ R).toarray(),
+        B=np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T,
+        ports=[*(port for port, _ in columns), *pins],
+    )
+    facts = {"unknowns": float(P.shape[1] + Q.shape[1])}
+    facts["mass_kg"] = float(mass.sum()) / solid.components
+    shift = _shift(solid, setup)
+    facts |= electromechanical(undamped, shift)
+    model = _damped(replace(undamped, facts=facts), solid, P, setup.damping)
+    lift = -(Q.T @ full.K_pp @ R).toarray()
+    return Device(model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), lift, shift)
+
+
+def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
+    """Rayleigh damping, or of each material's elastic stiffness by its quality."""
+    omega = 2 * np.pi * (damping.at or model.facts.get("resonance_short_hz", 0.0))
+    if not omega:
+        raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
+    if not damping.per_material:
+        return replace(model, E=None, rayleigh=(damping.alpha, 2 * damping.zeta / omega))
+    E = damping.alpha * model.M
+    for number, material in enumerate(solid.materials):
+        if material.quality is None:
+            raise UsageError("no quality known", where="damping.per_material", got=material.name,
+                             hint="give it in a material table, or a ratio for all")  # fmt: skip
+        part = assemble(solid, only=number).K_uu
+        E = E + (P.T @ part @ P) / (material.quality * omega)
+    return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
 def mean(solid: Solid, axis: np.ndarray, *, facets: np.ndarray | None = None,
@@ -169,7 +172,7 @@ def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
     return np.outer(shares, axis).ravel()
 
 
-def _translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
+def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
     return spread(np.ones(int(solid.basis(1).N)), np.asarray(axis, float), solid)
 
 
@@ -178,16 +181,14 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
     one translation along the axis (axisymmetric, (d nodes, 1)).
     """
     if solid.axisymmetric:
-        return _translation(solid, np.array([0.0, 0.0, 1.0]))[:, None]
+        return translation(solid, np.array([0.0, 0.0, 1.0]))[:, None]
     arm = solid.basis(1).doflocs.T - centre
     turns = np.cross(np.eye(3)[:, None], arm[None])  # (axis, nodes, component)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
 
 
-def _moving(
-    solid: Solid, setup: Setup
-) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
+def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
     """``P`` of ``u = P z``, and the columns of the rigid faces' ports."""
     d, kept = solid.components, ~setup.fixed
     where = solid.basis(1).doflocs.T
@@ -240,7 +241,7 @@ def _potentials(
     driven = {pin: n for pin, n in setup.electrodes.items() if pin != setup.reference}
     none = sparse.csc_array((len(live), 0))
     R = sparse.hstack([none, *(_indicator(n, live) for n in driven.values())], "csc")
-    ports = [Port(p, "electrical", "V", "A", (p, setup.reference)) for p in driven]
+    ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
     return Q, R, ports
 
 
@@ -248,40 +249,6 @@ def _indicator(nodes: np.ndarray, live: np.ndarray) -> sparse.csc_array:
     column = np.zeros((len(live), 1))
     column[nodes[live[nodes]]] = 1.0
     return sparse.csc_array(column)
-
-
-def _facts(device: Device, setup: Setup, mass: sparse.csc_array) -> dict[str, float]:
-    """Mass, size, capacitances (of the first electrical port, others shorted), static stroke per
-    volt and the lowest resonances that a port can excite, all ports shorted or all open.
-    """
-    model, solid = device.model, device.solid
-    facts = {"unknowns": model.B.shape[0], "mass_kg": float(mass.sum()) / solid.components}
-    shift = _shift(solid, setup)
-    factor = factorise(model.K + shift * model.M, definite=False)
-    kinds = [port.kind for port in model.ports]
-    e = [k for k, kind in enumerate(kinds) if kind == "electrical"]
-    forces = [k for k, kind in enumerate(kinds) if kind in ("mechanical", "rotational")]
-    response = _at_rest(factor, model, shift, e)
-    if e:
-        free = model.D[np.ix_(e, e)] + model.B[:, e].T @ response
-        potentials = slice(model.B.shape[0] - device.massless, None)
-        inner, b = -model.K[potentials, potentials], model.B[potentials, e[0]]
-        drop = b @ factorise(inner, definite=False).solve(b) if device.massless else 0.0
-        facts["capacitance_free_f"] = float(free[0, 0])
-        facts["capacitance_clamped_f"] = float(model.D[e[0], e[0]] - drop)
-        if forces:
-            facts["free_stroke_m_per_v"] = float(model.B[:, forces[0]] @ response[:, 0])
-    resonances = {"resonance_short_hz": _resonance(device, factor.solve, shift)}
-    if e:
-        shifted = factor.solve(model.B[:, e])
-        weight = np.linalg.inv(model.D[np.ix_(e, e)] + model.B[:, e].T @ shifted)
-
-        def opened(force: np.ndarray) -> np.ndarray:
-            x = factor.solve(force)
-            return np.asarray(x - shifted @ (weight @ (model.B[:, e].T @ x)))
-
-        resonances["resonance_open_hz"] = _resonance(device, opened, shift)
-    return facts | {name: value for name, value in resonances.items() if value is not None}
 
 
 def _shift(solid: Solid, setup: Setup) -> float:
@@ -293,42 +260,3 @@ def _shift(solid: Solid, setup: Setup) -> float:
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
     return float((FREE_SHIFT * slowest / size) ** 2)
-
-
-def _at_rest(factor: Factor, model: LinearModel, shift: float, ports: list[int]) -> np.ndarray:
-    """``K^-1 B`` of loads in equilibrium, refined against the shift of a free body."""
-    load = model.B[:, ports]
-    x = factor.solve(load) if ports else load
-    for _ in range(REFINEMENTS if shift and ports else 0):
-        x = factor.solve(load + shift * (model.M @ x))
-    return x
-
-
-def _resonance(device: Device, solve: Inverse, shift: float) -> float | None:
-    """Lowest frequency [Hz] above rigid motion that the electrical ports excite (of a body without
-    any: the others), None if it is not among the lowest modes.
-
-    Lanczos starts from the static answers of the ports, so it stays with the modes that they
-    excite.
-    """
-    model = device.model
-    n = model.B.shape[0] - device.massless
-    rest = np.zeros(device.massless)
-
-    def invert(force: np.ndarray) -> np.ndarray:
-        return solve(np.concatenate([force.ravel(), rest]))[:n]
-
-    inverse = LinearOperator((n, n), matvec=invert, dtype=float)
-    M = model.M[:n, :n]
-    electrical = [k for k, port in enumerate(model.ports) if port.kind == "electrical"]
-    ports = electrical or range(len(model.ports))
-    static = np.array([solve(model.B[:, k])[:n] for k in ports])
-    start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
-    for count in MODES:
-        values, modes = eigsh(inverse, min(count, n - 1), M=M, sigma=-shift, OPinv=inverse, v0=start)
-        share = np.abs(static @ (M @ modes)) / np.sqrt(np.sum(static * (M @ static.T).T, axis=1))[:, None]
-        excited = share.max(axis=0) > COUPLED
-        found = values[excited & (values > 10 * shift)]
-        if found.size:
-            return float(np.sqrt(found.min()) / (2 * np.pi))
-    return None

@@ -96,7 +96,9 @@ def read_mesh(
         except Exception as error:
             if isinstance(error, UsageError):
                 raise
-            raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
+            raise UsageError(
+                "gmsh cannot read or mesh this", where=str(path), got=str(error)
+            ) from None
         return _collect(gmsh, unit, dimension, str(path))
 
 
@@ -241,7 +243,7 @@ def _elements(gmsh: ModuleType, d: int, entity: int) -> list[tuple[np.ndarray, n
         name, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
         if corners != d + 1 or count not in (corners, corners * (d + 2) // 2):
             raise UsageError("element that is not supported", where="mesh", got=name,
-                             expected="triangles or tetrahedra of first or second order")  # fmt: skip
+                             expected="triangles, tetrahedra of order 1 or 2")  # fmt: skip
         result.append((tags, nodes.reshape(-1, count).astype(int)))
     return result
 

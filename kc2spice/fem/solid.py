@@ -115,11 +115,14 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
         yield value, B.reshape(len(B), 6, -1), G
 
 
-def assemble(solid: Solid) -> Operators:
-    """Matrices of the solid; coupling and permittivity only where it is piezoelectric."""
+def assemble(solid: Solid, *, only: int | None = None) -> Operators:
+    """Matrices of the solid; coupling and permittivity only where it is piezoelectric.
+
+    ``only`` is the number of the one material that is taken.
+    """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    for material, cells in _chunks(solid):
+    for material, cells in _chunks(solid, only):
         basis = solid.basis(elements=cells)
         weights = basis.dx
         if solid.axisymmetric:
@@ -145,8 +148,9 @@ def assemble(solid: Solid) -> Operators:
     return Operators(_symmetric(M), _symmetric(K_uu), K_up, _symmetric(K_pp))
 
 
-def _chunks(solid: Solid) -> Iterator[tuple[Material, np.ndarray]]:
-    for number, material in enumerate(solid.materials):
+def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
+    for number in range(len(solid.materials)) if only is None else (only,):
+        material = solid.materials[number]
         cells = np.flatnonzero(solid.owner == number)
         for start in range(0, len(cells), CHUNK):
             yield material, cells[start : start + CHUNK]
