@@ -1,0 +1,1 @@
+"""Bodies: whatever becomes a linear model with named, typed ports."""
