@@ -8,6 +8,7 @@ A freedom that a boundary condition of the step holds has 1e36 on the diagonal o
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,10 @@ from kc2spice.bodies.readers.limits import (
     content,
     guarded,
     indices,
-    mirrored,
     numbers,
     present,
     refused,
+    whole,
 )
 from kc2spice.bodies.readers.raw import DOFS, Raw, labelled
 
@@ -70,13 +71,13 @@ def read_abaqus(files: dict[str, Path]) -> Raw:
             for letter, table in tables.items()
         }
         matrices, dofs = labelled(triples)
-        raw = Raw({k: _whole(m, files[k]) for k, m in matrices.items()}, dofs)
+        raw = Raw({k: whole(m) for k, m in matrices.items()}, dofs)
     matrices = {k: checked(m, k, files[k]) for k, m in raw.matrices.items()}
     held = matrices["K"].diagonal() >= _HELD if "K" in matrices else np.empty(0, dtype=bool)
     return Raw(matrices, raw.dofs, np.flatnonzero(held))
 
 
-def _table(path: Path):  # type: ignore[no-untyped-def]
+def _table(path: Path) -> Callable[[], np.ndarray]:
     def read() -> np.ndarray:
         data = content(path)
         if data.startswith(b"*") or b"\n*" in data:
@@ -101,18 +102,6 @@ def _keys(table: np.ndarray) -> Triple:
         raise ValueError("a node or degree of freedom that is none")
     keys = label.astype(np.int64) * 64 + kind.astype(np.int64)
     return keys[:, 0], keys[:, 1], table[:, 4]
-
-
-def _whole(matrix: sparse.csc_array, path: Path) -> sparse.csc_array:
-    """MATRIX INPUT stores pairs once, on either side of the diagonal of the sorted rows."""
-    entries = sparse.coo_array(matrix)
-    low = entries.row > entries.col
-    below = set(zip(entries.row[low], entries.col[low], strict=True))
-    above = zip(entries.col[entries.row < entries.col], entries.row[entries.row < entries.col],
-                strict=True)  # fmt: skip
-    if not below or below.isdisjoint(above):
-        return mirrored(matrix)
-    return matrix
 
 
 def _coordinate(tables: dict[str, np.ndarray], files: dict[str, Path]) -> Raw:

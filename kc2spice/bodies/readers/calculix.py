@@ -18,10 +18,10 @@ from kc2spice.bodies.readers.limits import (
     content,
     guarded,
     indices,
-    mirrored,
     numbers,
     present,
     refused,
+    whole,
 )
 from kc2spice.bodies.readers.raw import CODES, Dofs, Raw
 from kc2spice.rom.linear import Matrix
@@ -72,4 +72,4 @@ def _triangle(path: Path, n: int) -> sparse.csc_array:
     bounded(path, "K", (n, n), min(values.size // 3, n * n - 1))
     row, column = indices(values[0::3], n), indices(values[1::3], n)
     matrix = sparse.csc_array(sparse.coo_array((values[2::3], (row, column)), shape=(n, n)))
-    return matrix if (row < column).any() and (row > column).any() else mirrored(matrix)
+    return whole(matrix)

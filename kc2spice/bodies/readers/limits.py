@@ -134,6 +134,15 @@ def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
 
+def whole(matrix: sparse.csc_array) -> sparse.csc_array:
+    """A matrix whose pairs off the diagonal were stored once, on either side of it; as it is where
+    any pair is stored twice.
+    """
+    below = abs(sparse.tril(matrix, -1, format="csc")) > 0
+    above = abs(sparse.triu(matrix, 1, format="csc")) > 0
+    return matrix if below.multiply(above.T).nnz else mirrored(matrix)
+
+
 def checked(matrix: Any, letter: str, path: Path) -> Matrix:
     """``matrix`` as float64, two-dimensional, real and finite; csc unless few columns.
 
