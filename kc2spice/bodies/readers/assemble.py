@@ -13,7 +13,8 @@ from kc2spice.bodies.readers.raw import DOFS, ROTATIONS, TRANSLATIONS, VOLT, Dof
 from kc2spice.bodies.readers.sidecar import Place, PortEntry
 from kc2spice.bodies.readers.source import Source
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Matrix, Port, half_stored, with_potentials
+from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
+from kc2spice.rom.operators import Matrix
 
 
 def assemble(source: Source) -> LinearModel:
@@ -127,7 +128,7 @@ def _regular(source: Source, found: dict[str, Matrix]) -> None:
         row = int(empty[0])
         raise UsageError(
             "an equation is empty in all matrices", where=source.where,
-            got=f"row {row + 1} of the free ones" + (f", {empty.size} such rows" if empty.size > 1 else ""),
+            got=f"row {row + 1} of the free ones, {empty.size} such in all",
             expected="no gaps in the numbering",
             hint="fix the freedom in [[fixed]]" if dofs is not None else None,
         )  # fmt: skip
@@ -258,12 +259,12 @@ class _Rows:
         """Unit load of a port: mean displacement along its direction is its product with x."""
         load = np.zeros(self.size)
         if entry.dof is not None:
-            kinds, weights = (entry.dof,), (1.0,)
+            used = [(entry.dof, 1.0)]
         else:
             assert entry.axis is not None  # checked by the sidecar
             group = ROTATIONS if entry.kind == "rotational" else TRANSLATIONS
             used = [(k, w) for k, w in zip(group, entry.axis, strict=True) if w]
-            kinds, weights = tuple(k for k, _ in used), tuple(w for _, w in used)
+        kinds, weights = tuple(k for k, _ in used), tuple(w for _, w in used)
         self._fits(entry, kinds)
         for rows, weight in zip(self.find(entry.place, kinds, entry.where), weights, strict=True):
             load[rows] += weight / len(rows)
@@ -330,7 +331,7 @@ def _load(source: Source, found: dict[str, Matrix], rows: _Rows, entry: PortEntr
         if table is None or place > count:
             what = "columns of B" if letter == "B" else "rows of C"
             raise UsageError("does not exist", where=entry.where, got=place,
-                             expected=f"1 to {count} ({what})" if count else f"matrix {letter}")  # fmt: skip
+                             expected=f"1 to {count} ({what})")  # fmt: skip
         return np.asarray(table[:, place - 1] if letter == "B" else table[place - 1])
     if entry.kind == "acceleration":
         if "M" not in found:
@@ -384,7 +385,9 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
             "electrodes at nodes go with M and K and conservative ports", where=source.sidecar.where
         )
     kind = rows.dofs(source.where).kind
-    held, owned, columns = rows.held(), [], []
+    held = rows.held()
+    owned: list[np.ndarray] = []
+    columns = []
     for entry in (e for e in entries if e.kind == "electrical"):
         (place,) = rows.find(entry.place, (VOLT,), entry.where)
         if np.isin(place, np.concatenate([held, *owned])).any():

@@ -24,7 +24,7 @@ from kc2spice.bodies.readers.limits import (
     whole,
 )
 from kc2spice.bodies.readers.raw import CODES, Dofs, Raw
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 SUFFIXES = (".sti", ".mas", ".dof")
 

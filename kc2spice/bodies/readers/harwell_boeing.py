@@ -23,7 +23,7 @@ from kc2spice.bodies.readers.limits import (
     refused,
 )
 from kc2spice.bodies.readers.raw import CODES, Dofs
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 _EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
 _FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
@@ -60,7 +60,7 @@ def _read(path: Path, letter: str) -> sparse.csc_array:
     counts = [int(word) for word in lines[1].split()[:4]]
     rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
     bounded(path, letter, (rows, columns), entries)
-    if min(counts) < 0 or kind in ("RSA", "RZA") and rows != columns:
+    if min(counts) < 0 or (kind in ("RSA", "RZA") and rows != columns):
         raise ValueError("the header is damaged")
     formats = _FORMAT.findall(lines[3])
     if len(formats) < 3:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
 WIDE = ("B", "C", "D")  # few rows or columns, kept dense

@@ -21,7 +21,7 @@ from kc2spice.bodies.readers.limits import (
     numbers,
     refused,
 )
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 BANNER = b"%%matrixmarket"
 _FORMS = ("coordinate", "array")

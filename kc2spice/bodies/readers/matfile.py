@@ -1,7 +1,7 @@
 """MATLAB files, read in a process of their own: scipy's reader may crash on a corrupt one.
 
-Variables ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D`` (and ``nodes``, ``dofs``), or one struct as
-COMSOL's ``mphmatrix`` and ``mphstate`` return it. COMSOL writes ``E u'' + D u' + K u = L``, so its
+Variables ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D`` (and ``nodes``, ``dofs``), or one struct
+as COMSOL's ``mphmatrix`` and ``mphstate`` return it. It writes ``E u'' + D u' + K u = L``, so its
 ``E`` is our mass, its ``D`` our damping, its ``L`` our ``B``; the eliminated ``Ec``, ``Dc``,
 ``Kc``, ``Lc`` are taken where they exist. ``mphstate`` gives ``Mc x' = MA x + MB u`` (or ``A``,
 ``B``) and ``y = C x + D u``.
@@ -26,8 +26,19 @@ from kc2spice.bodies.readers.limits import LETTERS, MAX_BYTES, MAX_DENSE, existi
 from kc2spice.bodies.readers.raw import Raw
 
 _OTHER = ("cell", "object", "char", "function", "opaque")
-_STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
-_SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
+_STATE: dict[str, tuple[str, ...]] = {
+    "E": ("Mc",),
+    "A": ("MA", "A"),
+    "B": ("MB", "B"),
+    "C": ("C",),
+    "D": ("D",),
+}
+_SECOND: dict[str, tuple[str, ...]] = {
+    "M": ("Ec", "E"),
+    "E": ("Dc", "D"),
+    "K": ("Kc", "K"),
+    "B": ("Lc", "L"),
+}
 _CHILD_BYTES = MAX_BYTES + 4_000_000_000  # address space, libraries included
 
 

@@ -102,7 +102,7 @@ def _cards(path: Path) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]
         column = (int(cells[1]), _component(cells[2]))
         rows = entries.setdefault(name, [])
         for at in range(4, len(cells), 4):
-            grid, component, value = (cells[at : at + 3] + ["", "", ""])[:3]
+            grid, component, value = [*cells[at : at + 3], "", ""][:3]
             if grid.strip():
                 rows.append((int(grid), _component(component), *column, _number(value)))
     return headers, entries

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 # Degrees of freedom by number: 1 to 6 as every tool counts them, the others as Abaqus or ours.
 DOFS = {

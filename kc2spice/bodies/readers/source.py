@@ -32,17 +32,17 @@ from kc2spice.bodies.readers.nastran import read_dmig, read_op4
 from kc2spice.bodies.readers.raw import DOFS, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import Matrix
+from kc2spice.rom.operators import Matrix
 
 # What may stand behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
-_MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?", re.IGNORECASE)
+_MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
 _PUNCH = (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig")
 
 
 @dataclass(frozen=True)
 class Source:
-    """One model on disk: its name, the path to quote, what the sidecar says, what the files hold."""
+    """One model on disk: its name, the path to quote, its sidecar and what its files hold."""
 
     name: str
     where: str
