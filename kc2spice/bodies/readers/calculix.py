@@ -71,5 +71,8 @@ def _triangle(path: Path, n: int) -> sparse.csc_array:
         raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
     bounded(path, "K", (n, n), min(values.size // 3, n * n - 1))
     row, column = indices(values[0::3], n), indices(values[1::3], n)
+    bare = np.setdiff1d(np.arange(n), row[row == column])
+    if bare.size:  # CalculiX writes every diagonal entry, zeros too
+        raise ValueError(f"row {bare[0] + 1} has no diagonal entry: is it cut off?")
     matrix = sparse.csc_array(sparse.coo_array((values[2::3], (row, column)), shape=(n, n)))
     return whole(matrix)
