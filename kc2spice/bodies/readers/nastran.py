@@ -89,7 +89,10 @@ def _cards(path: Path) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]
     """Form of each matrix by name, and its (row grid, component, column grid, component, value)."""
     headers: dict[str, int] = {}
     entries: dict[str, list[tuple[float, ...]]] = {}
-    for cells in _joined(content(path).decode("ascii", "replace")):
+    text = content(path).decode("ascii", "replace")
+    if text and not text.endswith("\n"):
+        raise ValueError("the last line has no end: is it cut off?")
+    for cells in _joined(text):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":
             form, kind = int(cells[2]), int(cells[3])
