@@ -1,1 +1,1 @@
-"""Bodies: whatever becomes a linear model with named, typed ports."""
+"""Bodies: each module turns a parametric device into a LinearModel with named, typed ports."""

@@ -18,7 +18,7 @@ from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE, SENSOR, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.plan import plan
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Scene, Solver
@@ -96,7 +96,7 @@ def need(value: T | None, what: str) -> T:
 def loop_deck(
     scene: Scene,
     header: Header,
-    model: ResonatorModel | None = None,
+    model: Resonators | None = None,
     ring_radii: np.ndarray | None = None,
     table: EMTable | None = None,
     included: Mapping[str, str] | None = None,
@@ -206,7 +206,7 @@ def assemble(
     return Deck(scene.name, filename, files, vectors, stop, tuple(parts))
 
 
-def ring_names(model: ResonatorModel) -> tuple[str, ...]:
+def ring_names(model: Resonators) -> tuple[str, ...]:
     """Pins of the model's mechanical ports."""
     return tuple(p.name for p in model.ports if p.kind == "mechanical")
 

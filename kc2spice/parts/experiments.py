@@ -19,7 +19,7 @@ from kc2spice.parts.bench import (
     ring_names,
 )
 from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.schema import Scene
 from kc2spice.spice.circuit import Deck
 from kc2spice.spice.header import Header
@@ -49,7 +49,7 @@ class _Case:
 def scene_deck(
     scene: Scene,
     header: Header,
-    model: ResonatorModel | None = None,
+    model: Resonators | None = None,
     ring_radii: np.ndarray | None = None,
     table: EMTable | None = None,
     included: Mapping[str, str] | None = None,
@@ -65,7 +65,7 @@ def scene_deck(
 
 
 def imprint_deck(
-    scene: Scene, header: Header, model: ResonatorModel, ring_radii: np.ndarray
+    scene: Scene, header: Header, model: Resonators, ring_radii: np.ndarray
 ) -> Deck:
     """Static contact force while the sphere is pushed in, 0 to ``imprint.depth`` (Fig. 8).
 
@@ -89,7 +89,7 @@ def imprint_deck(
     return assemble(scene, main, parts, vectors, None)
 
 
-def harmonic_deck(scene: Scene, header: Header, model: ResonatorModel) -> Deck:
+def harmonic_deck(scene: Scene, header: Header, model: Resonators) -> Deck:
     """Responses of all ports to a unit load on each (Figs 7 and A1).
 
     Results ``INPUT>OUTPUT``, complex over ``frequency``: displacements [m] and, of the anode,

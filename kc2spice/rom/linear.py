@@ -6,8 +6,8 @@ A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy import sparse
@@ -15,6 +15,9 @@ from scipy import sparse
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
 
 PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
 CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
@@ -212,6 +215,18 @@ class LinearModel:
         """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns."""
         return self.pencil.poles()
 
+    def to_statespace(self) -> StateSpace:
+        """First-order form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
+        from kc2spice.rom.convert import to_statespace
+
+        return to_statespace(self)
+
+    def to_pymor(self) -> Any:
+        """pyMOR's second-order or LTI model; see :func:`kc2spice.rom.convert.to_pymor`."""
+        from kc2spice.rom.convert import to_pymor
+
+        return to_pymor(self)
+
     def select(self, names: Sequence[str]) -> LinearModel:
         """The same model with only the ports ``names``; the others are left open.
 
@@ -219,8 +234,6 @@ class LinearModel:
         ------
         UsageError : no such port.
         """
-        from dataclasses import replace
-
         known = [p.name for p in self.ports]
         for name in names:
             if name not in known:
@@ -254,7 +267,7 @@ class LinearModel:
             for p in self.ports
         )
         head = "<tr><th>port</th><th>kind</th><th>1 V is 1</th><th>1 A is 1</th></tr>"
-        return f"<p>{escape(repr(self).partition(';')[0])}</p><table>{head}{rows}</table>"
+        return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table>"
 
 
 def with_potentials(

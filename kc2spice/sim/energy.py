@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable, force
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.chip import chip_response
@@ -76,7 +76,7 @@ def contact_book(waves: Waveforms, scene: Scene) -> Book:
     return Book({"stored in the contact": stored}, net, max(turnover, kinetic))
 
 
-def chip_book(waves: Waveforms, model: ResonatorModel) -> Book:
+def chip_book(waves: Waveforms, model: Resonators) -> Book:
     """Work of voltage and contact on the chip against its exact response to the same loads.
 
     What the exact response (:mod:`kc2spice.sim.chip`) takes in and does not store is damped. The
@@ -107,7 +107,7 @@ def chip_book(waves: Waveforms, model: ResonatorModel) -> Book:
     return Book(entries, float(np.abs(gap).max()), scale)
 
 
-def chip_loads(waves: Waveforms, model: ResonatorModel) -> np.ndarray:
+def chip_loads(waves: Waveforms, model: Resonators) -> np.ndarray:
     """Loads on the model's ports (n, ports): contact presses the rings down, the anode has a
     voltage."""
     none = np.zeros(waves["time"].size)

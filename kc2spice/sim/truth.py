@@ -10,7 +10,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.limits import Action
 from kc2spice.scene.need import need
 from kc2spice.scene.rings import mesh_rings, ring_gaps
@@ -70,7 +70,7 @@ class Truth:
 
 
 def find_truth(
-    waves: Waveforms, scene: Scene, table: EMTable | None, chip: ResonatorModel | None = None
+    waves: Waveforms, scene: Scene, table: EMTable | None, chip: Resonators | None = None
 ) -> Truth:
     """The checks that apply to the parts of ``scene``, without those that it turns off.
 
@@ -122,7 +122,7 @@ def _books(
     waves: Waveforms,
     scene: Scene,
     table: EMTable | None,
-    chip: ResonatorModel | None,
+    chip: Resonators | None,
     known: bool,
 ) -> Iterator[tuple[str, Book]]:
     if scene.checks.energy == "off":
@@ -152,7 +152,7 @@ def _balances(books: dict[str, Book], scene: Scene) -> Iterator[TruthCheck]:
 
 
 def _ranges(
-    waves: Waveforms, scene: Scene, table: EMTable | None, chip: ResonatorModel | None
+    waves: Waveforms, scene: Scene, table: EMTable | None, chip: Resonators | None
 ) -> Iterator[TruthCheck]:
     if table is not None:
         y = waves["sphere.y"]
@@ -163,7 +163,7 @@ def _ranges(
         yield from ring_checks(waves, scene, chip)
 
 
-def ring_checks(waves: Waveforms, scene: Scene, chip: ResonatorModel) -> Iterator[TruthCheck]:
+def ring_checks(waves: Waveforms, scene: Scene, chip: Resonators) -> Iterator[TruthCheck]:
     """*outer_ring* or *ring_left_out*: the first ring without a spring stays open.
 
     Nothing records that ring. Without contact it would rise with the outermost kept ring and the

@@ -6,7 +6,7 @@ import textwrap
 from dataclasses import dataclass
 
 import kc2spice
-from kc2spice.rom.model import Certificate
+from kc2spice.rom.linear import Certificate
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.cards import comment, name, number
 from kc2spice.spice.circuit import Param, Pin

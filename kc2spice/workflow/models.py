@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from kc2spice.core.cache import cached
 from kc2spice.core.progress import Clock
 from kc2spice.fem.magnetics.table import EMTable, current_pairs, em_cases
-from kc2spice.fem.piezo.system import PiezoSystem, Port
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.need import need
 from kc2spice.scene.rings import kept_rings
 from kc2spice.scene.schema import Drive, Kick, Scene
@@ -20,10 +20,10 @@ from kc2spice.scene.schema import Drive, Kick, Scene
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.mesh import KickMesh
-    from kc2spice.rom.schur import CondensedSystem
+    from kc2spice.fem.piezo.system import PiezoSystem
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KickModel:
     """The reduced chip, whole device, with the facts of the full model it came from.
 
@@ -31,10 +31,19 @@ class KickModel:
     that make the device.
     """
 
-    resonators: ResonatorModel
+    model: LinearModel
     ring_radii: np.ndarray
     sectors: int
-    facts: dict[str, float]
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """Numbers of the full model."""
+        return dict(self.model.facts)
+
+    @cached_property
+    def resonators(self) -> Resonators:
+        """The chip as decoupled resonators."""
+        return resonators(self.model)
 
 
 @dataclass(frozen=True)
@@ -89,12 +98,10 @@ def _assembled(chip: Kick) -> PiezoSystem:
 
 
 @lru_cache(maxsize=1)
-def _condensed(chip: Kick) -> tuple[CondensedSystem, dict[str, float]]:
-    from kc2spice.rom.facts import condensed_facts
-    from kc2spice.rom.schur import condense
+def _device(chip: Kick) -> LinearModel:
+    from kc2spice.bodies.piezo_stack import from_sector
 
-    condensed = condense(_assembled(chip))
-    return condensed, condensed_facts(condensed)
+    return from_sector(_assembled(chip))
 
 
 def _kick(scene: Scene, clock: Clock) -> KickModel:
@@ -103,25 +110,24 @@ def _kick(scene: Scene, clock: Clock) -> KickModel:
     )
 
     def build() -> KickModel:
-        from kc2spice.rom.modal import resonators, whole_device
-        from kc2spice.rom.reduce import reduce_condensed
-        from kc2spice.rom.schur import with_rings
+        from kc2spice.rom.reduce import reduce
 
         with clock.stage("mesh", "chip mesh"):
             _mesh(chip)
         with clock.stage("assemble", "piezoelectric matrices"):
-            system = _assembled(chip)
+            sector = _assembled(chip)
         with clock.stage("reduce", "factorisation and Krylov basis"):
-            condensed, facts = _condensed(chip)
-            kept = with_rings(condensed, kept_rings(scene))
-            modal = resonators(reduce_condensed(kept, scene.rom))
-        whole = whole_device(modal, system.sectors)
-        return KickModel(whole, kept.system.ring_radii, system.sectors, facts)
+            device = _device(chip)
+            rings = sector.ring_radii[: kept_rings(scene)]
+            kept = device.select([*(f"R{k}" for k in range(rings.size)), "anode"])
+            rom = scene.rom
+            small = reduce(kept, order=rom.order, tolerance=rom.tolerance, band=rom.band)
+        return KickModel(small, rings, sector.sectors)
 
     model, _ = cached(
         "kick", model_keys(scene)["reduction"], build,
-        classes=(KickModel, ResonatorModel, Certificate, Port),
-        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom"),
+        classes=(KickModel, LinearModel, Certificate, Port),
+        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
     )  # fmt: skip
     return model
 

@@ -15,7 +15,7 @@ from kc2spice.report.easel import Easel
 from kc2spice.report.figures import model_figures, run_figures
 from kc2spice.report.metrics import metrics
 from kc2spice.report.run_page import write_run
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.plan import plan
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ladder import Climb
@@ -148,7 +148,7 @@ def _record(
     return record
 
 
-def _rom(model: ResonatorModel) -> dict[str, Any]:
+def _rom(model: Resonators) -> dict[str, Any]:
     certificate = model.certificate
     return {
         "order": model.order,

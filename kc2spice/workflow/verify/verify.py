@@ -18,7 +18,7 @@ from kc2spice.report.plots import Picture
 from kc2spice.report.verdict import Check, Findings
 from kc2spice.report.verify_figures import poles_figure, steps_figure
 from kc2spice.report.verify_page import write_verify
-from kc2spice.rom.meshstudy import MeshPoint
+from kc2spice.workflow.verify.meshstudy import MeshPoint
 from kc2spice.rom.naive import naive_poles
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice
