@@ -403,6 +403,17 @@ def test_columns_rows_scales_and_feedthrough(tmp_path):
     assert model.band == (0.0, 1e3)
 
 
+def test_ports_with_directions_take_columns_and_rows_in_order(tmp_path):
+    B, C = np.arange(12.0).reshape(N, 2), np.arange(18.0).reshape(3, N)
+    base = write_family(tmp_path, K=K, M=M, B=B, C=C)
+    names = (("a", "in"), ("b", "out"), ("c", "in"), ("d", "out"))
+    text = "".join(f'[[port]]\nname="{n}"\ndirection="{d}"\n' for n, d in names)
+    model = read_model(base, sidecar(tmp_path, text))
+    np.testing.assert_array_equal(model.B, B)
+    np.testing.assert_array_equal(model.C, C[:2])
+    assert [p.kind for p in model.ports] == ["input", "output", "input", "output"]
+
+
 def test_damping_by_ratio(labelled):
     model = labelled("damping = { ratio = 0.02, at = 100 }\n" + TIP)
     assert model.rayleigh == pytest.approx((0.0, 2 * 0.02 / (2 * np.pi * 100)))

@@ -39,6 +39,9 @@ them. A port of kind ``acceleration`` moves the frame that the fixed freedoms st
 only ``axis``. An ``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports
 with ``column`` of a conservative kind take the same row of C; without ``[[ports]]`` the columns of
 B and rows of C are signals ``u1`` ..., ``y1`` ....
+
+``[[port]]`` with ``direction = "in"``, ``"out"`` or ``"both"`` instead of ``kind``, ``column`` and
+``row`` takes the columns of B and the rows of C in order.
 """
 
 from __future__ import annotations
@@ -146,6 +149,9 @@ def read_sidecar(path: Path) -> Sidecar:
         data = tomllib.loads(existing(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError("is not TOML", where=where, got=str(error)[:200]) from None
+    if "port" in data and "ports" not in data:
+        data["ports"] = _in_order(_tables(data, "port", where), where)
+        del data["port"]
     _known(data, _TOP, where)
     ports = tuple(
         _port(item, f"{where}: ports {i}")
@@ -188,6 +194,28 @@ def _tables(data: dict[str, Any], key: str, where: str) -> list[Any]:
     if not isinstance(value, list):
         raise UsageError("is no list of tables", where=f"{where}: {key}", expected=f"[[{key}]]")
     return value
+
+
+def _in_order(items: list[Any], where: str) -> list[dict[str, Any]]:
+    """``[[port]]`` tables with a direction as ``[[ports]]`` tables with columns and rows."""
+    found, columns, rows = [], 0, 0
+    for number, item in enumerate(items, 1):
+        at = f"{where}: port {number}"
+        _known(item, {"name", "direction", "unit", "scale", "kind", "pins"}, at)
+        direction = item.get("direction")
+        if direction not in ("in", "out", "both"):
+            expected = "in, out or both"
+            raise UsageError("no such direction", where=at, got=direction, expected=expected)
+        rest = {key: value for key, value in item.items() if key != "direction"}
+        columns += direction != "out"
+        rows += direction != "in"
+        if direction == "both":
+            rest["column"] = columns
+        else:
+            rest["kind"] = "input" if direction == "in" else "output"
+            rest |= {"column": columns} if direction == "in" else {"row": rows}
+        found.append(rest)
+    return found
 
 
 def _letters(data: dict[str, Any], key: str, where: str) -> dict[str, Any]:
