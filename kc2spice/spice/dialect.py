@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import reduce
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.circuit import Deck, Subcircuit
@@ -18,7 +19,8 @@ from kc2spice.spice.veriloga import library
 
 SPEAKERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": LTspice}
 DIALECTS = ("ngspice", *SPEAKERS, "verilog-a")
-_RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+)")
+_RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+).*")
+_NGSPICE_COMMAND = re.compile(r"\*.*\bngspice -\w")  # other commands of a deck's head
 
 
 def translate(deck: Deck, dialect: str) -> Deck:
@@ -92,23 +94,38 @@ def _analysis(deck: Deck) -> str:
 
 def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:
     lines: list[str] = []
-    for s in _merged(statements(text, name, title=title)):
+    for s in _merged(statements(text, name, title=title), speaker.joined):
         if s.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
             continue
-        lines += [_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments]
+        said = (_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments)
+        lines += [line for line in said if not _NGSPICE_COMMAND.match(line)]
         if s.text:
             lines.append(speaker.card(s))
     return "\n".join(lines) + "\n"
 
 
-def _merged(cards: list[Statement]) -> list[Statement]:
-    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``."""
+def _merged(cards: list[Statement], joined: frozenset[str]) -> list[Statement]:
+    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``.
+
+    All cards of the commands ``joined`` become one where the last of them stands.
+    """
     merged: list[Statement] = []
     for s in cards:
         last = merged[-1] if merged else None
         if last and s.keyword == last.keyword == ".save" and not s.comments:
-            more = s.text.partition(" ")[2]
-            merged[-1] = replace(last, text=f"{last.text} {more}")
+            merged[-1] = _with(last, s)
         else:
             merged.append(s)
+    for key in joined:
+        whole = [s for s in merged if s.keyword == key]
+        if len(whole) > 1:
+            together = reduce(_with, whole)
+            merged[merged.index(whole[-1])] = together
+            merged = [s for s in merged if s.keyword != key or s is together]
     return merged
+
+
+def _with(first: Statement, second: Statement) -> Statement:
+    more = second.text.partition(" ")[2]
+    comments = first.comments + second.comments
+    return replace(first, text=f"{first.text} {more}", comments=comments)
