@@ -15,7 +15,6 @@ from kc2spice.parts.coil import coil_subcircuit
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.drivers import Driver, coil_driver, coil_load, kick_driver
 from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import SENSE, SENSOR, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.rom.model import ResonatorModel
@@ -135,8 +134,7 @@ def loop_deck(
         table, points = need(table, "field table"), scene.catch.points
         parts.append(catch_subcircuit(header, table, current, series=True, points=points))
     if scene.catch and scene.control and not sampled:
-        pid = pid_subcircuit(header, scene.control, output=drivers.coil is None)
-        parts += [opamp_subcircuit(header), pid]
+        parts.append(pid_subcircuit(header, scene.control, output=drivers.coil is None))
     parts += [part for part in drivers.parts() if part.name not in {p.name for p in parts}]
     vectors = _vectors(scene, rings, drivers, sampled is not None)
     main = render(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kc2spice.core.quantities import Section
 from kc2spice.fem.magnetics.table import EMTable, inductances
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.opamp import Level, opamp_subcircuit
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.drivers import (
     Amplifier,
@@ -21,6 +21,7 @@ from kc2spice.scene.drivers import (
 from kc2spice.spice.cards import name as checked
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
 CARRIER = 10.0  # V, peak of the modulator's triangle
@@ -68,8 +69,7 @@ def kick_driver(header: Header, driver: KickDriver) -> Driver:
     else:
         return _user(driver, ("command", "anode", "0"))
     nodes = {"out": "anode", "ref": "0"}
-    amplifier = () if driver.half_bridge else (opamp_subcircuit(header, "slew"),)
-    return Driver((*amplifier, part), part.name, _nodes(part, nodes))
+    return Driver((part,), part.name, _nodes(part, nodes))
 
 
 def coil_driver(header: Header, driver: CatchDriver, load: Load, current: float) -> Driver:
@@ -79,13 +79,11 @@ def coil_driver(header: Header, driver: CatchDriver, load: Load, current: float)
     """
     if driver.linear:
         part = linear_subcircuit(header, driver.linear, load, current)
-        amplifier = opamp_subcircuit(header, "slew")
     elif driver.pwm:
         part = pwm_subcircuit(header, driver.pwm, load)
-        amplifier = opamp_subcircuit(header)
     else:
         return _user(driver, ("wanted", "drive", "ret", "0"))
-    return Driver((amplifier, part), part.name, _nodes(part, {"command": "wanted", "ref": "0"}))
+    return Driver((part,), part.name, _nodes(part, {"command": "wanted", "ref": "0"}))
 
 
 def half_bridge_subcircuit(header: Header, drive: HalfBridge) -> Subcircuit:
@@ -102,12 +100,12 @@ def half_bridge_subcircuit(header: Header, drive: HalfBridge) -> Subcircuit:
 
 
 def amplifier_subcircuit(header: Header, drive: Amplifier) -> Subcircuit:
-    """``V(out) = V(command)`` within rails, bandwidth, slew rate and current; needs opamp_slew."""
+    """``V(out) = V(command)`` within rails, bandwidth, slew rate and current."""
     return _part(header, "amplifier", "high-voltage amplifier for the chip", drive, _AMPLIFIER)
 
 
 def charge_drive_subcircuit(header: Header, drive: ChargeDrive) -> Subcircuit:
-    """Chip charge ``= capacitance V(command)`` on a floating chip; needs opamp_slew."""
+    """Chip charge ``= capacitance V(command)`` on a floating chip."""
     docs = {
         "capacitance": "charge of the chip per volt of command",
         "sense": "capacitor in series with the chip",
@@ -136,7 +134,7 @@ def linear_subcircuit(header: Header, drive: LinearDrive, load: Load, current: f
 
 
 def pwm_subcircuit(header: Header, drive: PwmDrive, load: Load) -> Subcircuit:
-    """Coil current ``V(command) / 100 Ohm`` from an H-bridge; needs opamp."""
+    """Coil current ``V(command) / 100 Ohm`` from an H-bridge."""
     resistance = load.resistance + 2 * drive.resistance + 1.0
     r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
     params = (
@@ -159,6 +157,10 @@ _AMPLIFIER = {
     "slew": "fastest change of the output",
     "current_limit": "largest output current",
 }
+# The operational amplifier that each driver contains.
+_AMPLIFIERS: dict[str, Level] = {
+    "amplifier": "slew", "charge": "slew", "linear": "slew", "pwm": "pole",
+}  # fmt: skip
 _UNITS = {
     "rail": "V", "resistance": "Ohm", "gate_resistance": "Ohm", "supply_resistance": "Ohm",
     "current_limit": "A", "reservoir": "F", "capacitance": "F", "sense": "F",
@@ -200,7 +202,8 @@ def _rendered(
         parameters=parameter_list(params),
         **values,
     )
-    return Subcircuit(name, pins, params, text)
+    helpers = [opamp_subcircuit(header, level)] if (level := _AMPLIFIERS.get(name)) else []
+    return self_contained(Subcircuit(name, pins, params, text), helpers)
 
 
 def _nodes(part: Subcircuit, renamed: dict[str, str]) -> tuple[str, ...]:

@@ -7,10 +7,11 @@ from math import pi
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.opamp import BANDWIDTH
+from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.schema import Control
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
@@ -55,8 +56,7 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants. Needs
-    the part ``opamp``.
+    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants.
     """
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
@@ -86,4 +86,5 @@ def pid_subcircuit(
         pi=pi,
         output=output,
     )
-    return Subcircuit(name, pins, params, text)
+    part = Subcircuit(name, pins, params, text)
+    return self_contained(part, [opamp_subcircuit(header)])

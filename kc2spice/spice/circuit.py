@@ -26,17 +26,21 @@ class Param:
 
 @dataclass(frozen=True)
 class Subcircuit:
-    """One part: exactly one ``.subckt``, its pin table and the text of its library file."""
+    """One part: its ``.subckt``, pin table and the text of its library file.
+
+    ``file`` is the name of that file where it is not ``NAME.lib``.
+    """
 
     name: str
     pins: tuple[Pin, ...]
     params: tuple[Param, ...]
     text: str
+    file: str = ""
 
     @property
     def filename(self) -> str:
         """Name of the library file that holds this part."""
-        return f"{self.name}.lib"
+        return self.file or f"{self.name}.lib"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from kc2spice.scene.schema import Scene
 from kc2spice.spice.circuit import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.included import included_netlists
+from kc2spice.spice.naming import with_design_names
 from kc2spice.workflow.models import Models
 
 
@@ -21,7 +22,7 @@ def make_deck(scene: Scene, models: Models, *, trust: bool = False) -> Deck:
     UsageError : an included file that is missing or could act on the machine.
     """
     kick = models.kick
-    return scene_deck(
+    deck = scene_deck(
         scene,
         Header(scene.name, scene_hash(scene)),
         model=None if kick is None else kick.resonators,
@@ -29,3 +30,4 @@ def make_deck(scene: Scene, models: Models, *, trust: bool = False) -> Deck:
         table=models.table,
         included=included_netlists(scene, trust=trust),
     )
+    return with_design_names(deck)

@@ -306,7 +306,7 @@ def test_laws_keep_their_values(loop, dialect):
     translated = translate(loop, dialect)
     params = {"newton_per_um": 400.0, "clip": 1e3} | {f"um_R{i}": 0.3 * i for i in range(6)}
     compared = 0
-    for name in ("contact.lib", "catch.lib", "opamp.lib"):
+    for name in ("contact.lib", "catch.lib", "pid.lib"):
         pairs = zip(cards(loop.files[name]), cards(translated.files[name]), strict=True)
         for before, after in pairs:
             if not before.startswith("B"):
