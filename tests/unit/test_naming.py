@@ -19,7 +19,8 @@ HERE, THERE = Header("one", "aaaa"), Header("two", "bbbb")
 
 
 def test_only_subcircuit_names_are_renamed():
-    text = ".subckt kick a kick\nXkick a kick KICK eps=1\nXtwo a\n+ kick kick x={kick}\nR1 kick 0 1\n"
+    text = ".subckt kick a kick\nXkick a kick KICK eps=1\nXtwo a\n+ kick kick x={kick}\n"
+    text += "R1 kick 0 1\n"
     assert renamed(text + ".ends kick\n", {"kick": "chip"}) == (
         ".subckt chip a kick\nXkick a kick chip eps=1\nXtwo a\n+ kick chip x={kick}\n"
         "R1 kick 0 1\n.ends chip\n"
