@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -16,12 +17,14 @@ class Pin:
 
 @dataclass(frozen=True)
 class Param:
-    """A subcircuit parameter with its default in ``unit`` and a word of explanation."""
+    """A subcircuit parameter with its default in ``unit``, a word of explanation and its range."""
 
     name: str
     default: float
     unit: str
     doc: str
+    low: float = -math.inf
+    high: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def export(
         models = build_models(scene, clock)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(scene, models, trust)
-            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck.parts, dialect)
+            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
 
