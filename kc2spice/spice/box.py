@@ -109,6 +109,8 @@ def _sides(
     left: set[str] = {pin.name for pin in plain if pin.name.lower() in quiet}
     if electric and mechanical:
         left = {pin.name for pin in electric}
+    elif electric:
+        left |= {pin.name for pin in plain if pin.flow == "-"}  # a command, though it be loaded
     elif mechanical:
         moved = [pin.name for pin in mechanical if pin.unit == "um"]
         left = set(moved or [pin.name for pin in mechanical])

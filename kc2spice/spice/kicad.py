@@ -243,6 +243,9 @@ def _drawn(kind: str, number: int, name: str, x: int, y: int, side: str, length:
 def write(tree: Tree, indent: str = "") -> str:
     """S-expression text, one line for a leaf, children on lines of their own."""
     head, *rest = tree
+    if rest and isinstance(rest[-1], Word) and not isinstance(rest[0], str | float | int):
+        inner = (_atom(i) if isinstance(i, str | float | int) else write(i).strip() for i in rest)
+        return f"{indent}({head} {' '.join(inner)})"  # a keyword behind lists: (pin_names ... hide)
     flat = [item for item in rest if isinstance(item, str | float | int)]
     nested = [item for item in rest if not isinstance(item, str | float | int)]
     line = " ".join([f"{indent}({head}", *map(_atom, flat)])

@@ -248,7 +248,7 @@ def _marks(puts: list[_Put], plain: dict[str, Symbol]) -> Iterator[_Put]:
         # a place of its own, on a ground of its own
         for symbol, reference in ((plain["GND"], "#PWR00"), (plain["PWR_FLAG"], "#FLG01")):
             fields = symbol.fields | {"Reference": reference, "turn": "0"}
-            yield _Put(_Item(symbol, fields, ("0",), (0, 0, 0, 0)), MARGIN // 2, MARGIN)
+            yield _Put(_Item(symbol, fields, ("0",), (0, 0, 0, 0)), MARGIN - 2, MARGIN - 2)
 
 
 def _symbol(put: _Put, name: str, sheet: str) -> Tree:
