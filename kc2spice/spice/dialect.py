@@ -13,6 +13,7 @@ from functools import reduce
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.osdi import testbench
 from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Xyce
 from kc2spice.spice.statements import Statement, statements
 from kc2spice.spice.veriloga import library
@@ -58,24 +59,29 @@ def translate_text(text: str, name: str, dialect: str) -> str:
     return _translated(text, name, SPEAKERS[dialect](".tran"), title=False)
 
 
-def dialect_files(deck: Deck, subcircuits: Iterable[Subcircuit], dialect: str) -> dict[str, str]:
+def dialect_files(
+    deck: Deck | None, subcircuits: Iterable[Subcircuit], dialect: str
+) -> dict[str, str]:
     """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
 
-    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors) is
-    left to the simulator's own, and ``verilog-a.txt`` says which and why.
+    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors)
+    comes along as the library that it is, and ``verilog-a.txt`` says which and why. A testbench
+    ``NAME_osdi.cir`` runs the compiled modules in ngspice.
 
     Raises
     ------
     UsageError : an unknown dialect, a construct that it cannot say, or not one module.
     """
     if dialect != "verilog-a":
-        return dict(translate(deck, dialect).files)
+        return dict(translate(deck, dialect).files) if deck else {}
     parts = tuple(subcircuits)
     files: dict[str, str] = {}
     left_out: list[UsageError] = []
+    modules: list[Subcircuit] = []
     for part in parts:
         try:
             files |= library([part], parts)
+            modules.append(part)
         except UsageError as error:
             left_out.append(error)
     if left_out and not files:
@@ -84,7 +90,7 @@ def dialect_files(deck: Deck, subcircuits: Iterable[Subcircuit], dialect: str) -
         files["verilog-a.txt"] = (
             "Not written as modules:\n\n" + "\n\n".join(map(str, left_out)) + "\n"
         )
-    return files
+    return files | (testbench(deck, modules) if deck else {})
 
 
 def _analysis(deck: Deck) -> str:

@@ -86,7 +86,7 @@ def project(deck: Deck) -> dict[str, str]:
     items = [_item(element, drawn, plain) for element in top.elements]
     once = Counter(net for item in items for net in item.nets)
     items += [_probe(net, plain["PROBE"]) for net in once if once[net] == 1 and net not in GROUND]
-    title = deck.files[deck.main].partition("\n")[0].lstrip("* ") or deck.name
+    title = deck.files[deck.main].partition("\n")[0].lstrip("* ")[:56] or deck.name
     commands = [s.text for s in top.commands if s.keyword not in _OURS]
     used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
     return {
