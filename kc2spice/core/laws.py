@@ -861,7 +861,9 @@ class PositionForce(Device):
 
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """Coil currents and force."""
-        currents = {f"coil{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:], strict=True))}
+        currents = {
+            f"coil{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:], strict=True))
+        }
         return currents | {"force": -float(self.evaluate(t, e, mode)[0][0])}
 
 

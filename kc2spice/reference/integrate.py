@@ -324,8 +324,10 @@ def _run(
             break
         solver.accept(inner)
         before, h = after, h_next
-        if modes is not None and flight is None and not _landed(
-            modes.launched(now, step.last), now, after, 1.6
+        if (
+            modes is not None
+            and flight is None
+            and not _landed(modes.launched(now, step.last), now, after, 1.6)
         ):
             break
     return (Stretch(piece, tuple(steps), flight) if steps else None), fired
