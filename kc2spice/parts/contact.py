@@ -9,16 +9,6 @@ from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
 
-def contact_force(
-    displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
-) -> np.ndarray:
-    """Force [N] of every ring on the sphere, ``eps max(0, u - bottom - gap)``, rings last.
-
-    ``displacement`` (..., rings) and ``bottom`` (...) in m, ``eps`` in N/m of the whole ring.
-    """
-    return eps * np.maximum(0.0, displacement - np.asarray(bottom)[..., None] - gaps)
-
-
 def contact_subcircuit(
     header: Header,
     rings: tuple[str, ...],
@@ -27,7 +17,7 @@ def contact_subcircuit(
     *,
     name: str = "contact",
 ) -> Subcircuit:
-    """The law of :func:`contact_force` between ring pins, the sphere's ``v`` and its ``bottom``.
+    """Force ``eps max(0, u - bottom - gap)`` between ring pins and sphere (``v``, ``bottom``).
 
     ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring.
     """

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from math import pi
 
-import numpy as np
-
 from kc2spice.core.errors import UsageError
 from kc2spice.parts.opamp import BANDWIDTH
 from kc2spice.scene.schema import Control
@@ -15,14 +13,6 @@ from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
-
-
-def pid_current(
-    error: np.ndarray, integral: np.ndarray, slope: np.ndarray, control: Control
-) -> np.ndarray:
-    """Coil current [A], ``clamp(KP e + KI int e + KD e', +-limit)`` of error [m] and its kin."""
-    wanted = control.kp * error + control.ki * integral + control.kd * slope
-    return np.clip(wanted, -control.current_limit, control.current_limit)
 
 
 def _gains(control: Control) -> tuple[Param, ...]:

@@ -6,19 +6,13 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.krylov import Operator
-from kc2spice.rom.schur import CondensedSystem, condense
+from kc2spice.rom.schur import CondensedSystem
 
 VOLTAGE = 100.0  # of the free stroke, as in the actuator's data sheet
 MODES = 8
 # A mode that answers to no port is there by rounding only; coupled ones lie above 1e-2.
 COUPLED = 1e-4
-
-
-def kick_facts(system: PiezoSystem) -> dict[str, float]:
-    """Facts of the whole chip; see :func:`condensed_facts`."""
-    return condensed_facts(condense(system))
 
 
 def condensed_facts(model: CondensedSystem) -> dict[str, float]:

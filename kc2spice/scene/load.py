@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -54,7 +54,7 @@ def load_scene(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scene
     try:
         scene = Scene.model_validate(data)
     except ValidationError as error:
-        raise _explain(error.errors()[0], data, source) from None
+        raise _explain(error.errors()[0], source) from None
     for problem in problems(scene):
         key = tuple(str(problem.where).split("."))
         problem.where = source.where(key)
@@ -158,7 +158,7 @@ def _toml_value(text: str) -> Any:
     return table["value"] if set(table) == {"value"} else text
 
 
-def _explain(error: ErrorDetails, data: Mapping[str, Any], source: _Source) -> UsageError:
+def _explain(error: ErrorDetails, source: _Source) -> UsageError:
     """One finding of the schema in the words of a scene's author."""
     path, context = error["loc"], error.get("ctx", {})
     where, got = source.where(path), _short(repr(error["input"]))

@@ -10,7 +10,7 @@ import pytest
 
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.rom.model import ResonatorModel
-from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
+from kc2spice.scene.schema import Scene
 from kc2spice.spice.header import Header
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -39,12 +39,4 @@ def header() -> Header:
 
 @pytest.fixture(scope="session")
 def scene() -> Scene:
-    """The loop at a voltage that launches the made-up device at about 1 m/s."""
-    return Scene(
-        name="loop",
-        kick=Kick.model_validate({"drive": {"voltage": 80.0}}),
-        contact=Contact(),
-        sphere=Sphere(),
-        catch=Catch(),
-        control=Control(),
-    )
+    return device.loop()

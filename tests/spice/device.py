@@ -7,6 +7,7 @@ import numpy as np
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
 
 RADII = 50e-6 * np.arange(6)
 
@@ -49,3 +50,15 @@ def magnets() -> EMTable:
         inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)),
         resistance=np.array([1596.0, 1596.0]), unknowns=0,
     )  # fmt: skip
+
+
+def loop() -> Scene:
+    """The loop at a voltage that launches the made-up device at about 1 m/s."""
+    return Scene(
+        name="loop",
+        kick=Kick.model_validate({"drive": {"voltage": 80.0}}),
+        contact=Contact(),
+        sphere=Sphere(),
+        catch=Catch(),
+        control=Control(),
+    )
