@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kc2spice import __version__
+from kc2spice.cli.bench import bench
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
@@ -276,6 +277,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 
 app.command()(reduce)
+app.command()(bench)
 app.command()(sweep)
 
 

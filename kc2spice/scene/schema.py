@@ -229,6 +229,14 @@ class EmForce(Section):
     currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
 
 
+class Bench(Section):
+    """What ``bench`` judges settings by."""
+
+    metric: tuple[str, ...] = Field(
+        (), max_length=64, description="metrics that the scene is run for; empty: all numbers"
+    )
+
+
 class Scene(Section):
     """One study. A part that a scene does not name is not modelled."""
 
@@ -252,6 +260,7 @@ class Scene(Section):
     solver: Solver = Solver()
     checks: Checks = Checks()
     gates: Gates = Gates()
+    bench: Bench = Bench()
     include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
     _home: Path | None = PrivateAttr(None)
     _budgeted: frozenset[str] = PrivateAttr(frozenset())
