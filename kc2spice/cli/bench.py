@@ -72,12 +72,10 @@ def bench(
 
 
 def _show(scene: str, given: list[str], record: dict[str, Any], directory: Path) -> None:
-    from kc2spice.report.bench_page import point_rows, recommendation
+    from kc2spice.report.bench_page import HEAD, point_rows, recommendation
 
     front = {**record, "points": [p for p in record["points"] if p["front"] or p["own"]]}
-    print_table(
-        "front", point_rows(front), ("setting", "error", "sum of errors", "CPU time", "spread", "")
-    )
+    print_table("front", point_rows(front), HEAD)
     print_table("bench", recommendation(record))
     if record["recommended"] is not None:
         words = [word for each in given for word in ("--set", each)]

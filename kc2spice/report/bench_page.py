@@ -10,6 +10,7 @@ from typing import Any
 from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, RED, Picture, name_axes, sheet
 
+HEAD = ("setting", "error", "sum of errors", "CPU time", "spread", "")
 _LEAST = 1e-16  # an error of zero is drawn here
 
 
@@ -22,7 +23,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
         Section(
             "Settings",
             point_rows(record),
-            ("setting", "error", "sum of errors", "CPU time", "spread", ""),
+            HEAD,
         ),
     ]
     if record["failed"]:

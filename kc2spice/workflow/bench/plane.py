@@ -137,7 +137,7 @@ class _Plane:
         kept = [point for point in self.points.values() if point.guarded <= limit]
         least = min((point.time for point in kept), default=0.0)
         return min(
-            (p for p in kept if p.time <= ALIKE * least), key=lambda p: p.error, default=None
+            (p for p in kept if p.time <= ALIKE * least), key=lambda p: p.guarded, default=None
         )
 
     def again(self, place: Place) -> None:
@@ -275,7 +275,8 @@ def _choice(plane: _Plane, limit: float) -> dict[str, Any]:
         "points": [
             {
                 "label": label(p.values), "settings": p.values, "error": p.error,
-                "bound": p.bound, "time_s": p.time, "front": p.place in front, "own": p.place == own,
+                "bound": p.bound, "time_s": p.time,
+                "front": p.place in front, "own": p.place == own,
                 "errors": p.errors, "time_low_s": min(p.times), "time_high_s": max(p.times),
                 "repeats": len(p.times),
             }
