@@ -7,12 +7,16 @@ library with one circuit at a time.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes.util
 import logging
+import os
 import re
-from collections.abc import Callable, Mapping
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -130,8 +134,9 @@ def flattened(deck: Deck) -> str:
         found: list[str] = []
         for line in deck.files[file].splitlines():
             word, _, target = line.partition(" ")
-            included = word.lower() in (".include", ".inc")
-            found += lines(target.strip().strip("\"'")) if included else [line]
+            # what a trusted circuit includes from elsewhere is not among the deck's files
+            inner = target.strip().strip("\"'") if word.lower() in (".include", ".inc") else ""
+            found += lines(inner) if inner in deck.files else [line]
         return found
 
     return "\n".join(lines(deck.main))
@@ -172,6 +177,27 @@ def _pyspice(module: str) -> Any:
             "PySpice is not installed", got=str(error), hint="pip install PySpice"
         ) from None
     return sys.modules[module]
+
+
+@contextlib.contextmanager
+def _without_startup_files() -> Iterator[None]:
+    """Let the library start where the only ``.spiceinit`` is ours, and empty.
+
+    It runs the commands of the first one that it finds, in the working directory, then at home;
+    version 39 has no switch for it.
+    """
+    spice = {key: text for key, text in os.environ.items() if key.startswith("SPICE_")}
+    here = os.getcwd()
+    with tempfile.TemporaryDirectory(prefix="kc2spice-start-") as place:
+        Path(place, ".spiceinit").write_text("* nothing\n", encoding="utf-8")
+        try:
+            for key in spice:
+                del os.environ[key]
+            os.chdir(place)
+            yield
+        finally:
+            os.chdir(here)
+            os.environ.update(spice)
 
 
 @cache
@@ -249,7 +275,8 @@ def _engine() -> Any:
             return 0
 
     try:
-        return Engine(send_data=True)
+        with _without_startup_files():
+            return Engine(send_data=True)
     except OSError as error:
         raise MissingToolError(
             "libngspice cannot be loaded", where=library, got=str(error),

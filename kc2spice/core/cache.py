@@ -25,6 +25,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from kc2spice.core.foreign import read_bounded
+
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
 _ABANDONED = 3600.0  # s
@@ -161,16 +163,20 @@ def _prune(root: Path) -> None:
 
 def _load(path: Path, known: Mapping[str, type]) -> tuple[bool, Any]:
     try:
-        content = path.read_bytes()
+        content = read_bounded(path, MAX_TOTAL_BYTES)
     except OSError:
         return False, None
     checksum, archive = content[:64], content[64:]
     if hashlib.sha256(archive).hexdigest().encode() != checksum:
         warnings.warn(f"damaged cache entry {path.name} is built again", stacklevel=3)
         return False, None
-    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
-        structure = json.loads(str(arrays["structure"]))
-        result = _decode(structure, arrays, known)
+    try:
+        with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
+            structure = json.loads(str(arrays["structure"]))
+            result = _decode(structure, arrays, known)
+    except Exception as error:  # the sum is right, but nobody here wrote this
+        warnings.warn(f"cache entry {path.name} is not ours: {error}", stacklevel=3)
+        return False, None
     with contextlib.suppress(OSError):  # a read-only cache serves as well
         os.utime(path)  # keeps it from being pruned
     return True, result

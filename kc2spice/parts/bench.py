@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -109,7 +109,7 @@ def loop_deck(
     model : resonators of the *whole device*; needed where the scene has a kick.
     ring_radii : radii [m] of the model's rings, R0 (the centre) first.
     table : force of the catch; needed where the scene has a catch.
-    included : text of the scene's ``netlists`` and of what they include, by file name.
+    included : text of the scene's ``netlists`` with all that they include, by file name.
     sampled : a function outside of ngspice sets ``Vexternal``, 100 V per ampere of coil current;
         the deck has no controller of its own and runs in the shared engine only.
 
@@ -141,7 +141,7 @@ def loop_deck(
     vectors = _vectors(scene, rings, drivers, sampled is not None)
     main = render(
         "loop.j2",
-        **frontmatter(scene, header, parts, vectors, included=bool(included)),
+        **frontmatter(scene, header, parts, vectors, included=included or ()),
         kick=scene.kick,
         kick_driver=drivers.kick,
         coil_driver=drivers.coil,
@@ -184,15 +184,14 @@ def frontmatter(
     parts: list[Subcircuit],
     vectors: Vectors,
     *,
-    included: bool = False,
+    included: Iterable[str] = (),
 ) -> dict[str, object]:
     """What every bench template has at its head and foot."""
     return {
         "title": f"{scene.name}: {scene.title}",
         "origin": f"{header.origin()}\n{plan_lines(plan(scene))}",
         "name": name(scene.name),
-        "libraries": [part.filename for part in parts]
-        + [path.name for path in scene.netlists if included],
+        "libraries": [part.filename for part in parts] + [*included],
         "saved": list(dict.fromkeys(v for names, _ in vectors.values() for v in names.split("+"))),
     }
 

@@ -7,7 +7,6 @@ limits and with the file's own length before memory is taken.
 from __future__ import annotations
 
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.archive import read_archive
 from kc2spice.rom.matlab import unpack
 from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.pencil import Matrix
@@ -79,12 +79,11 @@ def _from_archive(archive: Path, path: Path) -> dict[str, Matrix]:
     """Matrices of ``archive``; ``path`` is the file that the user knows."""
 
     def load() -> dict[str, np.ndarray]:
-        with zipfile.ZipFile(archive) as members:
-            unpacked = sum(item.file_size for item in members.infolist())
-        if unpacked > MAX_BYTES:
-            raise _refused(path, f"{unpacked:.3g} bytes unpacked", f"at most {MAX_BYTES:.3g}")
-        with np.load(archive, allow_pickle=False) as data:
-            return {key: data[key] for key in data.files if key.split(".")[0] in LETTERS}
+        return {
+            # a dense matrix is one member, a sparse one has its numbers in several
+            **read_archive(archive, LETTERS.__contains__, entries=MAX_DENSE, total=MAX_BYTES),
+            **read_archive(archive, _is_part, entries=MAX_ENTRIES, total=MAX_BYTES),
+        }
 
     arrays = _guarded(path, "a numpy archive without Python objects", load)
     found = {}
@@ -96,6 +95,10 @@ def _from_archive(archive: Path, path: Path) -> dict[str, Matrix]:
             matrix = parts[""] if "" in parts else _sparse(path, letter, parts)
             found[letter] = _checked(matrix, letter, path)
     return found
+
+
+def _is_part(name: str) -> bool:
+    return name.partition(".")[0] in LETTERS and "." in name
 
 
 def _matrix_market(path: Path, letter: str) -> Matrix:

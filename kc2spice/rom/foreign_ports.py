@@ -22,7 +22,6 @@ such a model are of that sort.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,10 +29,11 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.toml import MAX_BYTES, parse_toml
 from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.pencil import Pencil
 
-MAX_BYTES = 1_000_000
 _KEYS = {"name", "direction", "unit", "scale", "kind"}
 _KINDS = {"mechanical": ("um", "N"), "electrical": ("V", "A")}
 _DIRECTIONS = ("in", "out", "both")
@@ -108,11 +108,9 @@ def read_ports(path: Path) -> PortTable | None:
     if not path.is_file():
         return None
     where = str(path)
-    if path.stat().st_size > MAX_BYTES:
-        raise UsageError("too long", where=where, expected=f"at most {MAX_BYTES} bytes")
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        data = parse_toml(text_of(read_bounded(path, MAX_BYTES)))
+    except (OSError, ValueError) as error:
         raise UsageError("is not TOML", where=where, got=str(error)) from None
     unknown = sorted(set(data) - {"port", "band"})
     ports = data.get("port", [])
@@ -152,13 +150,15 @@ def _entry(item: Any, where: str) -> _Entry:
         raise UsageError(
             "not a scale", where=where, got=scale, expected="a positive number; none for 'both'"
         )
-    return _Entry(text[0], direction, _unit(text[1], where), float(scale), kind)
+    return _Entry(_word(text[0], where, "name"), direction, _word(text[1], where, "unit"),
+                  float(scale), kind)  # fmt: skip
 
 
-def _unit(text: str, where: str) -> str:
-    """A unit goes into the header of a netlist, so it is one printable word."""
+def _word(text: str, where: str, what: str) -> str:
+    """Names and units go into the header of a netlist, so they are one printable word each."""
     if not text.isprintable() or len(text.split()) != 1 or len(text) > 32:
-        raise UsageError("not a unit", where=where, got=repr(text), expected="one word, e.g. 'm/s'")
+        expected = "one word, e.g. 'm/s'"
+        raise UsageError(f"not a {what}", where=where, got=repr(text[:80]), expected=expected)
     return text
 
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from scipy import io
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.system import Port
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.fem.piezo.system import Port, PortKind
+from kc2spice.rom.archive import read_archive
 from kc2spice.rom.matrix_market import read_body, read_header
 from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel
 
 Reduced = ReducedModel | FirstOrderModel
 MAX_BYTES = 1_000_000_000
+MAX_ENTRIES = 50_000_000  # of one matrix
+MAX_TEXT = 64  # characters of a name or unit
 _LETTERS = {ReducedModel: "MEKBCD", FirstOrderModel: "EABCD"}
 _RECORD = "record"  # the JSON text beside the arrays
 
@@ -69,11 +72,8 @@ def read_rom(path: Path | str) -> Reduced:
 
 
 def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    with zipfile.ZipFile(path) as archive:
-        if sum(item.file_size for item in archive.infolist()) > MAX_BYTES:
-            raise UsageError("too large", where=str(path), expected=f"at most {MAX_BYTES} bytes")
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {key: archive[key] for key in archive.files}
+    known = {_RECORD, *"MEKABCD"}
+    arrays = read_archive(path, known.__contains__, entries=MAX_ENTRIES, total=MAX_BYTES)
     record = arrays.pop(_RECORD)
     return arrays, str(record.item())
 
@@ -88,16 +88,35 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
             if file.stat().st_size > MAX_BYTES:
                 raise UsageError("too large", where=str(file), expected=f"{MAX_BYTES} bytes")
             matrices[letter] = read_body(file, read_header(file))
-    return matrices, record.read_text(encoding="utf-8")
+    return matrices, text_of(read_bounded(record, MAX_BYTES))
+
+
+def _port(name: str, kind: str, across: str, flow: str) -> Port:
+    """A port whose words can stand in a netlist's header, where a line break begins a card."""
+    if kind not in get_args(PortKind):
+        raise ValueError(f"a port of the kind {str(kind)[:40]!r}")
+    for text in (name, across, flow):
+        if len(_printable(text, MAX_TEXT).split()) != 1:
+            raise ValueError(f"not one word: {text!r}")
+    return Port(name, kind, across, flow)  # type: ignore[arg-type]
+
+
+def _printable(text: Any, longest: int) -> str:
+    if not isinstance(text, str) or not text.isprintable() or len(text) > longest:
+        raise ValueError(f"not plain text: {str(text)[:40]!r}")
+    return text
 
 
 def _model(matrices: dict[str, Any], record: dict[str, Any]) -> Reduced:
-    ports = tuple(Port(**port) for port in record["ports"])
+    ports = tuple(_port(**port) for port in record["ports"])
     facts = record["certificate"]
+    low, high = (float(frequency) for frequency in facts["band_hz"])
+    if not 0 <= low <= high < np.inf:
+        raise ValueError(f"band {low} … {high} Hz")
     certificate = Certificate(
-        (float(facts["band_hz"][0]), float(facts["band_hz"][1])),
+        (low, high),
         float(facts["error_estimate"]),
-        str(facts["method"]),
+        _printable(facts["method"], 1000),
         bool(facts["stable"]),
         bool(facts["passive"]),
     )

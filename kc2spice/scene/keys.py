@@ -14,6 +14,8 @@ from pydantic_core import PydanticUndefined
 
 from kc2spice.scene.schema import Scene
 
+LONGEST = 200  # characters of a word that is compared with others
+
 
 @dataclass(frozen=True)
 class Key:
@@ -63,6 +65,8 @@ def scene_keys(model: type[BaseModel] = Scene, prefix: str = "") -> Iterator[Key
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
+    if len(word) > LONGEST:
+        return None  # comparing takes time with the square of the length
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -15,12 +14,13 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.toml import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml
 from kc2spice.scene.checks import problems
 from kc2spice.scene.division import KEYS
 from kc2spice.scene.keys import did_you_mean, scene_keys, submodel
 from kc2spice.scene.schema import Scene
 
-MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
 
@@ -76,8 +76,8 @@ class _Source:
 
     def parse(self) -> dict[str, Any]:
         try:
-            return tomllib.loads(self.text)
-        except (ValueError, RecursionError) as error:
+            return parse_toml(self.text)
+        except ValueError as error:
             hint = "strings, quantities with units among them, stand in double quotes"
             raise UsageError(
                 "not valid TOML", where=self.label, got=_short(str(error)), hint=hint
@@ -101,15 +101,11 @@ def _open(name_or_path: str | Path) -> _Source:
         return _Source(f"scene {name}", name, text, Path(str(scenes[name])).parent)
     path = Path(name_or_path)
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        content = read_bounded(path, MAX_BYTES)
     except (OSError, ValueError) as error:
         raise _not_found(name_or_path, list(scenes), error) from None
-    if len(content) > MAX_BYTES:
-        expected = f"at most {MAX_BYTES} bytes of TOML"
-        raise UsageError("too long for a scene", where=str(path), expected=expected)
     try:
-        return _Source(str(path), path.stem, content.decode(), path.parent)
+        return _Source(str(path), path.stem, text_of(content), path.parent)
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=str(path), expected="TOML in UTF-8") from None
 
@@ -126,10 +122,11 @@ def _not_found(name: str | Path, scenes: list[str], error: Exception) -> UsageEr
 def _override(data: dict[str, Any], text: str, source: _Source) -> None:
     """Put one ``dotted.key=value`` into ``data``."""
     name, equals, value = (part.strip() for part in text.partition("="))
-    if not equals or not value or not _KEY.fullmatch(name):
+    path = tuple(name.split("."))
+    long = len(path) > DEEPEST or len(max(path, key=len)) > LONGEST_KEY
+    if not equals or not value or long or not _KEY.fullmatch(name):
         example = "dotted.key=value, such as kick.drive.voltage=80"
         raise UsageError("not an override", where="--set", got=repr(_short(text)), expected=example)
-    path = tuple(name.split("."))
     source.overrides[path] = text
     table = data
     for depth, part in enumerate(path[:-1], start=1):
@@ -152,8 +149,8 @@ def _make_way(data: dict[str, Any], source: _Source) -> None:
 def _toml_value(text: str) -> Any:
     """A TOML value, or the text itself where it is none: a bare word or a number with a unit."""
     try:
-        table = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
+        table = parse_toml(f"value = {text}")
+    except ValueError:
         return text
     return table["value"] if set(table) == {"value"} else text
 
@@ -161,7 +158,7 @@ def _toml_value(text: str) -> Any:
 def _explain(error: ErrorDetails, source: _Source) -> UsageError:
     """One finding of the schema in the words of a scene's author."""
     path, context = error["loc"], error.get("ctx", {})
-    where, got = source.where(path), _short(repr(error["input"]))
+    where, got = source.where(path), _shown(error["input"])
     match error["type"]:
         case "extra_forbidden":
             return _unknown_key(path, where)
@@ -169,7 +166,10 @@ def _explain(error: ErrorDetails, source: _Source) -> UsageError:
             return UsageError(f"{_dotted(path)} is missing", where=where)
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
-            if path == ("title",):  # it ends up in the netlist, where a line is a command
+            if path[0] in (
+                "title",
+                "include",
+            ):  # it ends up in the netlist, where a line is a command
                 expected = "one line of text without control characters"
             return UsageError("not allowed", where=where, got=got, expected=expected)
         case "quantity":
@@ -215,6 +215,14 @@ def _dotted(path: KeyPath) -> str:
     return text.removeprefix(".")
 
 
+def _shown(value: Any) -> str:
+    """``repr``, or what can be said of a number of more digits than Python prints."""
+    try:
+        return _short(repr(value))
+    except ValueError:
+        return f"a {type(value).__name__} that is too long to print"
+
+
 def _short(text: str, limit: int = 120) -> str:
     return text if len(text) <= limit else text[:limit] + " …"
 
@@ -224,10 +232,11 @@ def _line_of(text: str, path: tuple[str, ...]) -> int | None:
     table: tuple[str, ...] = ()
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[\s*([\w.\s]+?)\s*\]", line)
-        key = re.match(r"\s*([\w.]+)\s*=", line)
-        if header:
-            table = names = tuple(part.strip() for part in header[1].split("."))
+        line = line.strip()
+        key = re.match(r"([\w.]+)\s*=", line)
+        if line.startswith("["):
+            header = line.partition("]")[0].lstrip("[")
+            table = names = tuple(part.strip() for part in header.split("."))
         elif key:
             names = table + tuple(key[1].split("."))
         else:

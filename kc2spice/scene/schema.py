@@ -40,6 +40,8 @@ from kc2spice.scene.budget import fill
 from kc2spice.scene.drivers import CatchDriver, KickDriver
 from kc2spice.scene.limits import Checks, Gates
 
+_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
+FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 Experiment = Literal["loop", "impact", "imprint", "harmonic", "em_force"]
 
 
@@ -241,7 +243,7 @@ class Scene(Section):
     """One study. A part that a scene does not name is not modelled."""
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
-    title: str = Field("", max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")
+    title: str = Field("", max_length=200, pattern=rf"^{_ONE_LINE}*$")
     experiment: Experiment = "loop"
     gravity: Acceleration = 9.81
     kick: Kick | None = None
@@ -261,7 +263,9 @@ class Scene(Section):
     checks: Checks = Checks()
     gates: Gates = Gates()
     bench: Bench = Bench()
-    include: tuple[str, ...] = Field((), max_length=16, description="netlists beside the scene")
+    include: tuple[FileName, ...] = Field(
+        (), max_length=16, description="netlists beside the scene"
+    )
     _home: Path | None = PrivateAttr(None)
     _budgeted: frozenset[str] = PrivateAttr(frozenset())
 

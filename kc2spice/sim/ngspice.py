@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.foreign import name_threat
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
@@ -67,7 +68,15 @@ def write_deck(deck: Deck, directory: Path) -> Path:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write texts under their names, which may have folders in them, into ``directory``."""
+    """Write texts under their names, which may have folders in them, into ``directory``.
+
+    Raises
+    ------
+    UsageError : a name that leads out of ``directory``; nothing was written.
+    """
+    for filename in files:
+        if reason := name_threat(filename):
+            raise UsageError(f"is {reason}", where="file name", got=repr(filename[:120]))
     directory.mkdir(parents=True, exist_ok=True)
     for filename, text in files.items():
         path = directory / filename

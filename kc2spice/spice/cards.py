@@ -45,6 +45,18 @@ def name(text: str, *, where: str = "netlist") -> str:
     return text
 
 
+def word(text: str) -> str:
+    """``text`` if it is one printable word, such as a unit in a header.
+
+    Raises
+    ------
+    UsageError : anything else; a line break in it would begin a card.
+    """
+    if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
+        raise UsageError("not one word", where="netlist", got=repr(text), expected="a unit")
+    return text
+
+
 def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
     """Nothing, if ``names`` can all be pins: case does not tell them apart, and none fully matches
     the pattern ``inner`` of the nodes that the subcircuit has itself.

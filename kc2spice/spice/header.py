@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import kc2spice
 from kc2spice.rom.model import Certificate
 from kc2spice.scene.plan import Plan
-from kc2spice.spice.cards import comment, name, number
+from kc2spice.spice.cards import comment, name, number, word
 from kc2spice.spice.circuit import Param, Pin
 
 
@@ -69,10 +69,11 @@ def part_header(
     """
     lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
     lines += [
-        f"* @pin {i} {name(p.name)} unit={p.unit} flow={p.flow}\n" for i, p in enumerate(pins, 1)
+        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
+        for i, p in enumerate(pins, 1)
     ]
     lines += [
-        f"* @param {name(p.name)}={number(p.default)} unit={p.unit} {comment(p.doc)}\n"
+        f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)} {comment(p.doc)}\n"
         for p in params
     ]
     return "".join(lines)

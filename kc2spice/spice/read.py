@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.spice.circuit import Deck
 from kc2spice.spice.statements import beside, statements
+
+LARGEST = 100_000_000  # bytes of one file
 
 
 def read_deck(main: Path) -> Deck:
@@ -21,8 +24,9 @@ def read_deck(main: Path) -> Deck:
     while waiting:
         name = waiting.pop()
         try:
-            files[name] = (main.parent / name).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = text_of(read_bounded(main.parent / name, LARGEST))
+            files[name] = text.replace("\r\n", "\n")
+        except (OSError, ValueError) as error:
             if name == main.name:
                 raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
             continue  # named with its line when the circuit is read

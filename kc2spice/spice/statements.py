@@ -46,22 +46,31 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
     ``title``: the first line is the deck's title, whatever it says, and counts as a comment.
     """
-    found: list[Statement] = []
+    found: list[_Open] = []
     pending: list[str] = []  # comment lines behind the newest statement
-    for number, raw in enumerate(text.splitlines(), 1):
+    lines = text.splitlines()
+    for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):
             pending.append(raw.rstrip())
         elif line.startswith("+") and found:
-            last = found[-1]
-            more = _uncommented(line[1:])
-            found[-1] = Statement(file, last.line, f"{last.text} {more}".rstrip(), last.comments)
-        elif line := _uncommented(line):
-            found.append(Statement(file, number, line, tuple(pending)))
+            found[-1].texts.append(split_comment(line[1:])[0])
+        elif line := split_comment(line)[0]:
+            found.append(_Open(number, tuple(pending), [line]))
             pending = []
+    closed = [Statement(file, s.line, " ".join(s.texts).rstrip(), s.comments) for s in found]
     if pending:
-        found.append(Statement(file, len(text.splitlines()) + 1, "", tuple(pending)))
-    return found
+        closed.append(Statement(file, len(lines) + 1, "", tuple(pending)))
+    return closed
+
+
+@dataclass
+class _Open:
+    """A statement that may still go on."""
+
+    line: int
+    comments: tuple[str, ...]
+    texts: list[str]
 
 
 def words(text: str) -> list[str]:
@@ -74,13 +83,17 @@ def beside(file: str, target: str) -> str:
     return str(PurePosixPath(file).parent / target)
 
 
-def _uncommented(line: str) -> str:
+def split_comment(line: str) -> tuple[str, str]:
+    """A line without its comment, and the text of that."""
     match = _INLINE.search(line)
-    return (line[: match.start()] if match else line).strip()
+    if match is None:
+        return line.strip(), ""
+    return line[: match.start()].strip(), line[match.end() :].strip()
 
 
 def _tight(text: str) -> str:
-    return re.sub(r"\s*(?<![=<>!])=(?!=)\s*", "=", text)
+    # Only the first of several blanks can begin a match: a run of them is read once.
+    return re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)
 
 
 def _split(text: str) -> Iterator[str]:

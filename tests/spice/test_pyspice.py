@@ -1,10 +1,14 @@
 """libngspice inside the process: same results as the batch engine, Python in the loop."""
 
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import kc2spice
 from kc2spice import pyspice
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.parts.bench import Sampled, loop_deck
@@ -122,3 +126,21 @@ def test_missing_pyspice_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PySpice.Spice.Netlist", None)
     with pytest.raises(MissingToolError, match="PySpice"):
         subcircuit(None)
+
+
+def test_start_up_files_of_others_are_not_run(tmp_path):
+    """In a new process: the library reads start-up files once, when it is loaded."""
+    (tmp_path / ".spiceinit").write_text("* start\nshell touch started\n")
+    script = (
+        "from kc2spice.pyspice import run_shared\n"
+        f"from {Deck.__module__} import Deck\n"
+        "text = '* rc\\nV1 a 0 1\\nR1 a b 1k\\nC1 b 0 1n\\n.tran 1u 10u\\n.save v(b)\\n.end\\n'\n"
+        "run_shared(Deck('rc', 'rc.cir', {'rc.cir': text}, {'b': ('v(b)', 1.0)}, 1e-5))\n"
+    )
+    root = str(Path(kc2spice.__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": root, "HOME": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == [".spiceinit"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -10,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import MAX_BYTES
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.toml import MAX_BYTES, parse_toml
 from kc2spice.workflow.sweep.source import scene_text
 from kc2spice.workflow.sweep.study import Request
 
@@ -69,10 +69,9 @@ def _definition(name: str) -> Mapping[str, Any] | None:
         if name in builtin:
             text = builtin[name].read_text(encoding="utf-8")
         else:
-            with Path(name).open("rb") as file:
-                text = file.read(MAX_BYTES).decode()
-        content = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError):
+            text = text_of(read_bounded(Path(name), MAX_BYTES))
+        content = parse_toml(text)
+    except (OSError, ValueError):
         return None  # whoever loads it as a scene says what is wrong with it
     if "scene" not in content:
         return None

@@ -20,6 +20,7 @@ from kc2spice.workflow.sweep.slurm import write_script
 from kc2spice.workflow.sweep.stages import shared_models, slow_blocks, task
 from kc2spice.workflow.sweep.study import (
     PLAN,
+    SHARDS,
     Study,
     check_parameters,
     make_study,
@@ -29,7 +30,6 @@ from kc2spice.workflow.sweep.study import (
 from kc2spice.workflow.sweep.table import Journal, columns, need_parquet, publish
 
 JOURNAL = "journal.csv"
-SHARDS = "shards"
 NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
 
 

@@ -8,19 +8,41 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat, read_bounded, text_of
+from kc2spice.core.toml import MAX_BYTES
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.spice.included import included_netlists
+from kc2spice.spice.included import included_sources
 
 
 @dataclass(frozen=True)
 class SceneText:
-    """A gallery name, or a name, its TOML and ``(file name, text)`` of the netlists beside it."""
+    """A gallery name, or a name, its TOML and ``(file name, text)`` of the netlists beside it.
+
+    It may come from anybody: its names are those of files in one directory, or it is not made.
+
+    Raises
+    ------
+    UsageError : a name that could lead elsewhere, or something else than text.
+    """
 
     name: str
     text: str | None
     netlists: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        for text in (self.name, self.text or "", *(t for pair in self.netlists for t in pair)):
+            if not isinstance(text, str):
+                raise UsageError("is no text", where="scene", got=repr(text)[:80])
+        for name in (self.name, *(name for name, _ in self.netlists)):
+            if reason := name_threat(name):
+                raise UsageError(
+                    f"is {reason}", where="name of a scene's file", got=repr(name[:120])
+                )
+        if "/" in self.name:
+            raise UsageError("is no plain name", where="scene", got=repr(self.name[:120]))
 
     def load(self, overrides: Sequence[str]) -> Scene:
         """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
@@ -48,5 +70,6 @@ def scene_text(name_or_path: str) -> SceneText:
     if name_or_path in gallery():
         return SceneText(name_or_path, None)
     path = Path(name_or_path)
-    netlists = included_netlists(load_scene(path))
-    return SceneText(path.stem, path.read_text(encoding="utf-8"), tuple(netlists.items()))
+    scene = load_scene(path)
+    text = text_of(read_bounded(path, MAX_BYTES))
+    return SceneText(scene.name, text, tuple(included_sources(scene).items()))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
+import os
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import did_you_mean
 from kc2spice.scene.schema import Scene
@@ -22,6 +26,8 @@ from kc2spice.workflow.sweep.stages import Stages, stages
 from kc2spice.workflow.sweep.table import FORMATS
 
 PLAN = "plan.json"
+SHARDS = "shards"
+MAX_PLAN = 100_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -150,14 +156,49 @@ def read_plan(directory: Path) -> tuple[Request, str]:
     UsageError : there is none, or it is not one of ours.
     """
     path = directory / PLAN
+    no_links(directory)
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(text_of(read_bounded(path, MAX_PLAN)))
         digest, _ = content.pop("digest"), content.pop("points")
         scene = content.pop("scene")
         scene["netlists"] = tuple((name, text) for name, text in scene["netlists"])
         sets, metrics = tuple(content.pop("sets")), tuple(content.pop("metrics"))
-        return Request(SceneText(**scene), sets, metrics=metrics, **content), digest
+        request = Request(SceneText(**scene), sets, metrics=metrics, **content)
+        _check_types(request, digest)
+        return request, digest
     except FileNotFoundError:
         raise UsageError("holds no sweep", where=str(directory), expected=f"a {PLAN}") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except UsageError as error:
         raise UsageError("not the plan of a sweep", where=str(path), got=str(error)) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise UsageError("not the plan of a sweep", where=str(path), got=str(error)[:200]) from None
+
+
+def _check_types(request: Request, digest: Any) -> None:
+    """ValueError for a field that holds something else than the command line could have given."""
+    words = (digest, request.format, *request.sets, *request.metrics)
+    flags = (request.zipped, request.latin)
+    limit = request.timeout
+    if (
+        not all(isinstance(word, str) for word in words)
+        or not all(isinstance(flag, bool) for flag in flags)
+        or type(request.seed) is not int
+        or request.seed < 0
+        or not (limit is None or (type(limit) in (int, float) and 0 < limit < math.inf))
+    ):
+        raise ValueError("a field of the wrong type")
+
+
+def no_links(directory: Path) -> None:
+    """Refuse a sweep's directory in which what is written would land elsewhere.
+
+    Raises
+    ------
+    UsageError : a link among its files or its shards.
+    """
+    for folder in (directory, directory / SHARDS):
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            for entry in os.scandir(folder):
+                if entry.is_symlink():
+                    raise UsageError("is a link, which leads out of the sweep's directory",
+                                     where=entry.path, hint="remove it")  # fmt: skip

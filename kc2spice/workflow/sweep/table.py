@@ -22,6 +22,10 @@ class Journal:
     """Rows ``point, cells...`` appended as they come; each is complete or not there at all.
 
     ``done`` (points,) tells which rows are recorded, ``failed`` how many of them failed.
+
+    Raises
+    ------
+    UsageError : another process writes to it, or a row in it is none of ours.
     """
 
     def __init__(self, path: Path, points: int) -> None:
@@ -29,12 +33,18 @@ class Journal:
         self.done = np.zeros(points, dtype=bool)
         self.failed = 0
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_file():
+            raise UsageError("is no file", where=str(path), hint="remove it")
         self._file = path.open("a+b")
         _lock(self._file, path)
         self._drop_torn_row()
-        for index, failed in _entries(path):
-            self.failed += failed and not self.done[index]
-            self.done[index] = True
+        try:
+            for index, failed in _entries(path, points):
+                self.failed += failed and not self.done[index]
+                self.done[index] = True
+        except UsageError:
+            self.close()
+            raise
 
     def record(self, index: int, cells: Iterable[Any], failure: str | None) -> None:
         """Append one row; it survives the end of this process."""
@@ -92,10 +102,20 @@ def _cell(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _entries(path: Path) -> Iterator[tuple[int, bool]]:
+def _entries(path: Path, points: int) -> Iterator[tuple[int, bool]]:
     with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.reader(file):
-            yield int(row[0]), row[-1] != OK
+        try:
+            for row in csv.reader(file):
+                if not row or not row[0].isdecimal() or not 0 <= int(row[0]) < points:
+                    raise ValueError(f"row {','.join(row)[:80]!r}")
+                if row[-1] != OK and not row[-1].startswith(FAILED):
+                    raise ValueError(f"status {row[-1][:80]!r}")
+                yield int(row[0]), row[-1] != OK
+        except (ValueError, csv.Error) as error:
+            raise UsageError(
+                "is damaged: not the rows of this sweep", where=str(path), got=str(error),
+                hint="remove it: what it held is run again",
+            ) from None  # fmt: skip
 
 
 def publish(journals: Sequence[Path], path: Path, header: Sequence[str], kinds: Kinds) -> None:
