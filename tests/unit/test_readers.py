@@ -698,3 +698,70 @@ def test_documented_sidecar_is_read(tmp_path):
     assert [port.name for port in read.ports] == ["tip", "force"]
     assert read.length == 1e-3
     assert read.fixed[0].dofs == (1, 2, 3)
+
+
+def family_of(name, place):
+    """The files of one model of each format in ``place``; returns what to open and its port."""
+    port = TIP
+    if name in ("beam.sti", "beam.dof", "wing.pch", "inboard.op4"):
+        for other in DATA.iterdir():
+            (place / other.name).write_bytes(other.read_bytes())
+        port = TIP.replace("300", "5").replace("uy", "uz")
+    if name == "inboard.op4":
+        (place / "rows.csv").write_text("".join(f"{k},3\n" for k in range(1, 33)))
+        port = 'dofs = "rows.csv"\n' + port
+    nodes, dofs = np.array(ROWS).T
+    if name == "m.npz":
+        np.savez(place / name, K=K, M=M, nodes=nodes, dofs=dofs)
+    elif name == "m.K":
+        write_boeing(place / name, K, "Stiffness")
+        write_boeing(place / "m.M", M, "Mass")
+        write_mapping(place / "m.mapping", ROWS)
+    elif name == "m_K.mtx":
+        write_family(place, "m_{}.mtx", K=K, M=M, B=np.ones((N, 1)))
+        port = '[[ports]]\nname="a"\nkind="mechanical"\ncolumn=1\n'
+    elif name == "job_STIF1.mtx":
+        write_abaqus(place / name, K)
+        write_abaqus(place / "job_MASS1.mtx", M)
+    elif name == "mesh.inp":
+        np.savez(place / "m.npz", K=K, M=M, nodes=nodes, dofs=dofs)
+        (place / name).write_text(
+            "*NODE\n7,0,0,0\n20,1,0,0\n300,2,0,0\n*NSET,NSET=A,GENERATE\n7,20,13\n"
+        )
+        port = 'mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "A"')
+        return place / "m.npz", port
+    return place / name, port
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["beam.sti", "beam.dof", "wing.pch", "inboard.op4", "m.npz", "m.K", "m_K.mtx", "job_STIF1.mtx",
+     "mesh.inp"],
+)  # fmt: skip
+def test_random_damage_ends_in_a_model_or_one_clear_error(tmp_path, name):
+    """Bytes replaced, repeated and cut out, sixty times: never another exception."""
+    path, port = family_of(name, tmp_path)
+    side = sidecar(tmp_path, port, "side.toml")
+    read_model(path, side)
+    target = tmp_path / name
+    whole = target.read_bytes()
+    rng = np.random.default_rng(7)
+    outcomes = set()
+    for _ in range(60):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            at = int(rng.integers(len(data)))
+            kind = rng.integers(3)
+            if kind == 0:
+                data[at] = int(rng.choice([0, 9, 10, 32, 45, 46, 48, 57, 69, 255]))
+            elif kind == 1:
+                data[at:at] = data[at : at + int(rng.integers(1, 40))]
+            else:
+                del data[at : at + int(rng.integers(1, 40))]
+        target.write_bytes(bytes(data))
+        try:
+            outcomes.add(type(read_model(path, side)).__name__)
+        except UsageError as error:
+            outcomes.add("refused")
+            assert error.where
+    assert "refused" in outcomes
