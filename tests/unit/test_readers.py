@@ -356,6 +356,67 @@ def test_port_at_a_coordinate(labelled, at):
     assert np.flatnonzero(model.B).tolist() == [4]
 
 
+CDB = """/PREP7
+NBLOCK,6,SOLID,     300,       3
+(3i9,6e21.13e3)
+        7        0        0 0.0000000000000E+000 0.0000000000000E+000 0.0000000000000E+000
+       20        0        0 1.0000000000000E+001
+      300        0        0 2.0000000000000E+001 1.5000000000000E+000 0.0000000000000E+000
+N,R5.3,LOC,       -1,
+CMBLOCK,ENDS    ,NODE,       3  ! users node component definition
+(8i10)
+         7        -8       300
+"""
+BULK = (
+    "$ nodes\n"
+    "GRID    7               0.      0.      0.\n"
+    "GRID,20,,10.,0.,0.\n"
+    f"{'GRID*':8}{300:16d}{'':16}{'2.000000000D+01':>16}{'1.500000000D+00':>16}\n"
+    f"{'*':8}{'0.000000000D+00':>16}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("n.cdb", CDB),
+        ("n.bdf", BULK),
+        ("n.csv", "node,x,y,z\n7,0,0,0\n20,10,0,0\n300,20,1.5,0\n"),
+        (
+            "n.inp",
+            "** c\n*Node\n7,0,0,0\n20,10.\n300,20,1.5,0\n*Nset,nset=ends,generate\n7,300,293\n",
+        ),
+    ],
+)
+def test_every_mesh_format_finds_the_nodes(labelled, tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    at = '[[ports]]\nname="p"\nkind="mechanical"\nat=[20, 1.5, 0]\ndof=1\n'
+    model = labelled(f'mesh="{name}"\n' + at)
+    assert np.flatnonzero(model.B).tolist() == [4]
+    if name in ("n.cdb", "n.inp"):
+        by_set = at.replace("at=[20, 1.5, 0]", 'nodeset="ENDS"')
+        model = labelled(f'mesh="{name}"\n' + by_set)
+        assert np.flatnonzero(model.B).tolist() == [0, 4]
+        np.testing.assert_allclose(model.B.max(), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("n.inp", "*Instance, name=a\n*Node\n7,0,0,0\n*Instance, name=b\n", "INSTANCE"),
+        ("n.inp", "*Instance, name=a\n1., 0., 0.\n*Node\n7,0,0,0\n", "moved"),
+        ("n.bdf", "GRID    7       3       0.      0.      0.\n", "coordinate system 3"),
+        ("n.csv", "7,0,0,0\nx\n", "line"),
+        ("n.inp", "", "no node"),
+        ("n.doc", "x", ".doc"),
+    ],
+)
+def test_meshes_that_cannot_be_trusted(labelled, tmp_path, name, text, word):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UsageError, match=word):
+        labelled(f'mesh="{name}"\n[[ports]]\nname="p"\nkind="mechanical"\nat=[0,0,0]\ndof=1\n')
+
+
 def test_fixed_freedoms_leave_the_model(labelled):
     model = labelled('[[fixed]]\nnode=7\n[[fixed]]\nnodes=[20]\ndof="uy"\n' + TIP + 'unit="um"\n')
     keep = [2, 4, 5]
