@@ -61,7 +61,6 @@ class Bimorph(Section):
     distance from the clamp.
     """
 
-    part: Literal["bimorph"] = "bimorph"
     length: Length = Field(gt=0)
     width: Length = Field(gt=0)
     layers: tuple[Layer, ...] = Field(min_length=1)
