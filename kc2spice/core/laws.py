@@ -142,6 +142,11 @@ class Sine:
     start: float = 0.0
     offset: float = 0.0
 
+    @property
+    def pace(self) -> float:
+        """Largest step that cannot miss what the wave makes a guard do [s]."""
+        return 0.05 / self.frequency
+
     def value(self, t: Any) -> Any:
         """Value at the times ``t``."""
         s = np.maximum(np.asarray(t) - self.start, 0.0)
@@ -868,7 +873,9 @@ class PositionForce(Device):
 
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """Coil currents and force."""
-        currents = {f"coil{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:], strict=True))}
+        currents = {
+            f"coil{k + 1}": g * i for k, (g, i) in enumerate(zip(self.gains, e[2:], strict=True))
+        }
         return currents | {"force": -float(self.evaluate(t, e, mode)[0][0])}
 
 

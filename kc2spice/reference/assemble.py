@@ -267,7 +267,9 @@ class _Assembly:
 
     def velocity_of(self, form: np.ndarray) -> np.ndarray:
         """Form of the velocities where they are there anyway."""
-        return np.concatenate((np.zeros(self.nq), form[: self.nq], np.zeros(self.size - 2 * self.nq)))
+        return np.concatenate(
+            (np.zeros(self.nq), form[: self.nq], np.zeros(self.size - 2 * self.nq))
+        )
 
     def branch(self, law: L.Law, form: np.ndarray, through: np.ndarray, kind: str) -> None:
         """A two-pole with ``through @ y`` from its first pin to its second."""
@@ -454,7 +456,9 @@ def states_of(law: L.Law) -> list[tuple[str, float]]:
 @singledispatch
 def stamp(law: L.Law, into: _Assembly) -> None:
     """Write a law into the raw equations; register a function here for a new linear law."""
-    raise UsageError("the integrator does not know this law", where=law.name, got=type(law).__name__)
+    raise UsageError(
+        "the integrator does not know this law", where=law.name, got=type(law).__name__
+    )
 
 
 def _square(a: np.ndarray) -> np.ndarray:

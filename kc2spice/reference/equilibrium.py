@@ -219,9 +219,12 @@ def _changed(rest: _Rest, z: np.ndarray, modes: list[Any]) -> bool:
 
 def _kinematic(system: System) -> np.ndarray:
     """Rows ``p' = speed v``: a rate of a displacement, moved by nothing but one velocity."""
-    return ((np.abs(system.M) > 0).sum(axis=1) == 1) & (
-        (np.abs(system.A) > 0).sum(axis=1) == 1
-    ) & (system.A[:, system.velocity] != 0).any(axis=1) & ~system.M[:, system.velocity].any(axis=1)
+    return (
+        ((np.abs(system.M) > 0).sum(axis=1) == 1)
+        & ((np.abs(system.A) > 0).sum(axis=1) == 1)
+        & (system.A[:, system.velocity] != 0).any(axis=1)
+        & ~system.M[:, system.velocity].any(axis=1)
+    )
 
 
 def _solve(rest: _Rest, z: np.ndarray, f: np.ndarray, J: np.ndarray) -> np.ndarray:

@@ -298,9 +298,10 @@ def _run(
         return step if flight is None else FlightStep.of(step, flight, z.size)
 
     steps: list[Step] = []
+    pace = min((getattr(p.wave, "pace", np.inf) for p in piece.system.sources), default=np.inf)
     h, fired = solver.guess(end), None
     while solver.t < end:
-        inner, h_next = solver.advance(h, end)
+        inner, h_next = solver.advance(min(h, pace), end)
         step = full(inner)
         now = step.start + step.length
         if flight is not None:
@@ -324,8 +325,10 @@ def _run(
             break
         solver.accept(inner)
         before, h = after, h_next
-        if modes is not None and flight is None and not _landed(
-            modes.launched(now, step.last), now, after, 1.6
+        if (
+            modes is not None
+            and flight is None
+            and not _landed(modes.launched(now, step.last), now, after, 1.6)
         ):
             break
     return (Stretch(piece, tuple(steps), flight) if steps else None), fired

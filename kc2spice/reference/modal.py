@@ -57,7 +57,9 @@ class Flight:
     def mean(self, t0: float, t1: float) -> np.ndarray:
         """Their mean (len(where),) from ``t0`` to ``t1``."""
         m = self.modes
-        grown = (np.exp(m.rates * (t1 - self.start)) - np.exp(m.rates * (t0 - self.start))) / m.rates
+        grown = (
+            np.exp(m.rates * (t1 - self.start)) - np.exp(m.rates * (t0 - self.start))
+        ) / m.rates
         return (m.shapes @ (self.amplitudes * grown)).real / (t1 - t0) + m.rest
 
     def swing(self, t: float) -> np.ndarray:
@@ -105,7 +107,10 @@ class FlightStep(Step):
         """States (n, nt)."""
         t = np.atleast_1d(t)
         z = np.empty((self.first.size, t.size))
-        z[self.flight.modes.where], z[self.flight.modes.others] = self.flight.at(t), self.inner.at(t)
+        z[self.flight.modes.where], z[self.flight.modes.others] = (
+            self.flight.at(t),
+            self.inner.at(t),
+        )
         return z
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
@@ -172,7 +177,10 @@ def _decomposed(piece: Piece, where: np.ndarray, others: np.ndarray) -> Modes | 
         F = np.linalg.solve(M, A)
         rest = -np.linalg.solve(A, b)
         rates, shapes = np.linalg.eig(F)
-        if np.linalg.cond(shapes) > _WORST_BASIS or np.abs(rates).min() < 1e-9 * np.abs(rates).max():
+        if (
+            np.linalg.cond(shapes) > _WORST_BASIS
+            or np.abs(rates).min() < 1e-9 * np.abs(rates).max()
+        ):
             return None
     except np.linalg.LinAlgError:
         return None
@@ -211,7 +219,9 @@ def _restricted(system: System, keep: np.ndarray) -> System:
     )  # fmt: skip
 
 
-def flown_loss(flight: Flight, end: float, term: Term, s: np.ndarray, d: np.ndarray) -> float | None:
+def flown_loss(
+    flight: Flight, end: float, term: Term, s: np.ndarray, d: np.ndarray
+) -> float | None:
     """Loss of a term that lies within the flight alone; None if it does not."""
     if term.rows.z[:, flight.modes.others].any():
         return None
