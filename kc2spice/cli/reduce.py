@@ -46,19 +46,27 @@ def reduce(
             "MKL_NUM_THREADS cores.",
         ),
     ] = "scipy",
+    triangular: Annotated[
+        bool,
+        typer.Option("--triangular", help="Accept matrices of which only one triangle is stored."),
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
 ) -> None:
-    """Reduce matrices of another tool to a model of certified error."""
+    """Reduce matrices of another tool to a model of certified error.
+
+    An unstable model ends with exit code 4.
+    """
     with reported_errors():
         from kc2spice.workflow.reduce import reduce as reduce_study
+        from kc2spice.workflow.reduce import require_stable
 
         with shown_progress(quiet) as progress:
             found = reduce_study(
                 model, out, band=band, tolerance=tolerance, order=order, solver=solver,
-                progress=progress,
+                triangular=triangular, progress=progress,
             )  # fmt: skip
         if as_json:
             print(json.dumps(found))
@@ -75,6 +83,7 @@ def reduce(
                 ("reduced model", found["rom"]),
             ]
             print_table("reduced model", rows)
+        require_stable(found)
 
 
 def export_rom(

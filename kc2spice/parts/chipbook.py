@@ -7,7 +7,7 @@ import numpy as np
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.modalstep import chip_response
 from kc2spice.parts.sphere import integral
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
@@ -18,8 +18,10 @@ STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 
 def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray] | None:
     """Force [N] over time on every mechanical pin; None where one of them is not recorded."""
     found: dict[str, np.ndarray] = {}
+    pins = part.type.pins(part, build.scene)
+    mechanical = {pin.name for pin in pins if pin.unit == "um" and pin.name != "base"}
     for (name, pin), net in build.scene.nets.items():
-        if name != part.name or net == "0" or pin in ("anode", "cathode", "base"):
+        if name != part.name or net == "0" or pin not in mechanical:
             continue
         found[pin] = np.zeros(waves["time"].size)
         for other, theirs in build.scene.joined(part.name, pin):
@@ -32,7 +34,7 @@ def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndar
 
 
 def balance(
-    name: str, model: ResonatorModel, waves: Waveforms, forces: dict[str, np.ndarray]
+    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
 ) -> Balance:
     """Work of voltage and forces on the body against its exact response to the same loads.
 

@@ -20,12 +20,13 @@ from kc2spice.core.quantities import (
     Voltage,
 )
 from kc2spice.fem.magnetics.table import EMTable, inductances
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.opamp import Level, opamp_subcircuit
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
 CARRIER = 10.0  # V, peak of the modulator's triangle
@@ -117,14 +118,14 @@ def half_bridge_subcircuit(
 def amplifier_subcircuit(
     header: Header, drive: AmplifierKeys, name: str = "amplifier"
 ) -> Subcircuit:
-    """``V(out) = V(command)`` within rails, bandwidth, slew rate and current; needs opamp_slew."""
+    """``V(out) = V(command)`` within rails, bandwidth, slew rate and current."""
     return _part(
         header, "amplifier", name, "high-voltage amplifier for the chip", drive, _AMPLIFIER
     )
 
 
 def charge_drive_subcircuit(header: Header, drive: ChargeKeys, name: str = "charge") -> Subcircuit:
-    """Chip charge ``= capacitance V(command)`` on a floating chip; needs opamp_slew."""
+    """Chip charge ``= capacitance V(command)`` on a floating chip."""
     docs = {
         "capacitance": "charge of the chip per volt of command",
         "sense": "capacitor in series with the chip",
@@ -155,7 +156,7 @@ def linear_subcircuit(
 
 
 def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm") -> Subcircuit:
-    """Coil current ``V(command) / 100 Ohm`` from an H-bridge; needs opamp."""
+    """Coil current ``V(command) / 100 Ohm`` from an H-bridge."""
     resistance = load.resistance + 2 * drive.resistance + 1.0
     r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
     params = (
@@ -178,6 +179,10 @@ _AMPLIFIER = {
     "slew": "fastest change of the output",
     "current_limit": "largest output current",
 }
+# The operational amplifier that each driver contains.
+_AMPLIFIERS: dict[str, Level] = {
+    "amplifier": "slew", "charge": "slew", "linear": "slew", "pwm": "pole",
+}  # fmt: skip
 _UNITS = {
     "rail": "V", "resistance": "Ohm", "gate_resistance": "Ohm", "supply_resistance": "Ohm",
     "current_limit": "A", "reservoir": "F", "capacitance": "F", "sense": "F",
@@ -221,7 +226,8 @@ def _rendered(
         parameters=parameter_list(params),
         **values,
     )
-    return Subcircuit(name, pins, params, text)
+    helpers = [opamp_subcircuit(header, level)] if (level := _AMPLIFIERS.get(template)) else []
+    return self_contained(Subcircuit(name, pins, params, text), helpers)
 
 
 class _Driver(PartType):
@@ -257,9 +263,7 @@ class Amplifier(_Driver):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        return (
-            opamp_subcircuit(header, "slew"), amplifier_subcircuit(header, part.keys, name)
-        )  # fmt: skip
+        return (amplifier_subcircuit(header, part.keys, name),)
 
 
 class ChargeDrive(_Driver):
@@ -272,9 +276,7 @@ class ChargeDrive(_Driver):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        return (
-            opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, part.keys, name)
-        )  # fmt: skip
+        return (charge_drive_subcircuit(header, part.keys, name),)
 
 
 class _CoilDriver(_Driver):
@@ -304,10 +306,7 @@ class LinearDrive(_CoilDriver):
         limit = control.keys.current_limit if control else 1.0
         name = build.libraries[part.name]
         load = self.load(part, build)
-        return (
-            opamp_subcircuit(header, "slew"),
-            linear_subcircuit(header, part.keys, load, limit, name),
-        )
+        return (linear_subcircuit(header, part.keys, load, limit, name),)
 
 
 class PwmDrive(_CoilDriver):
@@ -319,7 +318,7 @@ class PwmDrive(_CoilDriver):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name, load = build.libraries[part.name], self.load(part, build)
-        return (opamp_subcircuit(header), pwm_subcircuit(header, part.keys, load, name))
+        return (pwm_subcircuit(header, part.keys, load, name),)
 
 
 def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 
 _BLOCK = 4096  # points whose propagators are in memory at a time
 
@@ -19,7 +19,7 @@ class ChipResponse:
     stored: np.ndarray
 
 
-def chip_response(model: ResonatorModel, t: np.ndarray, load: np.ndarray) -> ChipResponse:
+def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipResponse:
     """Response to ``load`` (n, ports; N into the chip and V), linear between the times ``t`` (n,).
 
     Each mode ``z'' + d z' + w^2 z = r`` is split by its roots a, b into two states

@@ -18,6 +18,7 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
@@ -87,8 +88,7 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants. Needs
-    the part ``opamp``.
+    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants.
     """
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
@@ -118,7 +118,8 @@ def pid_subcircuit(
         pi=pi,
         output=output,
     )
-    return Subcircuit(name, pins, params, text)
+    part = Subcircuit(name, pins, params, text)
+    return self_contained(part, [opamp_subcircuit(header)])
 
 
 class Pid(PartType):
@@ -192,10 +193,7 @@ class Pid(PartType):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
         name = build.libraries[part.name]
-        return (
-            opamp_subcircuit(header),
-            pid_subcircuit(header, part.keys, output=local, name=name),
-        )
+        return (pid_subcircuit(header, part.keys, output=local, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}

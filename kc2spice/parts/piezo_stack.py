@@ -4,41 +4,36 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.system import PiezoSystem, Port
-from kc2spice.parts import chipbook
+from kc2spice.parts.linear_body import LinearBody
 from kc2spice.parts.netlist import first_netlist
-from kc2spice.rom.model import Certificate, ResonatorModel
-from kc2spice.scene.judge import Balance
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
     ErrorRow,
     LeftOut,
     Modelled,
-    PartType,
     Reach,
     Surface,
-    Vector,
     register,
 )
+from kc2spice.scene.settings import Rom
 
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.mesh import KickMesh
-    from kc2spice.rom.schur import CondensedSystem
+    from kc2spice.fem.piezo.system import PiezoSystem
 
 SECTORS = 4  # the finite-element model is one symmetry sector of this many
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
@@ -62,6 +57,7 @@ class Drive(Section):
 class Stack(Chip):
     """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
 
+    rom: Rom | None = None
     electrical: Literal["open", "short", "driven"] = "driven"
     drive: Drive | None = Field(None, description="pulse of an ideal source on the anode")
     driver: dict[str, dict[str, Any]] | None = Field(
@@ -69,26 +65,12 @@ class Stack(Chip):
     )
 
 
-@dataclass(frozen=True)
-class KickModel:
-    """The reduced chip, whole device, with the facts of the full model it came from.
-
-    ``ring_radii`` (rings,) [m] are those of the mechanical ports, ``sectors`` the symmetry sectors
-    that make the device.
-    """
-
-    resonators: ResonatorModel
-    ring_radii: np.ndarray
-    sectors: int
-    facts: dict[str, float]
-
-
-class PiezoStack(PartType):
+class PiezoStack(LinearBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
     short_for = ("kick",)
-    reduced = True
+    source = "FE (piezoelectric, linear)"
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
         driven = table.get("electrical", "driven") == "driven"
@@ -119,17 +101,14 @@ class PiezoStack(PartType):
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        rings = [
-            Terminal(f"R{k}", "um", "N")
-            for k in range(kept_rings(part, scene))
-        ]  # fmt: skip
-        floating = any(
-            pins.get("cathode") == f"{part.name}.cathode"
-            for pins in (other.pins for other in scene.parts.values())
-        )
-        cathode = Terminal("cathode", "V", "A", None if floating else "gnd")
-        return (Terminal("anode", "V", "A"), cathode, *rings, Terminal("base", "um", "N", "gnd"))
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        rings = (Port(f"R{k}", "mechanical") for k in range(part.keys.mesh.rings + 1))
+        return (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
+
+    def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        """Rings up to the last that is needed, so that every scene's are nested."""
+        *rings, anode = self.ports(part, scene)
+        return (*rings[: kept_rings(part, scene)], anode)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from _problems(part, scene)
@@ -147,40 +126,20 @@ class PiezoStack(PartType):
             why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
             yield Reach(SWING * stroke, why)
 
-    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        chip = chip_of(part.keys).model_dump(mode="json")
-        rom = scene.rom.model_dump(mode="json")
-        return {"chip": chip, "rings": kept_rings(part, scene), "rom": rom}
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        return {"chip": chip_of(part.keys).model_dump(mode="json")}
 
-    def build(self, part: Part, scene: Scene, clock: Any) -> KickModel:
-        return _build(self.model_key(part, scene), part, scene, clock)
-
-    def library(self, part: Part, scene: Scene) -> str:
-        return part.name
-
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        from kc2spice.spice.realize import realize
-
-        return (realize(build.model(part).resonators, header, name=build.libraries[part.name]),)
-
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        rings = ring_names(build.model(part))
-        found = {f"{part.name}.u.{r}": Vector(f"v({build.net(part, r)})", 1e-6, "m") for r in rings}
-        anode, cathode = build.net(part, "anode"), build.net(part, "cathode")
-        plus = f"v({anode})"
-        if cathode == "0":
-            found[f"{part.name}.voltage"] = Vector(plus, 1.0, "V")
-        else:
-            found[f"{part.name}.voltage"] = Vector(f"{plus}-v({cathode})", 1.0, "V")
-        for name, pin in build.scene.joined(part.name, "anode"):
-            other = build.scene.parts[name]
-            meter = other.type.current(other, pin, build)
-            if meter is not None:
-                found[f"{part.name}.current"] = Vector(meter.expression, meter.factor, "A")
-        return found
+    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        chip = chip_of(part.keys)
+        with clock.stage("mesh", "chip mesh"):
+            _mesh(chip)
+        with clock.stage("assemble", "piezoelectric matrices"):
+            _assembled(chip)
+        with clock.stage("reduce", "elimination of the potentials"):
+            return _device(chip)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        found: dict[str, Any] = {}
+        found = dict(super().metrics(part, build, waves))
         if "time" not in waves:
             return found
         pressed = bool(build.scene.of("contact"))
@@ -195,44 +154,12 @@ class PiezoStack(PartType):
                 found["kick_charge_peak_c"] = float(np.abs(charge).max())
         return found
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
-        if "time" not in waves or f"{part.name}.voltage" not in waves:
-            return {}
-        forces = chipbook.port_forces(part, build, waves)
-        if forces is None:
-            return {}
-        model = build.model(part).resonators
-        return {part.name: chipbook.balance(part.name, model, waves, forces)}
-
-    def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
-        """(ports, ports) displacement [m] per force [N] at rest, the anode at constant voltage."""
-        model = build.model(part).resonators
-        columns = [[p.name for p in model.ports].index(name) for name in ports]
-        gain = model.gain[:, columns]
-        return np.asarray((gain / model.omega[:, None] ** 2).T @ gain)
-
     def indentation_modulus(self, part: Part) -> float:
         """Modulus [Pa] of the half-space that a contact presses on."""
         return indentation_modulus(part.keys)
 
-    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
-        return dict(build.model(part).facts)
-
-    def rom(self, part: Part, build: Build) -> Mapping[str, Any]:
-        model = build.model(part).resonators
-        certificate = model.certificate
-        return {
-            "order": model.order,
-            "ports": [port.name for port in model.ports],
-            "band_hz": list(certificate.band_hz),
-            "error_estimate": certificate.error_estimate,
-            "method": certificate.method,
-            "stable": certificate.stable,
-            "passive": certificate.passive,
-        }
-
     def modelled(self, part: Part, scene: Scene) -> Modelled:
-        keys, rom = part.keys, scene.rom
+        keys, rom = part.keys, self.settings(part, scene)
         target = (
             f"order {rom.order}"
             if rom.order is not None
@@ -279,11 +206,6 @@ def chip_of(keys: Stack) -> Chip:
 def ring_radii(keys: Chip) -> np.ndarray:
     """Radii [m] of the chip's rings, R0 (the centre node) first."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
-
-
-def ring_names(model: KickModel) -> tuple[str, ...]:
-    """Names of the mechanical ports."""
-    return tuple(p.name for p in model.resonators.ports if p.kind == "mechanical")
 
 
 def kept_rings(part: Part, scene: Scene) -> int:
@@ -430,38 +352,10 @@ def _assembled(chip: Chip) -> PiezoSystem:
 
 
 @lru_cache(maxsize=1)
-def _condensed(chip: Chip) -> tuple[CondensedSystem, dict[str, float]]:
-    from kc2spice.rom.facts import condensed_facts
-    from kc2spice.rom.schur import condense
+def _device(chip: Chip) -> LinearModel:
+    from kc2spice.bodies.piezo_stack import from_sector
 
-    condensed = condense(_assembled(chip))
-    return condensed, condensed_facts(condensed)
-
-
-def _build(key: Mapping[str, Any], part: Part, scene: Scene, clock: Any) -> KickModel:
-    chip, rings = chip_of(part.keys), kept_rings(part, scene)
-
-    def build() -> KickModel:
-        from kc2spice.rom.modal import resonators, whole_device
-        from kc2spice.rom.reduce import reduce_condensed
-        from kc2spice.rom.schur import with_rings
-
-        with clock.stage("mesh", "chip mesh"):
-            _mesh(chip)
-        with clock.stage("assemble", "piezoelectric matrices"):
-            system = _assembled(chip)
-        with clock.stage("reduce", "factorisation and Krylov basis"):
-            condensed, facts = _condensed(chip)
-            kept = with_rings(condensed, rings)
-            modal = resonators(reduce_condensed(kept, scene.rom))
-        whole = whole_device(modal, system.sectors)
-        return KickModel(whole, kept.system.ring_radii, system.sectors, facts)
-
-    model, _ = cached(
-        "kick", key, build, classes=(KickModel, ResonatorModel, Certificate, Port),
-        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom"),
-    )  # fmt: skip
-    return model
+    return from_sector(_assembled(chip))
 
 
 register(PiezoStack())

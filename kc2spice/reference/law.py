@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Control, Drive, Scene
 
@@ -241,7 +241,7 @@ class Law:
         return j
 
 
-def law(model: ResonatorModel, scene: Scene, table: EMTable | None, sectors: int = 4) -> Law:
+def law(model: Resonators, scene: Scene, table: EMTable | None, sectors: int = 4) -> Law:
     """Collect the equations of one scene for the whole-device ``model``.
 
     ``sectors`` is the number of symmetry sectors that share the contact penalty of the scene,

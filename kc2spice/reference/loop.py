@@ -24,7 +24,7 @@ from kc2spice.reference.law import (
 )
 from kc2spice.reference.pieces import Piece, coupled, flight
 from kc2spice.reference.statics import rest
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 
@@ -72,7 +72,7 @@ class Reference:
 
 
 def kick_and_catch(
-    model: ResonatorModel,
+    model: Resonators,
     scene: Scene,
     table: EMTable | None,
     *,
@@ -91,7 +91,7 @@ def kick_and_catch(
 
 
 def impact(
-    model: ResonatorModel,
+    model: Resonators,
     scene: Scene,
     *,
     rtol: float = 1e-9,

@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.reference.law import EXTRA, HEIGHT, Law, law
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 
@@ -88,7 +88,7 @@ def rest(equations: Law) -> np.ndarray:
 
 
 def imprint(
-    model: ResonatorModel, scene: Scene, table: EMTable | None = None, sectors: int = 4
+    model: Resonators, scene: Scene, table: EMTable | None = None, sectors: int = 4
 ) -> Waveforms:
     """Whole contact force against imprint depth, 0 to ``scene.imprint.depth`` (paper Fig. 8).
 
@@ -104,7 +104,7 @@ def imprint(
     return Waveforms(data, {})
 
 
-def transfer(model: ResonatorModel, frequency: np.ndarray, electrical: str) -> np.ndarray:
+def transfer(model: Resonators, frequency: np.ndarray, electrical: str) -> np.ndarray:
     """(nf, p, p) outputs per unit input: ``H_kl = sum_j g_jk g_jl / (w_j^2 - w^2 + i w d_j) + D``.
 
     ``driven`` and ``short`` take the anode's voltage in and give its charge; ``open`` takes its
@@ -125,7 +125,7 @@ def transfer(model: ResonatorModel, frequency: np.ndarray, electrical: str) -> n
     return inverse
 
 
-def harmonic(model: ResonatorModel, scene: Scene) -> Waveforms:
+def harmonic(model: Resonators, scene: Scene) -> Waveforms:
     """Transfer functions over the scene's sweep (paper Figs 7 and A1).
 
     Arrays ``frequency`` (nf,) and, complex, ``INPUT>OUTPUT`` (nf,) for every pair of ports.

@@ -15,39 +15,28 @@ missing C is ``B'``, a missing D zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.system import Port
 from kc2spice.rom.foreign_files import LETTERS, read_mat, read_matrix_market, read_npz
 from kc2spice.rom.foreign_ports import PortTable, read_ports
-from kc2spice.rom.pencil import Matrix, Pencil
+from kc2spice.rom.linear import LinearModel, half_stored
+from kc2spice.rom.operators import Matrix
 
 
-@dataclass(frozen=True)
-class ForeignModel:
-    """A full model of any origin, its ports (inputs, then outputs; each once where they are
-    collocated and conservative) and the band [Hz] that its TOML asks for, if any.
-    """
-
-    name: str
-    pencil: Pencil
-    ports: tuple[Port, ...]
-    band: tuple[float, float] | None = None
-
-
-def read_model(path: Path | str) -> ForeignModel:
+def read_model(path: Path | str, *, triangular: bool = False) -> LinearModel:
     """Read the model at ``path``: a ``.mat`` or ``.npz`` file, or ``NAME`` or any ``NAME.X`` of a
-    Matrix Market family.
+    Matrix Market family. ``triangular`` says that matrices with one triangle are meant so.
 
     Raises
     ------
     UsageError : no such model; a file that is damaged, too large, or not real and finite; matrices
-        that do not fit together. The message names the file and what was expected in it.
+        that do not fit together, or of which one half seems to be missing. The message names the
+        file and what was expected in it.
     """
     path = Path(path)
     if path.suffix == ".mat":
@@ -57,56 +46,57 @@ def read_model(path: Path | str) -> ForeignModel:
     else:
         base = path.with_suffix("") if path.suffix[1:] in LETTERS and path.is_file() else path
         found = read_matrix_market(base)
-    return make_model(found, read_ports(base.with_name(f"{base.name}.toml")), base.name, str(path))
+    table = read_ports(base.with_name(f"{base.name}.toml"))
+    return make_model(found, table, base.name, str(path), triangular=triangular)
 
 
 def make_model(
-    found: dict[str, Matrix], ports: PortTable | None, name: str, where: str
-) -> ForeignModel:
+    found: dict[str, Matrix], ports: PortTable | None, name: str, where: str, *,
+    triangular: bool = False,
+) -> LinearModel:  # fmt: skip
     """A model from its matrices by letter, checked for shapes, in the units of its pins.
+
+    ``E`` and ``K`` without ``M`` (heat conduction) are first order with ``A = -K``.
 
     Raises
     ------
-    UsageError : letters missing or too many, shapes that do not fit, a port table that does not.
+    UsageError : letters missing or too many, shapes that do not fit, a port table that does not,
+        a half-stored matrix.
     """
-    first_order = "A" in found
-    required = ("A", "B") if first_order else ("M", "K", "B")
+    found = dict(found)
+    if {"E", "K"} <= set(found) and not {"M", "A"} & set(found):
+        found["A"] = -found.pop("K")
+    required = ("A", "B") if "A" in found else ("M", "K", "B")
     missing = [letter for letter in required if letter not in found]
-    if missing or (first_order and {"M", "K"} & set(found)):
+    if missing or ("A" in found and {"M", "K"} & set(found)):
         raise UsageError(
-            "is not a complete model",
-            where=where,
+            "is not a complete model", where=where,
             got="matrices " + ", ".join(sorted(found)) if found else "no matrix",
             expected="M, K, B and as needed E, C, D; or A, B and as needed C, D, E",
-        )
-    n = found[required[0]].shape[0]
-    for letter in sorted({"M", "K", "A", "E"} & set(found)):
-        _expect(found[letter], (n, n), letter, where)
-    B = _dense(found["B"])
-    _expect(B, (n, B.shape[1]), "B", where)
-    C = _dense(found["C"]) if "C" in found else B.T.copy()
-    _expect(C, (C.shape[0], n), "C", where)
-    D = _dense(found["D"]) if "D" in found else np.zeros((C.shape[0], B.shape[1]))
-    _expect(D, (C.shape[0], B.shape[1]), "D", where)
-    if not B.any() or not C.any():
+        )  # fmt: skip
+    if not triangular:
+        _refuse_halves(found, where)
+    matrices = {
+        letter: _dense(P) if letter in "BCD" else sparse.csc_array(P) for letter, P in found.items()
+    }
+    model = replace(LinearModel(**matrices, name=where), name=name)
+    if not model.B.any() or not model.C.any():
         raise UsageError("has no effective input or output", where=where, expected="B, C not zero")
-    E = found.get("E", sparse.eye_array(n, format="csc") if first_order else None)
-    E = sparse.csc_array((n, n)) if E is None else E
-    coefficients = (-found["A"], E) if first_order else (found["K"], E, found["M"])
-    pencil = Pencil(tuple(sparse.csc_array(P) for P in coefficients), B, C, D)
-    table = ports or PortTable()
-    return ForeignModel(name, *table.apply(pencil), table.band)
+    return (ports or PortTable()).apply(model)
+
+
+def _refuse_halves(found: dict[str, Matrix], where: str) -> None:
+    """Only the triangle of every second-order matrix is what half-stored files hold; one matrix
+    of that form may be a model's own."""
+    square = [letter for letter in ("M", "E", "K", "A") if letter in found]
+    halves = [k for k in square if half_stored(found[k])]
+    if halves and ("K" in halves or ("A" in found and len(halves) == len(square))):
+        raise UsageError(
+            "only one triangle of a matrix is stored", where=where, got=", ".join(halves),
+            expected="whole matrices, or files that say 'symmetric'",
+            hint="write both halves, or say --triangular if the matrix is triangular indeed",
+        )  # fmt: skip
 
 
 def _dense(matrix: Matrix) -> np.ndarray:
     return np.asarray(matrix.toarray() if sparse.issparse(matrix) else matrix, dtype=float)
-
-
-def _expect(matrix: Matrix, shape: tuple[int, int], letter: str, where: str) -> None:
-    if matrix.shape != shape or 0 in shape:
-        raise UsageError(
-            f"matrix {letter} does not fit",
-            where=where,
-            got=" x ".join(map(str, matrix.shape)),
-            expected=" x ".join(map(str, shape)) + ", at least one row and column",
-        )

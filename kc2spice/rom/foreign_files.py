@@ -18,7 +18,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.archive import read_archive
 from kc2spice.rom.matlab import unpack
 from kc2spice.rom.matrix_market import read_body, read_header
-from kc2spice.rom.pencil import Matrix
+from kc2spice.rom.operators import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
 WIDE = ("B", "C", "D")  # few rows or columns, kept dense

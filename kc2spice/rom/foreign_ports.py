@@ -16,13 +16,14 @@
     scale = 1e-6                    # of the model's own unit; 1 unless given
 
 A port with ``direction = "both"`` is conservative: one column of B and the same row of C. It is
-``kind = "mechanical"`` (N in, m out) or ``"electrical"`` (V in, C out) in SI, and all ports of
-such a model are of that sort.
+``kind = "mechanical"`` (N in, m out), ``"rotational"`` (N m in, rad out), ``"electrical"`` (V in,
+C out) or ``"acceleration"`` (m/s^2 of the frame in, B = -M r) in SI, and all ports of such a model
+are of that sort. ``pins`` names its netlist pins (two of an electrical port).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,9 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.core.toml import MAX_BYTES, parse_toml
-from kc2spice.fem.piezo.system import Port
-from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.linear import CONSERVATIVE, LinearModel, Port
 
-_KEYS = {"name", "direction", "unit", "scale", "kind"}
-_KINDS = {"mechanical": ("um", "N"), "electrical": ("V", "A")}
+_KEYS = {"name", "direction", "unit", "scale", "kind", "pins"}
 _DIRECTIONS = ("in", "out", "both")
 
 
@@ -46,6 +45,7 @@ class _Entry:
     unit: str
     scale: float
     kind: str
+    pins: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,42 +56,53 @@ class PortTable:
     band: tuple[float, float] | None = None
     where: str = ""
 
-    def apply(self, pencil: Pencil) -> tuple[Pencil, tuple[Port, ...]]:
-        """The pencil in the units of its pins, and its ports: inputs, then outputs.
+    def apply(self, model: LinearModel) -> LinearModel:
+        """The model in the units of its pins, with its ports: inputs, then outputs; each once where
+        they are conservative.
 
         Raises
         ------
         UsageError : the number of entries does not fit B and C, or a conservative port has
             different shapes in both.
         """
-        m, p = pencil.B.shape[1], pencil.C.shape[0]
+        model = replace(model, band=self.band)
+        m, p = model.B.shape[1], model.C.shape[0]
         if not self.entries:
-            names = [f"u{i + 1}" for i in range(m)] + [f"y{i + 1}" for i in range(p)]
-            return pencil, tuple(Port(name, "signal", "-", "-") for name in names)
+            return replace(model, ports=())
         if any(entry.direction == "both" for entry in self.entries):
-            return pencil, self._conservative(pencil)
+            return self._conservative(model)
         inputs = [entry for entry in self.entries if entry.direction == "in"]
         outputs = [entry for entry in self.entries if entry.direction == "out"]
         if (len(inputs), len(outputs)) != (m, p):
             raise self._unfit(f"{len(inputs)} inputs and {len(outputs)} outputs", m, p)
         into = np.array([entry.scale for entry in inputs])
         out = np.array([entry.scale for entry in outputs])
-        B, C = pencil.B * into, pencil.C / out[:, None]
-        D = pencil.D * into / out[:, None]
-        ports = tuple(Port(e.name, "signal", e.unit, "-") for e in (*inputs, *outputs))
-        return Pencil(pencil.coefficients, B, C, D), ports
+        ports = [Port(e.name, "input", e.unit, "-") for e in inputs]
+        ports += [Port(e.name, "output", e.unit, "-") for e in outputs]
+        return replace(
+            model, B=model.B * into, C=model.C / out[:, None], D=model.D * into / out[:, None],
+            ports=tuple(ports),
+        )  # fmt: skip
 
-    def _conservative(self, pencil: Pencil) -> tuple[Port, ...]:
-        ports = [entry for entry in self.entries if entry.direction == "both"]
-        if len(ports) < len(self.entries) or not pencil.collocated:
+    def _conservative(self, model: LinearModel) -> LinearModel:
+        entries = [entry for entry in self.entries if entry.direction == "both"]
+        if len(entries) < len(self.entries) or not model.pencil.collocated:
             raise UsageError(
                 "conservative ports cannot be mixed with signals, and need C = B'",
                 where=self.where,
                 expected="direction 'both' for all ports or for none",
             )
-        if len(ports) != pencil.B.shape[1]:
-            raise self._unfit(f"{len(ports)} ports", pencil.B.shape[1], pencil.C.shape[0])
-        return tuple(Port(e.name, e.kind, *_KINDS[e.kind]) for e in ports)  # type: ignore[arg-type]
+        if model.first_order:
+            raise UsageError(
+                "conservative ports need a second-order model", where=self.where,
+                expected="direction 'in' and 'out' for a first-order model",
+            )  # fmt: skip
+        if len(entries) != model.B.shape[1]:
+            raise self._unfit(f"{len(entries)} ports", model.B.shape[1], model.C.shape[0])
+        return replace(
+            model,
+            ports=tuple(Port(e.name, e.kind, pins=e.pins) for e in entries),  # type: ignore[arg-type]
+        )
 
     def _unfit(self, got: str, m: int, p: int) -> UsageError:
         expected = f"{m} inputs (columns of B), {p} outputs (rows of C)"
@@ -130,19 +141,22 @@ def _entry(item: Any, where: str) -> _Entry:
         got = sorted(set(item) - _KEYS) if isinstance(item, dict) else item
         raise UsageError("unknown keys", where=where, got=got, expected=", ".join(sorted(_KEYS)))
     direction, kind = item.get("direction"), item.get("kind", "signal")
-    kinds = tuple(_KINDS) if direction == "both" else ("signal",)
-    text = [item.get("name"), item.get("unit", "-")]
+    kinds = CONSERVATIVE if direction == "both" else ("signal",)
+    pins = item.get("pins", [])
+    text = [item.get("name"), item.get("unit", "-"), *(pins if isinstance(pins, list) else [pins])]
     if (
         direction not in _DIRECTIONS
         or kind not in kinds
+        or not isinstance(pins, list)
         or not all(isinstance(t, str) for t in text)
+        or (pins and len(pins) != (2 if kind == "electrical" else 1))
     ):
         raise UsageError(
             "not a port",
             where=where,
             got=item,
-            expected="name = TEXT, direction = 'in', 'out', or 'both' with kind = 'mechanical' or "
-            "'electrical'",
+            expected="name = TEXT, direction = 'in', 'out', or 'both' with kind = "
+            + " or ".join(f"'{k}'" for k in CONSERVATIVE),
         )
     scale = item.get("scale", 1.0)
     plain = isinstance(scale, (int, float)) and not isinstance(scale, bool)
@@ -151,7 +165,7 @@ def _entry(item: Any, where: str) -> _Entry:
             "not a scale", where=where, got=scale, expected="a positive number; none for 'both'"
         )
     return _Entry(_word(text[0], where, "name"), direction, _word(text[1], where, "unit"),
-                  float(scale), kind)  # fmt: skip
+                  float(scale), kind, tuple(pins))  # fmt: skip
 
 
 def _word(text: str, where: str, what: str) -> str:

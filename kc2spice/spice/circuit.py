@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -16,23 +17,28 @@ class Pin:
 
 @dataclass(frozen=True)
 class Param:
-    """A subcircuit parameter with its default in ``unit`` and a word of explanation."""
+    """A subcircuit parameter with its default in ``unit``, a word of explanation and its range."""
 
     name: str
     default: float
     unit: str
     doc: str
+    low: float = -math.inf
+    high: float = math.inf
 
 
 @dataclass(frozen=True)
 class Subcircuit:
-    """One part: exactly one ``.subckt``, its pin table and the text of its library file."""
+    """One part: its ``.subckt``, pin table and the text of its library file.
+
+    ``file`` is the name of that file where it is not ``NAME.lib``.
+    """
 
     name: str
     pins: tuple[Pin, ...]
     params: tuple[Param, ...]
     text: str
-    file: str | None = None
+    file: str = ""
 
     @property
     def filename(self) -> str:

@@ -39,6 +39,7 @@ _FUNCTIONS = frozenset(
     ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
      "sinh", "sqrt", "tan", "tanh")
 )  # fmt: skip
+HOLD = 1e9  # S, of initial conditions
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 
@@ -137,7 +138,7 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
         case "r":
             return [f"{through} <+ {across}/{value};"]
         case "c":
-            return [f"{through} <+ ddt({value}*{across});"]
+            return [f"{through} <+ ddt({value}*{across});", *_initial(part, through, across, names)]
         case "g":
             return [f"{through} <+ {value}*{names.across(part.nodes[2:])};"]
         case "f":
@@ -167,6 +168,20 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
     raise UsageError(
         "Verilog-A cannot say this card", where=names.where, got=part.statement.text[:80]
     )
+
+
+def _initial(part: Element, through: str, across: str, names: Names) -> list[str]:
+    """An initial voltage, held by a large conductance while the start of a transient is sought.
+
+    By the clock, because ngspice calls its first time step ``ic``, too.
+    """
+    if "ic" not in part.params:
+        return []
+    start = names.value(part.params["ic"])
+    return [
+        'if ((analysis("ic") || analysis("tran")) && $abstime <= 0.0)',
+        f"  {through} <+ {number(HOLD)}*({across} - {start});",
+    ]
 
 
 def _steady(part: Element) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from dataclasses import dataclass
 
 import kc2spice
-from kc2spice.rom.model import Certificate
+from kc2spice.rom.linear import Certificate
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.cards import comment, name, number, word
 from kc2spice.spice.circuit import Param, Pin
@@ -72,10 +73,18 @@ def part_header(
         for i, p in enumerate(pins, 1)
     ]
     lines += [
-        f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)} {comment(p.doc)}\n"
+        f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)}{_range(p)} "
+        f"{comment(p.doc)}
+"
         for p in params
     ]
     return "".join(lines)
+
+
+def _range(param: Param) -> str:
+    """`` range=low..high`` where the parameter has one."""
+    bounded = param.low > -math.inf or param.high < math.inf
+    return f" range={param.low:g}..{param.high:g}" if bounded else ""
 
 
 def parameter_list(params: tuple[Param, ...]) -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from kc2spice.spice.box import Box, Place
 from kc2spice.spice.cards import number
 
-GRID = 16  # LTspice's units; pins must lie on multiples of it
-_SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM"}
+GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
+_SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 
 def symbol(box: Box, library: str) -> str:
     """The symbol of one part; ``library`` is the file that LTspice includes for it."""
     x, y = GRID * box.width, GRID * box.height
-    title = box.title + (f" (needs {', '.join(box.needs)})" if box.needs else "")
     lines = [
         "Version 4",
         "SymbolType BLOCK",
@@ -22,7 +21,7 @@ def symbol(box: Box, library: str) -> str:
         f"SYMATTR Value {box.name}",
         "SYMATTR Prefix X",
         f"SYMATTR ModelFile {library}",
-        f"SYMATTR Description {title}",
+        f"SYMATTR Description {box.title}",
     ]
     if box.params:
         given = " ".join(f"{p.name}={number(p.default)}" for p in box.params)

@@ -11,9 +11,10 @@ import re
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.cards import number
 from kc2spice.spice.elements import behaviour, element
-from kc2spice.spice.expression import Binary, Name, Tree, Writer, parse, walk
+from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, parse, walk
 from kc2spice.spice.statements import Statement
 
+STEP = 1e-6  # s, largest of Xyce: launch within 3.4e-5, flight within 0.07 um
 SWITCH_BAND = 1e-3  # V on either side of the threshold: Xyce's switch has no jump
 ANALYSES = (".tran", ".ac", ".dc", ".op")
 _SAME = frozenset({".ends", ".end", ".include", ".param", *ANALYSES})
@@ -44,6 +45,7 @@ class Dialect(Writer):
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()
+    joined: frozenset[str] = frozenset()  # commands of which only the last counts
     functions = _COMMON
 
     def __init__(self, analysis: str) -> None:
@@ -66,6 +68,8 @@ class Dialect(Writer):
             return self.options(s)
         if key == ".save":
             return self.save([self.vector(word) for word in s.words[1:]])
+        if key == ".tran":
+            return self.transient(s)
         if key in _SAME:
             return s.text
         if key.startswith("."):
@@ -141,6 +145,10 @@ class Dialect(Writer):
         lines += [f"* {self.title} has no option {word}" for word in dropped]
         return "\n".join(lines)
 
+    def transient(self, s: Statement) -> str:
+        """The card of a transient analysis."""
+        return s.text
+
     def save(self, vectors: list[str]) -> str:
         """The card that asks for results."""
         return "\n+ ".join([".save", *vectors])
@@ -209,12 +217,34 @@ class Dialect(Writer):
 
 
 class Xyce(Dialect):
-    """Sandia's Xyce."""
+    """Sandia's Xyce.
+
+    Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
+    replaces the first.
+    """
 
     title = "Xyce"
     command = "Xyce"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
+    joined = frozenset({".options"})
+    functions = _COMMON - {"uramp"}
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
+        if function == "uramp":
+            return super().call("max", (Number("0"), *arguments))
+        return super().call(function, arguments)
+
+    def transient(self, s: Statement) -> str:
+        """A ceiling of the step: Xyce's error control alone loses 5e-4 of a launch."""
+        values, words = s.words[1:], [w for w in s.words[1:] if not w[0].isdigit()]
+        numbers = [w for w in values if w not in words]
+        step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
+        given = parse(ceiling, where=s.where)
+        if not isinstance(given, Number) or float(given.text) > STEP:
+            ceiling = number(STEP)
+        return " ".join([s.keyword, step, stop, start, ceiling, *words])
 
     def law(self, tree: Tree) -> str:
         """Braces around all expressions are required."""

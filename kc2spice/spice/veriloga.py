@@ -31,7 +31,7 @@ def library(
     files = {part.filename: part.text for part in known or parts}
     main = "\n".join(["* parts", *(f".include {name}" for name in files)])
     top = circuit("parts", {"parts": main, **files})
-    return {f"{p.name}.va": _module(p, top) for p in parts}
+    return {p.filename.removesuffix(".lib") + ".va": _module(p, top) for p in parts}
 
 
 def _module(part: Subcircuit, top: Scope) -> str:
@@ -50,8 +50,7 @@ def _module(part: Subcircuit, top: Scope) -> str:
     inner = ", ".join(module.nodes.values())
     body = [
         *(line.replace("*", "//", 1) for line in _head(part)),
-        "// The equations start from the operating point: initial conditions of the netlist are"
-        " not part of it.",
+        "// A transient starts from its operating point, in which initial conditions hold.",
         '`include "disciplines.vams"',
         "",
         f"module {Module().identifier(part.name)}({ports});",
@@ -74,9 +73,8 @@ def _head(part: Subcircuit) -> tuple[str, ...]:
 
 
 def _used_params(scope: Scope) -> set[str]:
-    """Words on the cards of a scope, initial conditions apart."""
-    cards = [re.sub(r"(?i)\bic=(\{[^}]*\}|\S+)", "", e.statement.text) for e in scope.elements]
-    cards += [c.text for c in scope.commands]
+    """Words on the cards of a scope."""
+    cards = [e.statement.text for e in scope.elements] + [c.text for c in scope.commands]
     return set(re.findall(r"[a-z_]\w*", " ".join(cards).lower()))
 
 

@@ -15,6 +15,7 @@ from kc2spice.spice.cards import number
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.spice.header import Header, plan_lines
+from kc2spice.spice.naming import with_design_names
 
 
 def make_deck(build: Build) -> Deck:
@@ -29,7 +30,7 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
     results = _results(build)
-    return Deck(
+    deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
         notes=f"{header.origin()}\n{plan_lines(plan(scene))}",
@@ -42,6 +43,7 @@ def make_deck(build: Build) -> Deck:
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build),
     )
+    return with_design_names(deck)
 
 
 def libraries(scene: Scene) -> dict[str, str]:

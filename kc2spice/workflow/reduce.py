@@ -7,21 +7,17 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Progress, silent
 from kc2spice.linalg.factor import Solver
-from kc2spice.rom.band import natural_band
 from kc2spice.rom.foreign import read_model
-from kc2spice.rom.general import reduce_model
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.modal import resonators
-from kc2spice.rom.model import FirstOrderModel, ReducedModel
+from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.dialect import DIALECTS, translate_text
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import realize
-from kc2spice.spice.realize_signal import realize_signal
+from kc2spice.spice.realize import subcircuit
 from kc2spice.spice.veriloga import library
 
 TOLERANCE = 1e-4
@@ -35,12 +31,14 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     solver: str = "scipy",
+    triangular: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
-    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso';
+    ``triangular`` accepts matrices of which one triangle is zero.
 
     Raises
     ------
@@ -50,21 +48,22 @@ def reduce(
     """
     chosen = _solver(solver)
     progress("reduce", None, "reading matrices")
-    model = read_model(path)
+    model = read_model(path, triangular=triangular)
     name = f"{model.name}_rom"
     directory = Path(name) if out is None else Path(out)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
-    band = band or model.band or natural_band(model.pencil, chosen)
-    progress("reduce", None, f"{model.pencil.size} equations")
-    reduced = reduce_model(model, band, tolerance=tolerance, order=order, solver=chosen)
+    progress("reduce", None, f"{model.order} equations")
+    reduced = reduce_model(model, band=band, tolerance=tolerance, order=order, solver=chosen)
+    subcircuit(reduced, _part_name(name))  # what cannot be exported is not certified
     with staged(directory) as work:
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
+    assert certificate is not None
     return {
         "model": model.name,
-        "unknowns": model.pencil.size,
-        "form": "first order" if isinstance(reduced, FirstOrderModel) else "second order",
+        "unknowns": model.order,
+        "form": "first order" if reduced.first_order else "second order",
         "order": reduced.order,
         "band_hz": list(certificate.band_hz),
         "error_estimate": certificate.error_estimate,
@@ -75,6 +74,21 @@ def reduce(
         "rom": str(directory / files[0]),
         "files": files,
     }
+
+
+def require_stable(found: dict[str, Any]) -> None:
+    """Nothing, if the reduced model of :func:`reduce` is stable.
+
+    Raises
+    ------
+    GateMissedError : it is not.
+    """
+    if not found["stable"]:
+        raise GateMissedError(
+            "the model is unstable", where=found["model"], got="a pole in the right half plane",
+            expected="poles that do not grow",
+            hint=f"check signs and halves of the matrices; {found['rom']} was written as it is",
+        )  # fmt: skip
 
 
 def _solver(name: str) -> Solver:
@@ -103,34 +117,12 @@ def export_rom(
     reduced = read_rom(path)
     name = _part_name(path.stem)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    part = subcircuit(reduced, Header(path.stem, digest), name, dense=dense)
+    part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
     directory = Path(name) if out is None else Path(out)
     with staged(directory) as work:
         filename, text = _spelled(part, dialect)
         (work / filename).write_text(text, encoding="utf-8")
     return directory / filename
-
-
-def subcircuit(
-    reduced: ReducedModel | FirstOrderModel, header: Header, name: str, *, dense: bool = False
-) -> Subcircuit:
-    """Signal pins for signal ports; conservative pins for mechanical and electrical ports.
-
-    Raises
-    ------
-    UsageError : conservative ports on a model that is not one of decoupled resonators.
-    """
-    if all(port.kind == "signal" for port in reduced.ports):
-        return realize_signal(reduced, header, name=name, dense=dense)
-    if not isinstance(reduced, ReducedModel) or dense:
-        raise UsageError(
-            "conservative ports need the form of decoupled resonators",
-            where=name,
-            got="a dense form" if dense else "a first-order model",
-            hint="give the ports as signals, direction 'in' and 'out', in the model's TOML",
-        )
-    title = "reduced model with conservative ports"
-    return realize(resonators(reduced), header, name=name, title=title)
 
 
 def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:

@@ -117,7 +117,7 @@ def export(
         build = build_models(scene, clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(build)
-            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck.parts, dialect)
+            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
 

@@ -9,19 +9,20 @@ from scipy.linalg import expm
 from kc2spice import reference
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.fem.piezo.system import Port
+from kc2spice.rom.linear import Port
 from kc2spice.reference.flight import FreeModes
 from kc2spice.reference.law import EXTRA, Mode, law
 from kc2spice.report.metrics import separation
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.rom.linear import Certificate
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
 
 CERTIFICATE = Certificate((0.0, 5e5), 0.0, "exact", True, True)
-ANODE = Port("anode", "electrical", "V", "A")
+ANODE = Port("anode", "electrical", pins=("anode", "cathode"))
 
 
-def chip(damping: float = 0.01, rings: int = 2, modes: int = 4) -> ResonatorModel:
+def chip(damping: float = 0.01, rings: int = 2, modes: int = 4) -> Resonators:
     """A bar of the chip's mass and stroke whose rings move a little differently."""
     n = np.arange(1, modes + 1)
     omega = 2 * np.pi * 270e3 * (2 * n - 1)
@@ -32,16 +33,16 @@ def chip(damping: float = 0.01, rings: int = 2, modes: int = 4) -> ResonatorMode
     ports = tuple(Port(f"R{i}", "mechanical", "um", "N") for i in range(rings))
     damp = 2 * damping * omega**2 / omega[0]
     gain[:, -1] *= -1.0
-    return ResonatorModel(omega, damp, gain, capacitance, (*ports, ANODE), CERTIFICATE)
+    return Resonators(omega, damp, gain, capacitance, (*ports, ANODE), CERTIFICATE)
 
 
-def stiff_chip() -> ResonatorModel:
+def stiff_chip() -> Resonators:
     """One ring whose modes are so stiff that the contact spring alone yields."""
     gain = np.array([[1.0, 0.0]])
     d = np.diag([0.0, 35e-9])
     omega, damp = np.array([2 * np.pi * 50e6]), np.array([1e5])
     ports = (Port("R0", "mechanical", "um", "N"), ANODE)
-    return ResonatorModel(omega, damp, gain, d, ports, CERTIFICATE)
+    return Resonators(omega, damp, gain, d, ports, CERTIFICATE)
 
 
 def magnets() -> EMTable:
@@ -147,7 +148,7 @@ def test_energy_book_of_the_impact_closes(electrical: str) -> None:
 def test_free_modes_against_the_matrix_exponential() -> None:
     """Under-, critically and over-damped modes under a voltage ramp, with both energy integrals."""
     model = chip(damping=0.2)
-    model = ResonatorModel(
+    model = Resonators(
         model.omega, np.array([1e5, 2.0, 3.0, 0.0]) * model.omega * [1e-7, 1, 1, 0],
         model.gain, model.D, model.ports, CERTIFICATE,
     )  # fmt: skip

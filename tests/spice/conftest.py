@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
 from kc2spice.spice.header import Header
 
@@ -23,7 +23,7 @@ def radii() -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def model() -> ResonatorModel:
+def model() -> Resonators:
     return device.chip()
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.fem.piezo.system import Port
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.rom.linear import Port
+from kc2spice.rom.linear import Certificate
+from kc2spice.rom.modal import Resonators
 
 RADII = 50e-6 * np.arange(6)
 
 
-def chip(modes: int = 30, damping: float = 0.01) -> ResonatorModel:
+def chip(modes: int = 30, damping: float = 0.01) -> Resonators:
     """Modes from 270 kHz to 30 MHz with the chip's stroke, capacitance and compliances."""
     rng = np.random.default_rng(1)
     omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)
@@ -24,12 +25,12 @@ def chip(modes: int = 30, damping: float = 0.01) -> ResonatorModel:
         gain[1:, ring] = omega[1:] * np.sqrt(compliance) * share / np.linalg.norm(share)
     gain[1:, 6] = omega[1:] * 6e-6 * rng.normal(size=modes - 1)
     ports = tuple(Port(f"R{i}", "mechanical", "um", "N") for i in range(6))
-    return ResonatorModel(
+    return Resonators(
         omega,
         2 * damping / (2 * np.pi * 250e3) * omega**2,
         gain,
         np.diag([0.0] * 6 + [34.87e-9]),
-        (*ports, Port("anode", "electrical", "V", "A")),
+        (*ports, Port("anode", "electrical", pins=("anode", "cathode"))),
         Certificate((0.0, 500e3), 1e-3, "made up", True, True),
     )
 

@@ -1,20 +1,17 @@
 """libngspice inside the process: same results as the batch engine, Python in the loop."""
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import kc2spice
-from kc2spice import pyspice
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.parts.bench import Sampled, loop_deck
 from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import DigitalPid, Loop, run_shared, subcircuit
+from kc2spice.sim import loop as inprocess
+from kc2spice.sim import shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.circuit import Deck
 
@@ -83,6 +80,16 @@ def test_answers_are_held_from_the_delay_on():
     np.testing.assert_allclose(before, np.arange(1, 10))
 
 
+def test_instants_are_time_points_without_a_source_that_makes_them():
+    bare = "\n".join(line for line in RC.splitlines() if not line.startswith("Vsample")) + "\n"
+    waves = run_shared(
+        rc(bare), Loop(lambda time, values: {"vexternal": 1.0}, Sampled(10e-6, 4e-6))
+    )
+    for instant in 10e-6 * np.arange(1, 10), 10e-6 * np.arange(10) + 4e-6:
+        nearest = np.abs(waves["time"] - instant[:, None]).min(axis=1)
+        assert nearest.max() < 1e-15
+
+
 def test_failing_function_is_reported():
     def broken(time, values):
         raise ZeroDivisionError("no answer")
@@ -95,6 +102,26 @@ def test_failing_circuit_is_reported_and_leaves_the_engine_usable():
     with pytest.raises(SimulationError):
         run_shared(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
     assert run_shared(rc())["time"][-1] == pytest.approx(1e-4)
+
+
+def test_a_run_that_stops_early_is_no_result():
+    deck = Deck("short", "rc.cir", rc().files, rc().vectors, 2e-4)  # its .tran ends at 1e-4
+    with pytest.raises(SimulationError, match="before the end") as caught:
+        run_shared(deck)
+    assert caught.value.expected == "0.0002 s"
+
+
+def test_the_users_start_up_file_is_not_read(tmp_path, monkeypatch):
+    (tmp_path / ".spiceinit").write_text("set ngbehavior=nothing\necho the user\n")
+    monkeypatch.chdir(tmp_path)
+    assert "the user" not in shared.Library().said
+
+
+def test_a_fatal_error_costs_one_copy_of_the_library():
+    library = shared.Library()
+    library.command("quit 1")
+    assert library.dead
+    assert not library.command("echo no more")
 
 
 def test_parts_are_pyspice_subcircuits(header):
@@ -115,8 +142,8 @@ def test_parts_are_pyspice_subcircuits(header):
 
 
 def test_missing_library_is_named(monkeypatch):
-    pyspice._engine.cache_clear()
-    monkeypatch.setattr(pyspice.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(inprocess, "_library", None)
+    monkeypatch.setattr(shared.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(MissingToolError, match="libngspice") as caught:
         run_shared(rc())
     assert "apt-get" in caught.value.hint
@@ -126,21 +153,3 @@ def test_missing_pyspice_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "PySpice.Spice.Netlist", None)
     with pytest.raises(MissingToolError, match="PySpice"):
         subcircuit(None)
-
-
-def test_start_up_files_of_others_are_not_run(tmp_path):
-    """In a new process: the library reads start-up files once, when it is loaded."""
-    (tmp_path / ".spiceinit").write_text("* start\nshell touch started\n")
-    script = (
-        "from kc2spice.pyspice import run_shared\n"
-        f"from {Deck.__module__} import Deck\n"
-        "text = '* rc\\nV1 a 0 1\\nR1 a b 1k\\nC1 b 0 1n\\n.tran 1u 10u\\n.save v(b)\\n.end\\n'\n"
-        "run_shared(Deck('rc', 'rc.cir', {'rc.cir': text}, {'b': ('v(b)', 1.0)}, 1e-5))\n"
-    )
-    root = str(Path(kc2spice.__file__).parents[1])
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": root, "HOME": str(tmp_path)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == [".spiceinit"]

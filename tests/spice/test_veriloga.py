@@ -172,6 +172,7 @@ class Netlist:
     def expand(self, part, pins, params, prefix):
         head, *body = cards(part.text)
         assert head.startswith(".subckt")
+        body = body[: next(k for k, card in enumerate(body) if card.startswith(".ends"))]
         numbers = {
             k.lower(): float(v) for k, v in (w.split("=") for w in head.split() if "=" in w)
         } | {k.lower(): v for k, v in params.items()}
@@ -202,7 +203,7 @@ class Netlist:
             if kind == "x":
                 given = dict(w.split("=") for w in words if "=" in w)
                 words = [w for w in words if "=" not in w]
-                called = self.parts[words[-1]]
+                called = self.parts[words[-1].removeprefix(f"{part.name}_")]
                 inner = [w.lower() for w in cards(called.text)[0].split()[2:] if "=" not in w]
                 outer = [pins.get(w.lower(), prefix + w.lower()) for w in words[1:-1]]
                 nested = f"{prefix}{words[0].lower()}_"

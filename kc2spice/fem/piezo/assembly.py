@@ -13,7 +13,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.fem.piezo.memory import require_memory
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
-from kc2spice.fem.piezo.system import PiezoSystem, Port
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.rom.linear import Port
 
 QUARTERS = 4
 _AXES = 3
@@ -91,7 +92,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     anode, inner = _electrodes(mesh)
     K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
     K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
-    rings = [Port(f"R{i}", "mechanical", "um", "N") for i in range(len(mesh.rings))]
+    rings = [Port(f"R{i}", "mechanical") for i in range(len(mesh.rings))]
     return PiezoSystem(
         M=M[free][:, free],
         K_uu=K_uu[free][:, free],
@@ -101,7 +102,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
         k_pV=k_pV,
         c_VV=float(anode @ K_phi @ anode),
         B=ring_shapes(mesh)[free],
-        ports=(*rings, Port("anode", "electrical", "V", "A")),
+        ports=(*rings, Port("anode", "electrical", pins=("anode", "cathode"))),
         alpha=kick.damping.alpha,
         beta=kick.damping.beta,
         sectors=QUARTERS,

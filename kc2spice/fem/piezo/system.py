@@ -1,31 +1,16 @@
-"""The linear models that the FE modules hand to reduction: ports and second-order systems."""
+"""One symmetry sector of a piezoelectric FE model, as the full-model solvers take it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kc2spice.rom.linear import Port
+
 if TYPE_CHECKING:
     from scipy import sparse
-
-PortKind = Literal["electrical", "mechanical", "signal"]
-
-
-@dataclass(frozen=True)
-class Port:
-    """A place where a model meets its surroundings.
-
-    ``kind`` fixes the SI pair: *electrical* is voltage [V] in, charge [C] out; *mechanical* is
-    force [N] in, displacement [m] out; *signal* has units of its own.
-    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean.
-    """
-
-    name: str
-    kind: PortKind
-    across: str
-    flow: str
 
 
 @dataclass(frozen=True)
@@ -65,20 +50,3 @@ class PiezoSystem:
     def unknowns(self) -> int:
         """Equations of the paper's form (1): displacements, internal potentials, one anode."""
         return self.M.shape[0] + self.K_pp.shape[0] + 1
-
-
-@dataclass(frozen=True)
-class SecondOrderSystem:
-    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` with p inputs and outputs.
-
-    ``D`` is the static feed-through (p, p): the clamped capacitance of an electrical port.
-    Symmetric models with collocated ports have ``C = B'``.
-    """
-
-    M: sparse.csc_array | np.ndarray
-    E: sparse.csc_array | np.ndarray
-    K: sparse.csc_array | np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    ports: tuple[Port, ...]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.keys import did_you_mean
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 
 _DECLARED = re.compile(r"^\* @param (\w+)=(\S+)", re.MULTILINE)
 

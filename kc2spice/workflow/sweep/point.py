@@ -20,7 +20,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.metrics import metrics
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import Models, build_models, model_keys
 from kc2spice.workflow.simulate import simulate

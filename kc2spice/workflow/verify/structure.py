@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.report.verdict import Check
-from kc2spice.rom.model import ResonatorModel
-from kc2spice.rom.response import frequency_response
+from kc2spice.rom.modal import Resonators
 
 # Rounding of a response that sums some thirty modes; a violation by structure is of order one.
 ROUNDING = 1e-12
 
 
-def structure_checks(model: ResonatorModel, frequency: np.ndarray) -> list[Check]:
+def structure_checks(model: Resonators, frequency: np.ndarray) -> list[Check]:
     """Poles in the left half plane, ``Re (s H)`` positive semi-definite, ``H`` symmetric.
 
     ``s H`` maps forces and voltages to velocities and currents; a network is passive if its
@@ -20,7 +19,7 @@ def structure_checks(model: ResonatorModel, frequency: np.ndarray) -> list[Check
     entry, so that a sound model shows rounding only.
     """
     frequency = frequency[frequency > 0]
-    H = frequency_response(model, frequency)
+    H = model.transfer(frequency)
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
     Y = 2j * np.pi * frequency[:, None, None] * H

@@ -16,7 +16,7 @@ from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.experiments import scene_deck
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
@@ -83,7 +83,7 @@ class Bench:
     def scene(
         self,
         scene: Scene,
-        model: ResonatorModel | None = None,
+        model: Resonators | None = None,
         table: EMTable | None = None,
         radii: np.ndarray = RADII,
     ) -> Waveforms:

@@ -22,7 +22,7 @@ import numpy as np
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.reference.law import law
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene
 from kc2spice.workflow.bench.floor import Floor
@@ -105,7 +105,7 @@ def _product(scene: Scene, models: Models) -> tuple[float, int, int, int]:
     return waves["sphere.v"][-1], int(check.value), len(climbed.attempts), waves["time"].size
 
 
-def _exact(scene: Scene, models: Models, chip: ResonatorModel) -> float:
+def _exact(scene: Scene, models: Models, chip: Resonators) -> float:
     return Floor(law(chip, scene, models.table), SAMPLING).run(scene)["sphere.v"][-1]
 
 

@@ -17,15 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
 from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import Ball, transient
-from kc2spice.rom.facts import condensed_facts
-from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.reduce import reduce_to_order
-from kc2spice.rom.schur import condense
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
 from kc2spice.scene.schema import Contact, Impact, Kick, Sphere
 
 BLOCKS = 6
@@ -98,17 +97,18 @@ def _mesh_point(
     step: float,
 ) -> MeshPoint:
     start = time.perf_counter()
-    model = condense(assemble_kick(kick))
-    rom = reduce_to_order(model, BAND, BLOCKS * model.B.shape[1])
-    system = as_system(rom, model.system)
+    sector = assemble_kick(kick)
+    model = from_sector(sector)
+    rom = reduce(model, order=BLOCKS * len(model.inputs), band=BAND)
+    system = as_system(rom, sector)
     surface = on_reduced(contact_surface(kick, contact, sphere), rom)
     pushed = imprint(system, surface, np.array([depth]))
-    ball = Ball(sphere.mass / model.system.sectors, impact.gap, impact.velocity)
+    ball = Ball(sphere.mass / sector.sectors, impact.gap, impact.velocity)
     bounced = transient(system, surface, ball, step=step, stop=STOP, voltage=None)
-    facts = condensed_facts(model)
+    facts = model.facts
     return MeshPoint(
         label=label,
-        unknowns=model.system.unknowns,
+        unknowns=sector.unknowns,
         imprint_force_n=float(pushed.force[0]),
         resonance_short_hz=facts["resonance_short_hz"],
         resonance_open_hz=facts["resonance_open_hz"],
@@ -118,21 +118,23 @@ def _mesh_point(
     )
 
 
-def as_system(rom: ReducedModel, full: PiezoSystem) -> PiezoSystem:
-    """The reduced model in the form that the full-model solvers take: states for displacements."""
+def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:
+    """The reduced device as one sector in the form that the full-model solvers take: states for
+    displacements. The other way round than :func:`kc2spice.bodies.piezo_stack.from_sector`."""
+    n = full.sectors
     return replace(
         full,
-        M=sparse.csc_array(rom.M),
-        K_uu=sparse.csc_array(rom.K),
+        M=sparse.csc_array(rom.M / n),
+        K_uu=sparse.csc_array(rom.K / n),
         K_up=sparse.csc_array((rom.order, 0)),
         K_pp=sparse.csc_array((0, 0)),
-        k_uV=-rom.B[:, -1],
+        k_uV=-rom.B[:, -1] / n,
         k_pV=np.zeros(0),
-        c_VV=float(rom.D[-1, -1]),
+        c_VV=float(rom.D[-1, -1]) / n,
         B=rom.B[:, :-1],
     )
 
 
-def on_reduced(surface: ContactSurface, rom: ReducedModel) -> ContactSurface:
+def on_reduced(surface: ContactSurface, rom: LinearModel) -> ContactSurface:
     """A surface with one spring per ring, as the reduced model's ring ports see it."""
     return replace(surface, shapes=rom.B[:, :-1])

@@ -5,21 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.harmonic import harmonic
-from kc2spice.rom.krylov import block_arnoldi
-from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.project import project
-from kc2spice.rom.response import frequency_response, relative_error
-from kc2spice.rom.schur import CondensedSystem
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.response import relative_error
 
 BLOCKS = 10  # Krylov blocks at s0 = 0: rounding level over the paper's band takes eight
 LIMIT = 1e-10
 CHECKS = 10
 
 
-def stand_in(
-    model: CondensedSystem, band: tuple[float, float], *, blocks: int = BLOCKS, checks: int = CHECKS
-) -> tuple[ReducedModel, float]:
+def surrogate(
+    model: LinearModel, band: tuple[float, float], *, blocks: int = BLOCKS, checks: int = CHECKS
+) -> tuple[LinearModel, float]:
     """A projected model that equals the full one over ``band``, and its largest measured error.
 
     The basis is built at s = 0 alone; ``checks`` direct solutions of the full model, spread over
@@ -29,18 +26,16 @@ def stand_in(
     ------
     SimulationError : the largest relative error exceeds ``LIMIT``; solve directly instead.
     """
-    order = blocks * model.B.shape[1]
-    V = block_arnoldi(model.stiffness, model.solve, model.mass, model.B, order)
-    stand = project(model, V)
+    small = reduce(model, order=blocks * len(model.inputs), band=band)
     golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
     frequency = band[0] + (band[1] - band[0]) * np.sort(golden * np.arange(1, checks + 1) % 1)
-    error = relative_error(frequency_response(stand, frequency), harmonic(model.system, frequency))
+    error = relative_error(small.transfer(frequency), model.transfer(frequency))
     if error > LIMIT:
         raise SimulationError(
-            "the basis does not stand in for the full model",
+            "the basis cannot replace the full model",
             where="harmonic reference",
-            got=f"largest relative error {error:.1e} with {V.shape[1]} states",
+            got=f"largest relative error {error:.1e} with {small.order} states",
             expected=f"at most {LIMIT:g}",
             hint="narrow the band, or solve the full model at every frequency",
         )
-    return stand, error
+    return small, error
