@@ -3,66 +3,82 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
+from kc2spice.core.errors import GateMissedError
 
 
 def bench(
-    plane: Annotated[
+    scene: Annotated[
+        str,
+        typer.Argument(metavar="SCENE", help="Gallery name (see 'scenes') or path of a TOML file."),
+    ],
+    error: Annotated[
+        float, typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept.")
+    ] = 1e-4,
+    metric: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Only this part: loop, impact, imprint, harmonic, em, fem, dense, scaling, start. "
-            "Repeatable; default: all.",
+            help="Whose error counts, as in result.json; repeatable. Default: bench.metric of the "
+            "scene, else every number that converges.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path(
-        "bench"
-    ),
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of each point; the median counts.")] = 5,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Coarse models and few points: shape, not numbers.")
-    ] = False,
-    full_sweep: Annotated[
-        bool,
-        typer.Option(
-            "--full-sweep", help="Also run what is otherwise timed on a sample or left out: hours."
-        ),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Where to write; default: ./NAME_bench."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Override a key. Repeatable."),
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of each; the median counts.")] = (5),
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Let included netlists act on this machine.")
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, all else on stderr.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables.")] = False,
 ) -> None:
-    """Measure speed against error: ngspice, its peers and the floor.
+    """Measure SCENE's error against time over its settings; recommend the cheapest one.
 
-    Writes bench.json, bench.md, bench.html and a plot of each plane. A target that is missed is
-    a row of the table, not a failure of the command.
+    Settings are those of the simulator, the reduction and the force lookup that the scene has;
+    the reference has all of them at their finest. Exit code 4 when no setting is within --error.
     """
     with reported_errors():
+        from kc2spice.scene.load import load_scene
         from kc2spice.workflow.bench import bench as measure
 
+        given = list(set_ or [])
+        name = load_scene(scene, given).name
+        directory = out or Path(f"{name}_bench")
         with shown_progress(quiet) as progress:
             record = measure(
-                out, plane or (), quick=quick, full_sweep=full_sweep, repeats=repeats,
-                progress=progress,
+                lambda more: load_scene(scene, [*given, *more]), directory, error=error,
+                metric=tuple(metric or ()), repeats=repeats, trust=trust, progress=progress,
             )  # fmt: skip
         if as_json:
-            print(json.dumps({**record, "directory": str(out.absolute())}))
+            print(json.dumps({**record, "directory": str(directory.absolute())}))
         elif not quiet:
-            _show(record, out)
+            _show(scene, given, record, directory)
+        if record["recommended"] is None:
+            raise typer.Exit(GateMissedError.exit_code)
 
 
-def _show(record: dict[str, Any], out: Path) -> None:
-    from kc2spice.report.bench_page import bench_sections, machine_line
+def _show(scene: str, given: list[str], record: dict[str, Any], directory: Path) -> None:
+    from kc2spice.report.bench_page import HEAD, point_rows, recommendation
 
-    print(machine_line(record))
-    for section in bench_sections(record, []):
-        print_table(section.title, section.rows, header=section.head)
-        if section.note:
-            print(f"  {section.note}\n")
-    print(f"all of it, with plots: {out / 'bench.html'}")
+    front = {**record, "points": [p for p in record["points"] if p["front"] or p["own"]]}
+    print_table("front", point_rows(front), HEAD)
+    print_table("bench", recommendation(record))
+    if record["recommended"] is not None:
+        words = [word for each in given for word in ("--set", each)]
+        words += record["recommended"]["set"]
+        print(f"kc2spice run {' '.join(map(shlex.quote, (scene, *words)))}")
+    print(f"all of it: {directory / 'bench.html'}")

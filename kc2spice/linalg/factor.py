@@ -54,7 +54,7 @@ class Factor:
         return solution
 
 
-def factorise(matrix: sparse.csc_array, *, definite: bool, solver: Solver = "scipy") -> Factor:
+def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky

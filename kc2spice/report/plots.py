@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,10 +107,3 @@ def legend_above(axes: Any, columns: int = 4) -> None:
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
         handlelength=1.6, columnspacing=1.4,
     )  # fmt: skip
-
-
-def decades(axes: Any, values: Sequence[float], floor: float) -> None:
-    """Logarithmic ordinate from ``floor`` to just over the data."""
-    top = max([v for v in values if v > 0.0], default=10.0 * floor)
-    axes.set_yscale("log")
-    axes.set_ylim(floor, max(top * 3.0, 10.0 * floor))

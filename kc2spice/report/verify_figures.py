@@ -204,24 +204,5 @@ def steps_figure(path: Path, points: Sequence[StepPoint], chosen: tuple[float, f
     return Picture(path, "Error against steps", caption)
 
 
-def poles_figure(path: Path, poles: Mapping[str, np.ndarray]) -> Picture:
-    """Poles [1/s] of several projections side by side; the right half plane is shaded."""
-    with sheet(path, 1, len(poles), size=_WIDE, sharey=True, squeeze=False) as axes:
-        for (name, values), panel in zip(poles.items(), axes.flat, strict=True):
-            unstable = values.real > 0.0
-            panel.set_xscale("symlog", linthresh=1e3)
-            panel.set_yscale("symlog", linthresh=1e5)
-            panel.plot(values.real[~unstable], values.imag[~unstable], "o", ms=4, color=BLUE)
-            panel.plot(values.real[unstable], values.imag[unstable], "X", ms=8, color=RED)
-            bound = 3.0 * max(float(np.abs(values.real).max()), 1e4)
-            panel.set_xlim(-bound, bound)
-            panel.axvspan(0.0, bound, color=RED, alpha=0.08, lw=0)
-            name_axes(panel, "real part in 1/s", "", f"{name}: {int(unstable.sum())} unstable")
-            ticks = 10.0 ** np.arange(3, int(np.log10(bound)) + 1, 2)
-            panel.set_xticks([*(-ticks[::-1]), 0.0, *ticks])
-        axes.flat[0].set_ylabel("imaginary part in 1/s")
-    return Picture(path, "Poles", "Poles of the reduced models; crosses grow without end.")
-
-
 def _slug(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name.lower())

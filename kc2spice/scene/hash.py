@@ -14,7 +14,7 @@ def scene_hash(scene: Scene) -> str:
     Names and titles are free, and so is what is done about a run that fails. Floats enter with
     all their digits, so equal hashes mean bit-equal netlists.
     """
-    content = scene.frame.model_dump(mode="json", exclude={"name", "title", "checks"})
+    content = scene.frame.model_dump(mode="json", exclude={"name", "title", "checks", "bench"})
     del content["solver"]["retries"]
     content["parts"] = {
         part.name: [part.type.name, part.keys.model_dump(mode="json"), dict(part.pins)]

@@ -74,8 +74,7 @@ def part_header(
     ]
     lines += [
         f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)}{_range(p)} "
-        f"{comment(p.doc)}
-"
+        f"{comment(p.doc)}\n"
         for p in params
     ]
     return "".join(lines)

@@ -96,7 +96,8 @@ def read_deck(main: Path) -> Deck:
     while waiting:
         name = waiting.pop()
         try:
-            files[name] = text_of(read_bounded(main.parent / name, LARGEST))
+            text = text_of(read_bounded(main.parent / name, LARGEST))
+            files[name] = text.replace("\r\n", "\n")
         except (OSError, ValueError) as error:
             if name == main.name:
                 raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None

@@ -41,7 +41,6 @@ class Dialect(Writer):
     title = ""
     subckt_keyword = "PARAMS:"
     instance_keyword = "PARAMS: "
-    switch_model = ""
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()

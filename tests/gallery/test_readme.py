@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.report.bench_page import bench_tables
 from kc2spice.report.html import quantity
+from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)

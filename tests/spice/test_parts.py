@@ -5,11 +5,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.contact import contact_force, contact_subcircuit
+from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
 from kc2spice.parts.experiments import current_cases, em_force_deck
 from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_current, pid_subcircuit
+from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.rings import ring_gaps
 from kc2spice.scene.schema import Catch, Control, EmForce, Scene, Sphere
@@ -52,7 +52,8 @@ Xcontact R0 R1 R2 v bottom 0 contact
         "sphere": ("i(vv)", 1.0),
     }
     waves = run_deck(bench([part], cards, vectors), tmp_path)
-    law = contact_force(np.array([0.3e-6, 0.2e-6, 0.0]), waves["bottom"], gaps, 4e8)
+    rings = np.array([0.3e-6, 0.2e-6, 0.0])
+    law = 4e8 * np.maximum(0.0, rings - waves["bottom"][:, None] - gaps)
     assert law.max() > 400.0
     for k in range(3):
         np.testing.assert_allclose(waves[f"F{k}"], law[:, k], rtol=1e-9, atol=1e-9)
@@ -208,7 +209,8 @@ def test_controller_follows_the_law(header, tmp_path):
     waves = run_deck(deck, tmp_path)
     late = waves["time"] > 20e-6  # after the enable and the roll-off have died away
     error = control.setpoint - waves["y"]
-    law = pid_current(error, 0.0, -2e-3, control)
+    wanted = control.kp * error + control.kd * -2e-3
+    law = np.clip(wanted, -control.current_limit, control.current_limit)
     # the sensor's milliohm makes an offset of a tenth of a nanometre, thus of 6 uA
     assert np.abs(waves["i"] - law)[late].max() < 2e-4 * control.current_limit
     assert np.abs(waves["error"] - error)[late].max() < 1e-5 * 1e-3

@@ -13,7 +13,7 @@ from kc2spice.linalg.factor import Factor, factorise, inverses
 from kc2spice.linalg.pardiso import Pardiso
 from kc2spice.rom.general import reduce_model
 from kc2spice.rom.pencil import factorise_at
-from kc2spice.workflow.scaling import grid_model
+from laboratory.reduction_scaling import grid_model
 
 N = 60
 

@@ -18,7 +18,7 @@ from kc2spice.rom.general import reduce_model
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.memory import factor_bytes
 from kc2spice.workflow.reduce import export_rom, reduce
-from kc2spice.workflow.scaling import grid_model
+from laboratory.reduction_scaling import grid_model
 
 N = 12
 

@@ -1,5 +1,5 @@
-"""Speed against error, with peers and the floor."""
+"""``bench SCENE``: error against time over the settings of one scene."""
 
-from kc2spice.workflow.bench.run import PARTS, bench
+from kc2spice.workflow.bench.plane import bench
 
-__all__ = ["PARTS", "bench"]
+__all__ = ["bench"]

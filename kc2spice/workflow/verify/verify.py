@@ -8,26 +8,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-import numpy as np
-
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.report.figures import verify_figures
 from kc2spice.report.plots import Picture
 from kc2spice.report.verdict import Check, Findings
-from kc2spice.report.verify_figures import poles_figure, steps_figure
+from kc2spice.report.verify_figures import steps_figure
 from kc2spice.report.verify_page import write_verify
-from kc2spice.rom.naive import naive_poles
+from kc2spice.rom.meshstudy import MeshPoint
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.models import Models, build_models
 from kc2spice.workflow.results import plain, write_record
 from kc2spice.workflow.verify.emforce import verify_em_force
-from kc2spice.workflow.verify.fullmodel import full_system
 from kc2spice.workflow.verify.linear import verify_harmonic, verify_imprint
 from kc2spice.workflow.verify.meshes import compare_meshes, mesh_records, mesh_section
-from kc2spice.workflow.verify.meshstudy import MeshPoint
 from kc2spice.workflow.verify.steps import step_records, step_section
 from kc2spice.workflow.verify.transients import verify_impact, verify_loop
 
@@ -115,13 +111,6 @@ def _draw(
         if found.steps:
             chosen = (scene.solver.reltol, scene.solver.max_step)
             drawn.append(steps_figure(folder / "steps.png", found.steps, chosen))
-        if scene.experiment == "harmonic" and models.kick is not None:
-            modal = models.kick.resonators
-            root = np.sqrt((modal.damp / 2) ** 2 - modal.omega**2 + 0j)
-            ours = np.concatenate([-modal.damp / 2 + root, -modal.damp / 2 - root])
-            naive = naive_poles(full_system(scene), modal.order)
-            roads = {"projected as one": naive, "potentials eliminated first": ours}
-            drawn.append(poles_figure(folder / "poles.png", roads))
     return drawn
 
 

@@ -1,0 +1,118 @@
+"""Plane ``impact``: a free sphere hits the chip, the full model among the solution methods."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.piezo.transient import Ball, TransientResult
+from kc2spice.report.distance import compare
+from kc2spice.scene.need import need
+from kc2spice.scene.schema import Scene
+from kc2spice.workflow.verify.fullmodel import as_waveforms, converged, full_system, full_transient
+from laboratory.points import (
+    Outcome,
+    Plane,
+    Point,
+    Ratio,
+    Timing,
+    fastest,
+    scaled,
+    timed,
+)
+from laboratory.setup import Setup
+from laboratory.transient import FIELDS, Transient
+
+PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
+SAMPLED = 6  # steps of the refactorising code that are timed, unless all are asked for
+LIMIT = 1e-4  # of rebound velocity and travel
+REFACTOR, LOW_RANK = 1784.0, 100.0  # the paper's speed-up, and the one against the same trick
+
+
+def impact(setup: Setup) -> Outcome:
+    """All methods of the impact; speed-ups of the netlist over both codes of the full model."""
+    scene = setup.scene("impact")
+    transient = Transient(scene, setup)
+    plane, full = transient.plane(), _FullModel(scene, setup, transient)
+    limits = {"launch": LIMIT, "position_m": LIMIT * full.travel}
+    own = fastest((p for p in plane.points if p.label in transient.decks), limits)
+    errors = {} if own is None else full.errors(transient.decks[own.label])
+    ratios = tuple(
+        Ratio(
+            f"impact_{name}", None if own is None else time.median / own.time.median,
+            errors.get("launch"), target,
+            f"full model, {what}, over ngspice at {'none' if own is None else own.label}, the "
+            f"fastest within {LIMIT:g} of the exact reduced model; errors against the full model "
+            "at converged time step", errors=errors,
+        )
+        for name, time, target, what in (
+            ("refactor", full.refactorising, REFACTOR, "factorised in every iteration"),
+            ("low_rank", full.low_rank, LOW_RANK, "one factorisation, contact as low-rank update"),
+        )
+    )  # fmt: skip
+    points = (*plane.points, *full.points())
+    note = f"time of the refactorising full model {full.how}"
+    return Outcome((_with(plane, points, note),), ratios)
+
+
+def _with(plane: Plane, points: tuple[Point, ...], note: str) -> Plane:
+    return replace(plane, points=points, notes=(*plane.notes, note))
+
+
+class _FullModel:
+    """Both codes of the full model at the paper's step, and its limit of small steps."""
+
+    def __init__(self, scene: Scene, setup: Setup, transient: Transient) -> None:
+        self.scene, self.stop = scene, scene.solver.stop
+        self.system = full_system(scene)
+        self.radius = need(scene.sphere, "sphere").radius
+        throw, sphere = need(scene.impact, "impact"), need(scene.sphere, "sphere")
+        mass = sphere.mass / self.system.sectors
+        self.ball = Ball(mass, throw.gap, throw.velocity, scene.gravity)
+        step = 2.5 * PAPER_STEP if setup.quick else PAPER_STEP
+        steps = round(self.stop / step)
+        with setup.clock.stage("impact", "full model, converged in time"):
+            fine = step if setup.quick else step / 5
+            pair = (self._run(2 * fine), self._run(fine))
+            self.exact = converged(*pair, self.radius, self.system.sectors).waves
+        self.travel = float(np.ptp(self.exact["sphere.y"]))
+        with setup.clock.stage("impact", "full model, low rank"):
+            result, self.low_rank = timed(lambda: self._run(step), 1)
+        self.waves = as_waveforms(result, self.radius, self.system.sectors)
+        count = steps if setup.full_sweep else SAMPLED
+        resting = replace(self.ball, height=0.0)  # the timed steps are all in contact
+        with setup.clock.stage("impact", f"full model, {count} refactorising steps"):
+            _, sample = timed(
+                lambda: full_transient(
+                    scene, self.system, resting, step=step, stop=count * step,
+                    voltage=None, road="refactorise",
+                ), 1,
+            )  # fmt: skip
+        self.refactorising: Timing = scaled(sample, steps / count)
+        self.how = f"from {count} of {steps} steps"
+
+    def _run(self, step: float) -> TransientResult:
+        return full_transient(
+            self.scene, self.system, self.ball, step=step, stop=self.stop, voltage=None
+        )
+
+    def points(self) -> tuple[Point, ...]:
+        """Errors here are against the full model, which is this method's own limit."""
+        errors = self.errors(self.waves)
+        error = errors["launch"] or 0.0
+        return tuple(
+            Point("full model", label, error, time, errors, {}, "against its own limit", False)
+            for label, time in (
+                ("full model, low rank", self.low_rank),
+                ("full model, refactorising", self.refactorising),
+            )
+        )
+
+    def errors(self, waves: Waveforms) -> dict[str, float | None]:
+        """Of some method against the full model at its limit."""
+        found = compare(waves, self.exact)
+        return {name: found[key] for name, key in FIELDS.items()} | {
+            "of_travel": found["trajectory_relative"]
+        }
