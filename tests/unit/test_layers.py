@@ -9,7 +9,7 @@ import kc2spice
 
 ROOT = Path(kc2spice.__file__).parent
 LAYERS = (
-    "__init__", "core", "linalg", "fem", "scene", "rom", "bodies", "spice", "parts", "sim",
+    "__init__", "core", "linalg", "rom", "fem", "bodies", "scene", "spice", "parts", "sim",
     "reference", "report", "workflow", "cli",
 )  # fmt: skip
 SAME_AS = {"__main__": "cli", "pyspice": "workflow"}
@@ -112,4 +112,4 @@ def test_heavy_libraries_have_one_lazy_home(library):
             if other.split(".")[0] == library:
                 homes.add(name)
                 assert not top_level, f"{path} imports {other} at module level"
-    assert len(homes) == 1, f"{library} is imported in {sorted(homes)}"
+    assert len(homes) <= 1, f"{library} is imported in {sorted(homes)}"
