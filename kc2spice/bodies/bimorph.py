@@ -33,7 +33,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
@@ -61,7 +61,6 @@ class Bimorph(Section):
     distance from the clamp.
     """
 
-    part: Literal["bimorph"] = "bimorph"
     length: Length = Field(gt=0)
     width: Length = Field(gt=0)
     layers: tuple[Layer, ...] = Field(min_length=1)

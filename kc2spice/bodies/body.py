@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import (
     Device,
     RigidFace,
@@ -132,7 +132,6 @@ class Body(Section):
     ``floating`` electrodes are equipotential and carry no charge.
     """
 
-    part: Literal["body"] = "body"
     mesh: str
     unit: str = "mm"
     size: Length | None = Field(None, gt=0)
@@ -160,6 +159,22 @@ class Body(Section):
         if twice:
             raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
         return self
+
+
+def ports(keys: Body) -> tuple[Port, ...]:
+    """The ports that a body of these keys has, electrical ones first, without building it."""
+    names = list(keys.electrodes)
+    reference = next((n for n in ("cathode", "gnd") if n in names), names[-1] if names else "")
+    found = [Port(n, "electrical", pins=(n, reference)) for n in names if n != reference]
+    for port in keys.ports:
+        if port.kind == "base":
+            found.append(Port(port.name, "acceleration"))
+        elif port.kind == "rigid":
+            motions = _MOTIONS if port.axis is None else (str(port.axis),)
+            found += [_motion(port.name if port.axis else f"{port.name}_{m}", m) for m in motions]
+        else:
+            found.append(Port(port.name, "mechanical"))
+    return tuple(found)
 
 
 def build(keys: Body, home: Path, *, refine: int = 1) -> LinearModel:

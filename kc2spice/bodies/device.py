@@ -21,7 +21,7 @@ from scipy import sparse
 from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.solid import Solid, assemble, element
 from kc2spice.rom.linear import LinearModel, Port, with_potentials

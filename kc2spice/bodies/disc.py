@@ -28,7 +28,7 @@ from kc2spice.fem.materials import Material, material
 from kc2spice.fem.potentials import PiezoOperators
 from kc2spice.rom.linear import LinearModel, Port
 
-_CELLS = 20  # along the largest radius before refinement
+_CELLS = 20  # along the largest radius (or half the height) before refinement
 
 
 class Feedback(Section):
@@ -79,8 +79,8 @@ def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc
     """Full model of the disc. ``refine`` divides the cells of ``keys.mesh`` once more.
 
     Facts: ``mass_kg``, ``unknowns``, ``capacitance_free_f``, ``capacitance_clamped_f``,
-    ``resonance_short_hz``, ``resonance_open_hz``, ``rigid_modes`` (1 if the support is free: then
-    K is singular along z).
+    ``resonance_short_hz``, ``resonance_open_hz``, ``feedback_capacitance_f`` if there is one, and
+    ``rigid_modes`` (1 if the support is free: then K is singular along z).
 
     Raises
     ------
@@ -109,7 +109,7 @@ def operators(disc: Disc, *, refine: int = 1, where: str = "disc") -> PiezoOpera
         _electrodes(disc, materials, heights, where),
         _supports(disc, heights, where),
         [_centre(disc, heights, where)],
-        size=max(layer.diameter for layer in disc.layers) / (2 * _CELLS),
+        size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
         refine=refine * disc.mesh.refine,
     )
 

@@ -9,7 +9,7 @@ With displacements u (n), free potentials p (m) and electrode voltages V (k) aga
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,18 +88,39 @@ def condense_potentials(operators: PiezoOperators) -> Condensed:
     factor = splu(o.K_pp)
     coupled = np.unique(o.K_up.indices)
     K_up = o.K_up[coupled].toarray()
-    solved = factor.solve(K_up.T.copy())
-    dense = K_up @ solved
-    added = sparse.coo_array(
-        (
-            (dense + dense.T).ravel() / 2,
-            [np.repeat(coupled, len(coupled)), np.tile(coupled, len(coupled))],
-        ),
-        shape=o.K_uu.shape,
-    )
+    dense = K_up @ factor.solve(K_up.T.copy())
+    places = [np.repeat(coupled, len(coupled)), np.tile(coupled, len(coupled))]
+    added = sparse.coo_array(((dense + dense.T).ravel() / 2, places), shape=o.K_uu.shape)
     voltages = factor.solve(o.k_pV)
     C0 = o.c_VV - o.k_pV.T @ voltages
     return Condensed((o.K_uu + added).tocsc(), o.K_up @ voltages - o.k_uV, (C0 + C0.T) / 2)
+
+
+def solver(
+    operators: PiezoOperators, shift: float = 0.0, first: int = 0
+) -> Callable[[np.ndarray], np.ndarray]:
+    """``f -> (K - shift M)^-1 f`` without forming K: potentials stay in the sparse system.
+
+    Displacements before the number ``first`` are held at zero (to hold a body that is free).
+    """
+    o = operators
+    n = o.K_uu.shape[0]
+    K_up = o.K_up[first:]
+    whole = sparse.block_array(
+        [[(o.K_uu - shift * o.M)[first:][:, first:], K_up], [K_up.T, -o.K_pp]], format="csc"
+    )
+    # Newtons and coulombs differ by twenty orders of magnitude: equilibrate before pivoting.
+    scale = 1 / np.sqrt(np.abs(whole.diagonal()))
+    equal = sparse.diags_array(scale)
+    factor = splu((equal @ whole @ equal).tocsc())
+
+    def solve(f: np.ndarray) -> np.ndarray:
+        x, load = np.zeros(n), np.zeros(len(scale))
+        load[: n - first] = f[first:]
+        x[first:] = (scale * factor.solve(scale * load))[: n - first]
+        return x
+
+    return solve
 
 
 def _require_grounded(K_pp: sparse.csc_array) -> None:

@@ -20,7 +20,7 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import subcircuit
+from kc2spice.spice.realize import reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -54,9 +54,14 @@ class LinearBody(PartType):
         """All ports that the body offers."""
         raise NotImplementedError
 
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        """The full model of the whole device."""
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        """The full model of the whole device, every cell divided into ``refine`` along each axis."""
         raise NotImplementedError
+
+    def body_keys(self, part: Part) -> Any:
+        """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
+        plain = type(part.keys).__mro__[1]
+        return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
@@ -70,7 +75,7 @@ class LinearBody(PartType):
         names = wanted(part, scene)
         unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
         for name in unknown:
-            if name not in ("base", "ref"):
+            if name not in ("base", "ground", "ref"):
                 raise UsageError(
                     f"{part.name} has no such port", where=part.name, got=repr(name),
                     expected=", ".join(p.name for p in every),
@@ -102,7 +107,21 @@ class LinearBody(PartType):
     def settings(self, part: Part, scene: Scene) -> Rom:
         """Reduction of this body: its own, else the scene's."""
         own: Rom | None = getattr(part.keys, "rom", None)
-        return own or scene.rom
+        if own is not None:
+            return own
+        if "rom" in scene.frame.model_fields_set:
+            return scene.rom
+        return self.usual(scene)
+
+    def usual(self, scene: Scene) -> Rom:
+        """Where nothing is said: a tolerance over the band that the analysis sees.
+
+        That is up to the highest frequency of ``ac``, and for a transient what ten of its largest
+        steps to a period resolve.
+        """
+        if scene.analysis.type == "ac":
+            return Rom(tolerance=1e-5, band=(0.0, 1.2 * float(scene.analysis.stop or 1.0)))
+        return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = self.settings(part, scene)
@@ -163,9 +182,14 @@ class LinearBody(PartType):
         z = impedance(part, waves)
         if z is None:
             return {}
-        from kc2spice.bodies.impedance import analyser
+        from kc2spice.bodies.impedance import analyse
 
-        return analyser(waves["frequency"].real, z)
+        frequency = waves["frequency"].real
+        figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
+        try:
+            return {**figures, **analyse(frequency, z).metrics()}
+        except UsageError:  # no resonance in the range: nothing to read off but the curve
+            return figures
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         if "time" not in waves:
@@ -266,6 +290,15 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
+def file_stamp(path: Any) -> str:
+    """What tells one state of a file from another: its size and time of change."""
+    try:
+        found = path.stat()
+    except OSError:
+        return "absent"
+    return f"{found.st_size} {found.st_mtime_ns}"
+
+
 def modal_form(model: LinearModel) -> Resonators | None:
     """The model as decoupled resonators, None where its form has none."""
     try:
@@ -314,11 +347,11 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
         yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
     for port in moved:
         yield Terminal(port.terminals[0], port.across, port.flow)
-    if electrical or moved:
-        yield Terminal("base", "um", "N", "gnd")
     for port in signals:
         out = port.kind == "output"
         yield Terminal(port.terminals[0], port.across, "-", signal_out=out)
+    if electrical or moved:
+        yield Terminal(reference(ports), "um", "N", "gnd")
     if not electrical and not moved:
         yield Terminal("ref", "V", "A", "gnd")
 

@@ -129,8 +129,15 @@ class PiezoStack(LinearBody):
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         return {"chip": chip_of(part.keys).model_dump(mode="json")}
 
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def usual(self, scene: Scene) -> Rom:
+        """The paper's order: its contact excites the chip far above any band of a response."""
+        return scene.rom
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         chip = chip_of(part.keys)
+        if refine != 1:
+            mesh = chip.mesh.model_copy(update={"refine": refine * chip.mesh.refine})
+            chip = chip.model_copy(update={"mesh": mesh})
         with clock.stage("mesh", "chip mesh"):
             _mesh(chip)
         with clock.stage("assemble", "piezoelectric matrices"):

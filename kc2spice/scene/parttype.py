@@ -334,7 +334,6 @@ def register(part_type: PartType) -> PartType:
 def part_types() -> Mapping[str, PartType]:
     """All known part types by name."""
     if not _loaded:
-        _loaded.append(True)
         package = import_module(PACKAGE)
         for module in pkgutil.iter_modules(package.__path__):
             import_module(f"{PACKAGE}.{module.name}")
@@ -342,4 +341,5 @@ def part_types() -> Mapping[str, PartType]:
             found = entry.load()
             if isinstance(found, PartType):
                 register(found)
+        _loaded.append(True)
     return dict(sorted(_types.items()))

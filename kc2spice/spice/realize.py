@@ -161,8 +161,14 @@ def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin,
     moving = of(("mechanical", "rotational", "acceleration"))
     if not electrical and not moving:
         return (*signals, Pin("ref", "V", "A")), "ref"
-    base = Pin("base", "um", "N")
-    return (*electrical, *moving, *signals, base), "base"
+    base = reference(ports)
+    return (*electrical, *moving, *signals, Pin(base, "um", "N")), base
+
+
+def reference(ports: Sequence[Port]) -> str:
+    """Name of the pin that displacements count from: ``base``, or ``ground`` if a port is that."""
+    taken = {pin for port in ports for pin in port.terminals}
+    return "ground" if "base" in taken else "base"
 
 
 def _check_names(pins: tuple[Pin, ...], terminals: list[_Terminal], where: str) -> None:

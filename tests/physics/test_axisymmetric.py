@@ -9,7 +9,6 @@ from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies import disc, langevin
-from kc2spice.bodies.piezo import static
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
 from kc2spice.fem.materials import Material, material
@@ -26,6 +25,12 @@ def admittance(model, frequency):
     w = 2 * np.pi * frequency
     x = np.linalg.solve(K + 1j * w * E - w**2 * M, model.B[:, 0])
     return 1j * w * (model.D[0, 0] + model.C[0] @ x)
+
+
+def static(K, load, rigid=0):
+    """Displacement under a load; a free body is held at one unknown."""
+    K = K.toarray()
+    return np.concatenate([np.zeros(rigid), np.linalg.solve(K[rigid:, rigid:], load[rigid:])])
 
 
 def mechanical(blocks, supports=(), **mesh):

@@ -7,7 +7,6 @@ import pytest
 
 from kc2spice.bodies import disc
 from kc2spice.bodies.convergence import mesh_error
-from kc2spice.bodies.piezo import static
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
@@ -38,8 +37,7 @@ def test_resonance_and_capacitance_are_those_of_the_sheet_or_a_stated_miss(name)
         "capacitance_f": model.facts["capacitance_free_f"],
     }
     if "feedback_capacitance_f" in published:
-        b = model.B[:, 1]
-        predicted["feedback_capacitance_f"] = model.D[1, 1] + b @ static(model.K, b, 1)
+        predicted["feedback_capacitance_f"] = model.facts["feedback_capacitance_f"]
     misses = published.get("misses", {})
     for quantity, value in predicted.items():
         sheet = published[quantity]

@@ -356,6 +356,67 @@ def test_port_at_a_coordinate(labelled, at):
     assert np.flatnonzero(model.B).tolist() == [4]
 
 
+CDB = """/PREP7
+NBLOCK,6,SOLID,     300,       3
+(3i9,6e21.13e3)
+        7        0        0 0.0000000000000E+000 0.0000000000000E+000 0.0000000000000E+000
+       20        0        0 1.0000000000000E+001
+      300        0        0 2.0000000000000E+001 1.5000000000000E+000 0.0000000000000E+000
+N,R5.3,LOC,       -1,
+CMBLOCK,ENDS    ,NODE,       3  ! users node component definition
+(8i10)
+         7        -8       300
+"""
+BULK = (
+    "$ nodes\n"
+    "GRID    7               0.      0.      0.\n"
+    "GRID,20,,10.,0.,0.\n"
+    f"{'GRID*':8}{300:16d}{'':16}{'2.000000000D+01':>16}{'1.500000000D+00':>16}\n"
+    f"{'*':8}{'0.000000000D+00':>16}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("n.cdb", CDB),
+        ("n.bdf", BULK),
+        ("n.csv", "node,x,y,z\n7,0,0,0\n20,10,0,0\n300,20,1.5,0\n"),
+        (
+            "n.inp",
+            "** c\n*Node\n7,0,0,0\n20,10.\n300,20,1.5,0\n*Nset,nset=ends,generate\n7,300,293\n",
+        ),
+    ],
+)
+def test_every_mesh_format_finds_the_nodes(labelled, tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    at = '[[ports]]\nname="p"\nkind="mechanical"\nat=[20, 1.5, 0]\ndof=1\n'
+    model = labelled(f'mesh="{name}"\n' + at)
+    assert np.flatnonzero(model.B).tolist() == [4]
+    if name in ("n.cdb", "n.inp"):
+        by_set = at.replace("at=[20, 1.5, 0]", 'nodeset="ENDS"')
+        model = labelled(f'mesh="{name}"\n' + by_set)
+        assert np.flatnonzero(model.B).tolist() == [0, 4]
+        np.testing.assert_allclose(model.B.max(), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("n.inp", "*Instance, name=a\n*Node\n7,0,0,0\n*Instance, name=b\n", "INSTANCE"),
+        ("n.inp", "*Instance, name=a\n1., 0., 0.\n*Node\n7,0,0,0\n", "moved"),
+        ("n.bdf", "GRID    7       3       0.      0.      0.\n", "coordinate system 3"),
+        ("n.csv", "7,0,0,0\nx\n", "line"),
+        ("n.inp", "", "no node"),
+        ("n.doc", "x", ".doc"),
+    ],
+)
+def test_meshes_that_cannot_be_trusted(labelled, tmp_path, name, text, word):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UsageError, match=word):
+        labelled(f'mesh="{name}"\n[[ports]]\nname="p"\nkind="mechanical"\nat=[0,0,0]\ndof=1\n')
+
+
 def test_fixed_freedoms_leave_the_model(labelled):
     model = labelled('[[fixed]]\nnode=7\n[[fixed]]\nnodes=[20]\ndof="uy"\n' + TIP + 'unit="um"\n')
     keep = [2, 4, 5]
@@ -698,3 +759,70 @@ def test_documented_sidecar_is_read(tmp_path):
     assert [port.name for port in read.ports] == ["tip", "force"]
     assert read.length == 1e-3
     assert read.fixed[0].dofs == (1, 2, 3)
+
+
+def family_of(name, place):
+    """The files of one model of each format in ``place``; returns what to open and its port."""
+    port = TIP
+    if name in ("beam.sti", "beam.dof", "wing.pch", "inboard.op4"):
+        for other in DATA.iterdir():
+            (place / other.name).write_bytes(other.read_bytes())
+        port = TIP.replace("300", "5").replace("uy", "uz")
+    if name == "inboard.op4":
+        (place / "rows.csv").write_text("".join(f"{k},3\n" for k in range(1, 33)))
+        port = 'dofs = "rows.csv"\n' + port
+    nodes, dofs = np.array(ROWS).T
+    if name == "m.npz":
+        np.savez(place / name, K=K, M=M, nodes=nodes, dofs=dofs)
+    elif name == "m.K":
+        write_boeing(place / name, K, "Stiffness")
+        write_boeing(place / "m.M", M, "Mass")
+        write_mapping(place / "m.mapping", ROWS)
+    elif name == "m_K.mtx":
+        write_family(place, "m_{}.mtx", K=K, M=M, B=np.ones((N, 1)))
+        port = '[[ports]]\nname="a"\nkind="mechanical"\ncolumn=1\n'
+    elif name == "job_STIF1.mtx":
+        write_abaqus(place / name, K)
+        write_abaqus(place / "job_MASS1.mtx", M)
+    elif name == "mesh.inp":
+        np.savez(place / "m.npz", K=K, M=M, nodes=nodes, dofs=dofs)
+        (place / name).write_text(
+            "*NODE\n7,0,0,0\n20,1,0,0\n300,2,0,0\n*NSET,NSET=A,GENERATE\n7,20,13\n"
+        )
+        port = 'mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "A"')
+        return place / "m.npz", port
+    return place / name, port
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["beam.sti", "beam.dof", "wing.pch", "inboard.op4", "m.npz", "m.K", "m_K.mtx", "job_STIF1.mtx",
+     "mesh.inp"],
+)  # fmt: skip
+def test_random_damage_ends_in_a_model_or_one_clear_error(tmp_path, name):
+    """Bytes replaced, repeated and cut out, sixty times: never another exception."""
+    path, port = family_of(name, tmp_path)
+    side = sidecar(tmp_path, port, "side.toml")
+    read_model(path, side)
+    target = tmp_path / name
+    whole = target.read_bytes()
+    rng = np.random.default_rng(7)
+    outcomes = set()
+    for _ in range(60):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            at = int(rng.integers(len(data)))
+            kind = rng.integers(3)
+            if kind == 0:
+                data[at] = int(rng.choice([0, 9, 10, 32, 45, 46, 48, 57, 69, 255]))
+            elif kind == 1:
+                data[at:at] = data[at : at + int(rng.integers(1, 40))]
+            else:
+                del data[at : at + int(rng.integers(1, 40))]
+        target.write_bytes(bytes(data))
+        try:
+            outcomes.add(type(read_model(path, side)).__name__)
+        except UsageError as error:
+            outcomes.add("refused")
+            assert error.where
+    assert "refused" in outcomes

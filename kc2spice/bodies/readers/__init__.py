@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import assemble
 from kc2spice.bodies.readers.source import open_source
 from kc2spice.rom.linear import LinearModel
@@ -13,6 +14,8 @@ NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A
 .E .K), also NAME.K.mtx, NAME_K.mtx, NAME_K.matrix; a .npz or .mat file with such matrices or one
 mphmatrix struct (COMSOL); JOB_STIF1.mtx (Abaqus); JOB.sti (CalculiX); a punch file with DMIG cards
 or .op4 (Nastran); .full (Ansys); or a TOML file that names the files"""
+
+SIDECAR_KEYS = _sidecar.__doc__ or ""  # every key of NAME.toml, for --help and the docs
 
 
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:

@@ -96,7 +96,8 @@ def _lines(path: Path) -> list[str]:
 
 
 def _point(words: Iterable[str]) -> tuple[float, float, float]:
-    values = [float(word) if word.strip() else 0.0 for word in words][:3]
+    plain = (word.upper().replace("D", "E") for word in words)
+    values = [float(word) if word.strip() else 0.0 for word in plain][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 

@@ -1,0 +1,45 @@
+"""The part ``bimorph``: layered beams and plates that bend (:mod:`kc2spice.bodies.bimorph`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kc2spice.bodies import bimorph
+from kc2spice.fem.materials import material
+from kc2spice.parts.linear_body import LinearBody
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class BimorphKeys(bimorph.Bimorph):
+    """Keys of the body, and its own reduction if it has one."""
+
+    rom: Rom | None = None
+
+
+class Bimorph(LinearBody):
+    name = "bimorph"
+    title = "layered beam that bends (3-D piezoelectric FE, reduced)"
+    schema = BimorphKeys
+    source = "FE (piezoelectric, hexahedra)"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        keys = part.keys
+        found = []
+        if any(material(x.material, part.name).piezoelectric for x in keys.layers):
+            found.append(Port("anode", "electrical", pins=("anode", "cathode")))
+        if keys.support != "clamped":
+            found.append(Port("tip", "mechanical"))
+        found += [Port(name, "mechanical") for name in keys.points]
+        if keys.support != "free":
+            found.append(Port("base", "acceleration"))
+        return tuple(found)
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"matrices of {part.name}"):
+            return bimorph.build(self.body_keys(part), scene.home, refine=refine)
+
+
+register(Bimorph())

@@ -1,0 +1,37 @@
+"""The part ``langevin``: a bolted sandwich transducer (:mod:`kc2spice.bodies.langevin`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kc2spice.bodies import langevin
+from kc2spice.parts.linear_body import LinearBody
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class LangevinKeys(langevin.Langevin):
+    """Keys of the body, and its own reduction if it has one."""
+
+    rom: Rom | None = None
+
+
+class Langevin(LinearBody):
+    name = "langevin"
+    title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
+    schema = LangevinKeys
+    source = "FE (piezoelectric, axisymmetric)"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        faces = ("front",) if part.keys.support == "back" else ("front", "back")
+        anode = Port("anode", "electrical", pins=("anode", "cathode"))
+        return (anode, *(Port(name, "mechanical") for name in faces))
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"matrices of {part.name}"):
+            return langevin.build(self.body_keys(part), refine=refine, where=part.name)
+
+
+register(Langevin())

@@ -1,0 +1,63 @@
+"""The part ``matrices``: a linear model out of another tool's files, with named ports."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.bodies.readers import read_model
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import Section
+from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import FileName, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class MatricesKeys(Section):
+    """Files beside the scene; ports as their sidecar TOML names them."""
+
+    file: FileName
+    sidecar: FileName | None = Field(None, description="TOML with the ports; NAME.toml unless told")
+    rom: Rom | None = None
+
+
+class Matrices(LinearBody):
+    name = "matrices"
+    title = "linear model from the matrices of another tool, reduced"
+    schema = MatricesKeys
+    source = "matrices of another tool"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        return self._model(part, scene).ports
+
+    def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
+        folder = (scene.home / part.keys.file).parent
+        stem = Path(part.keys.file).name.split(".")[0]
+        files = sorted(folder.glob(f"{stem}*")) if folder.is_dir() else []
+        stamps = {path.name: file_stamp(path) for path in files if path.is_file()}
+        return {**super().full_key(part, scene), "files": stamps}
+
+    def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
+        if refine != 1:
+            raise UsageError("matrices cannot be refined", where=part.name, got=refine)
+        return self._model(part, scene)
+
+    def _model(self, part: Part, scene: Scene) -> LinearModel:
+        keys = part.keys
+        sidecar = None if keys.sidecar is None else scene.home / keys.sidecar
+        stamps = str(self.full_key(part, scene)["files"])
+        return _read(scene.home / keys.file, sidecar, stamps)
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
+    return read_model(path, sidecar)
+
+
+register(Matrices())
