@@ -15,7 +15,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Acceleration, Count, Frequency, Ratio, Section, Time
-from kc2spice.scene.settings import Checks, Gates, Rom, Solver
+from kc2spice.scene.settings import Bench, Checks, Gates, Rom, Solver
 
 if TYPE_CHECKING:
     from kc2spice.scene.parttype import PartType
@@ -96,6 +96,7 @@ class Frame(Section):
     solver: Solver = Solver()
     checks: Checks = Checks()
     gates: Gates = Gates()
+    bench: Bench = Bench()
     include: tuple[FileName, ...] = Field(
         (), max_length=16, description="netlists beside the scene"
     )

@@ -44,6 +44,7 @@ class Solver(Section):
 
     reltol: Ratio = Field(1e-4, gt=0, lt=1)
     chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
+    trtol: Ratio = Field(1.0, ge=1, le=10, description="of ngspice: trust in the error estimate")
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)
@@ -58,6 +59,14 @@ class Checks(Section):
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
     penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
     saturation: Action = Field("warn", description="share of the time at the current limit")
+
+
+class Bench(Section):
+    """What ``bench`` judges settings by."""
+
+    metric: tuple[str, ...] = Field(
+        (), max_length=64, description="metrics that the scene is run for; empty: all numbers"
+    )
 
 
 class Gates(Section):
