@@ -223,7 +223,8 @@ def _side(
                 f"{part.name} needs to know what touches", where=where,
                 got=", ".join(name for name, _ in offers) or f"no part that is {kind}",
                 expected=f'{key} = "PART" or "PART.PORT"',
-                hint=None if offers else "without it the sphere falls through the chip",
+                hint=None if offers else f"add [{'sphere' if round_ else 'kick'}]; an empty "
+                "table takes the defaults",
             )  # fmt: skip
         return offers[0]
     targets = (chosen,) if isinstance(chosen, str) else chosen

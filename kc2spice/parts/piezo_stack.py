@@ -16,6 +16,7 @@ from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
@@ -84,16 +85,17 @@ class PiezoStack(LinearBody):
             return {}
         found: dict[str, Mapping[str, Any]] = {}
         target = f"{part.name}.anode"
-        if keys.driver:
-            (kind, table), *others = keys.driver.items()
-            if others:
+        if keys.driver is not None:
+            if len(keys.driver) != 1:
                 raise UsageError(
                     "needs one driver", where=f"{part.name}.driver", got=", ".join(keys.driver),
-                    expected="one table",
+                    expected="one table of half_bridge, amplifier, charge, user",
                 )  # fmt: skip
-            name, command = f"{part.name}_driver", "command"
-            found[name] = {**_driver(part, kind, table, data), "part": _driver_type(part, kind)}
-            target = f"{name}.{command}"
+            ((kind, table),) = keys.driver.items()
+            name, chosen = f"{part.name}_driver", _driver_type(part, kind)
+            at = (part.name, "driver", kind)
+            found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
+            target = f"{name}.command"
         d = keys.drive
         wave = {"high": d.voltage, "width": d.width, "edge": d.edge, "start": d.start}
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
@@ -284,13 +286,9 @@ def _driver(
     if kind == "charge":
         pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
     if kind == "user":
-        return {"file": _first(data), **table, "pins": {**pins, "ref": "gnd"}}
+        file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
+        return {**table, "file": file, "pins": {**pins, "ref": "gnd"}}
     return {**table, "pins": pins}
-
-
-def _first(data: Mapping[str, Any]) -> str:
-    include = data.get("include", ())
-    return str(include[0]) if isinstance(include, (list, tuple)) and include else ""
 
 
 def _driver_type(part: Part, kind: str) -> str:

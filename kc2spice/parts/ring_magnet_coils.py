@@ -27,6 +27,7 @@ from kc2spice.fem.magnetics.table import (
     inductances,
 )
 from kc2spice.parts.contact import fall, landing, moved_by
+from kc2spice.parts.netlist import first_netlist
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -275,11 +276,11 @@ class RingMagnetCoils(PartType):
     lookup_key = "points"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        if not part.keys.driver:
+        if part.keys.driver is None:
             return {}
-        (kind, table), *others = part.keys.driver.items()
+        kind, table = next(iter(part.keys.driver.items()), ("", {}))
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
-        if others or kind not in {*known, *known.values()}:
+        if len(part.keys.driver) != 1 or kind not in {*known, *known.values()}:
             raise UsageError(
                 "needs one driver", where=f"{part.name}.driver", got=", ".join(part.keys.driver),
                 expected="one of " + ", ".join(known),
@@ -287,10 +288,11 @@ class RingMagnetCoils(PartType):
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
         file = {}
         if kind in ("user", "netlist"):
-            include = data.get("include", ())
-            file = {"file": str(include[0]) if include else ""}
+            where = f"{part.name}.driver.{kind}"
+            file = {"file": table.get("file") or first_netlist(where, data)}
             pins["ref"] = "gnd"
-        chosen = {**file, **table, "part": known.get(kind, kind), "pins": pins}
+        at = (part.name, "driver", kind)
+        chosen = {**table, **file, "part": known.get(kind, kind), "pins": pins, "at": at}
         return {f"{part.name}_driver": chosen}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:

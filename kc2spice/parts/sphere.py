@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Balance
@@ -60,6 +61,16 @@ class Sphere(PartType):
             Terminal("y", "um", "-", signal_out=True),
             Terminal("base", "um", "N", "gnd"),
         )
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        others = (other for other in scene.parts.values() if other is not part)
+        bodies = [other.name for other in others if other.type.reduced]
+        if bodies and not scene.of("contact") and scene.analysis.type == "transient":
+            yield UsageError(
+                "nothing touches the sphere", where="contact", got="no part of type contact",
+                expected=f"one between {part.name} and {', '.join(bodies)}",
+                hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
+            )  # fmt: skip
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)

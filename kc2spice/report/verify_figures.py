@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.metrics import trajectory_difference
+from kc2spice.report.distance import trajectory_difference
 from kc2spice.report.plots import (
     BLACK,
     BLUE,

@@ -20,7 +20,7 @@ from kc2spice.core.words import did_you_mean
 from kc2spice.scene.budget import BUDGET_KEYS, fill
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import composed
-from kc2spice.scene.keys import model_keys, short_names, submodel
+from kc2spice.scene.keys import model_keys, scene_keys, short_names, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
 from kc2spice.scene.parttype import PartType, part_types
 
@@ -99,7 +99,9 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
                     "this name is taken", where=source.where((name,)), got=name,
                     expected=f"another name: {part.name} brings a part of this one along",
                 )  # fmt: skip
-            parts[name] = _part(name, dict(table), part_types()[table["part"]], source)
+            own, at = dict(table), tuple(table.get("at", (name,)))
+            own.pop("at", None)
+            parts[name] = _part(name, own, part_types()[own["part"]], source, at)
     scene = replace(scene, parts=parts)
     if scene.frame.analysis == Frame.model_fields["analysis"].default:
         asked = [part.type.analysis(part, scene) for part in parts.values()]
@@ -123,8 +125,14 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
+        if not isinstance(table, Mapping) and name in short_names():
+            raise UsageError(
+                "not a table", where=source.where((name,)), got=_shown(table),
+                expected=f"a table, [{name}]",
+            )  # fmt: skip
         if not isinstance(table, Mapping):
             near = did_you_mean(name, Frame.model_fields)
+            near = near or did_you_mean(name, [key.name for key in scene_keys()])
             raise UsageError(
                 "unknown key", where=source.where((name,)), hint=near,
                 expected="one of " + ", ".join(Frame.model_fields) + ", or a table with part = TYPE",
@@ -162,7 +170,14 @@ def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
     return types[chosen]
 
 
-def _part(name: str, table: Mapping[str, Any], part_type: PartType, source: _Source) -> Part:
+def _part(
+    name: str,
+    table: Mapping[str, Any],
+    part_type: PartType,
+    source: _Source,
+    at: KeyPath = (),
+) -> Part:
+    """A part of its table; ``at`` is where the file has it, if not under its name."""
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise UsageError(
@@ -173,7 +188,7 @@ def _part(name: str, table: Mapping[str, Any], part_type: PartType, source: _Sou
     try:
         checked = part_type.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
-        raise _explain(error.errors()[0], (name,), part_type.schema, source) from None
+        raise _explain(error.errors()[0], at or (name,), part_type.schema, source) from None
     return Part(name, part_type, checked, dict(pins))
 
 

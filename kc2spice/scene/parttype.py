@@ -147,7 +147,10 @@ class PartType:
         return {}
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        """Tables of further parts that this one stands for; ``data`` is the whole scene."""
+        """Tables of further parts that this one stands for; ``data`` is the whole scene.
+
+        Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
+        """
         return {}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:

@@ -2,29 +2,21 @@
 
 import numpy as np
 import pytest
+from device import bench, deck_of
 from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.experiments import current_cases, em_force_deck
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.current_cases import cases
 from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Catch, Control, EmForce, Scene, Sphere
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Deck
 
-MASS = Sphere().mass
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
+MASS = SphereKeys().mass
 
 
 # ---------------------------------------------------------------------------------- contact
@@ -123,12 +115,11 @@ Xcontact R0 v bottom 0 contact
 
 
 def test_lookup_follows_the_spline(header, table, tmp_path):
-    scene = Scene(name="em", experiment="em_force", em_force=EmForce(), catch=Catch())
-    waves = run_deck(em_force_deck(scene, header, table), tmp_path)
+    scene = load_scene({"name": "em", "em_force": {}, "catch": {}, "sphere": {}})
+    waves = run_deck(deck_of(scene, table=table), tmp_path)
     splines = {n: CubicSpline(table.y, getattr(table, n)) for n in ("c0", "c1", "c2", "c11", "c22")}
     c = {name: spline(waves["sphere.y"]) for name, spline in splines.items()}
-    for k, case in enumerate(current_cases(scene)):
-        i1, i2 = case.lower, case.upper
+    for k, (i1, i2) in enumerate(cases(scene.parts["em_force"])):
         law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
         # 201 cubic pieces through a smooth curve; measured 6e-6 on the paper's system
         assert np.abs(waves[f"catch.force.{k}"] - law).max() < 2e-5 * 0.065

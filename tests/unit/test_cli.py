@@ -53,8 +53,8 @@ def study(monkeypatch):
         return [out / "kick.lib"]
 
     fake.run, fake.export = run, export
-    monkeypatch.setitem(sys.modules, "kc2spice.workflow", fake)
-    monkeypatch.setattr("kc2spice.workflow", fake, raising=False)
+    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
+    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
     return fake
 
 

@@ -8,7 +8,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.included import included_netlists
 from kc2spice.spice.lint import lint
 from kc2spice.spice.read import read_deck
@@ -178,7 +178,7 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
     files = third_party(main)
     assert list(files) == ["user.cir"]
     assert "\n* inner\n" in files["user.cir"]
-    lint(Deck("user", "user.cir", files, {}, None))
+    lint(Deck(name="user", text=files.pop("user.cir"), more=files))
     assert len(read_deck(main).files) == 3
 
 
@@ -280,7 +280,7 @@ def test_time_to_read_grows_with_the_size_alone(tmp_path):
         begin = time.process_time()
         with contextlib.suppress(UsageError):
             files = third_party(path)
-            lint(Deck("user", "user.lib", files, {}, None))
+            lint(Deck(name="user", text=files.pop("user.lib"), more=files))
         assert time.process_time() - begin < 5, name
 
 

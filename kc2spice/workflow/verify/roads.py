@@ -13,7 +13,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import Ball, TransientResult, Voltage
 from kc2spice.reference import Reference
-from kc2spice.report.metrics import compare
+from kc2spice.report.distance import compare
 from kc2spice.report.verdict import Check, OutputError
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene

@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.transient import Ball, TransientResult
-from kc2spice.report.metrics import compare
+from kc2spice.report.distance import compare
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
 from kc2spice.workflow.verify.fullmodel import as_waveforms, converged, full_system, full_transient

@@ -12,7 +12,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.pyspice import run_shared
 from kc2spice.reference.law import Law, law
-from kc2spice.report.metrics import compare
+from kc2spice.report.distance import compare
 from kc2spice.rom.model import ResonatorModel
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Rom, Scene
