@@ -54,7 +54,11 @@ def sweep(
     seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
     metric: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Column of the table, repeatable; default: all."),
+        typer.Option(
+            metavar="NAME",
+            help="Column of the table, repeatable; default: all metrics. Any number of result.json "
+            "by its path: model.kick.resonance_short_hz, checks.NAME, rom.order.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -98,6 +102,13 @@ def sweep(
         Path | None,
         typer.Option(metavar="DIR", help="Put the rows of all parts in DIR into one table."),
     ] = None,
+    retry_failed: Annotated[
+        bool,
+        typer.Option(
+            "--retry-failed",
+            help="Run all points again that failed; without it those whose run was interrupted.",
+        ),
+    ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would be run and stop.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, all else on stderr.")
@@ -120,7 +131,9 @@ def sweep(
             if collect is not None:
                 result = run.collect(collect, shown)
             elif shard is not None:
-                result = run.sweep_shard(_needed(out, "--out"), _shard(shard), engine, shown)
+                result = run.sweep_shard(
+                    _needed(out, "--out"), _shard(shard), engine, shown, retry_failed=retry_failed
+                )
             else:
                 study = make_study(
                     _request(scene, set_, zipped, latin, seed, metric, timeout, table_format)
@@ -129,14 +142,14 @@ def sweep(
                     print(study.describe(), file=sys.stderr)
                 out = out or Path(f"{study.base.name}_sweep")
                 if dry_run:
-                    result = run.outlook(study, out)
+                    result = run.dry_run_summary(study, out)
                 elif slurm is not None:
                     result = run.write_array(study, slurm, shards)
                 elif tune:
                     search = (tune, _needed(minimise, "--minimise"), generations)
                     result = _interruptible(study, out, engine, shown, search)
                 else:
-                    result = _interruptible(study, out, engine, shown)
+                    result = _interruptible(study, out, engine, shown, retry_failed=retry_failed)
         if as_json:
             print(json.dumps(result))
         elif not quiet:
@@ -182,7 +195,7 @@ def _engine(dask: str | None, workers: int | None) -> Engine:
 
 def _interruptible(
     study: Study, out: Path, engine: Engine, progress: ProgressCallback,
-    search: tuple[list[str], str, int] | None = None,
+    search: tuple[list[str], str, int] | None = None, *, retry_failed: bool = False,
 ) -> Any:  # fmt: skip
     from kc2spice.workflow.sweep import run, tune, tuned
 
@@ -191,7 +204,7 @@ def _interruptible(
             texts, metric, generations = search
             bounds = [tune.bound(text) for text in texts]
             return tuned.run_tuning(study, bounds, metric, generations, out, engine, progress)
-        return run.sweep(study, out, engine, progress)
+        return run.sweep(study, out, engine, progress, retry_failed=retry_failed)
     except KeyboardInterrupt:
         print(f"kc2spice: interrupted; the points run so far are kept in {out}, the same command "
               "runs the rest", file=sys.stderr)  # fmt: skip

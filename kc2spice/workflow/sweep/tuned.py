@@ -15,7 +15,7 @@ from kc2spice.core.progress import Progress, silent
 from kc2spice.scene.keys import scene_keys
 from kc2spice.workflow.sweep.engines import Call, Engine, completed
 from kc2spice.workflow.sweep.point import Outcome, Task, run_reference
-from kc2spice.workflow.sweep.run import claim
+from kc2spice.workflow.sweep.run import acquire
 from kc2spice.workflow.sweep.stages import task
 from kc2spice.workflow.sweep.study import Study
 from kc2spice.workflow.sweep.tune import Bound, Tuned, tune
@@ -43,7 +43,7 @@ def run_tuning(
     if swept or not bounds:
         raise UsageError("cannot be tuned", where="--tune", got=", ".join(swept) or None,
                          expected="keys that --set does not sweep")  # fmt: skip
-    claim(study, out, [*map(asdict, bounds), metric, generations])
+    acquire(study, out, [*map(asdict, bounds), metric, generations])
     tuned = tune(study, bounds, metric, generations, out, engine, progress)
     proof = _proof(study, tuned, metric, engine, progress)
     _write(study, tuned, proof, metric, out / TABLE)
