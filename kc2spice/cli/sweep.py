@@ -78,6 +78,12 @@ def sweep(
     minimise: Annotated[
         str | None, typer.Option(metavar="METRIC", help="What --tune makes small.")
     ] = None,
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="METRIC<=X", help="What --tune must keep, also METRIC>=X, in SI. Repeatable."
+        ),
+    ] = None,
     generations: Annotated[int, typer.Option(min=1, help="Of the search of --tune.")] = 12,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Points at a time; default: all cores.")
@@ -135,6 +141,8 @@ def sweep(
                     _needed(out, "--out"), _shard(shard), engine, shown, retry_failed=retry_failed
                 )
             else:
+                if tune:
+                    metric = _goals(metric, minimise, require)
                 study = make_study(
                     _request(scene, set_, zipped, latin, seed, metric, timeout, table_format)
                 )
@@ -146,7 +154,7 @@ def sweep(
                 elif slurm is not None:
                     result = run.write_array(study, slurm, shards)
                 elif tune:
-                    search = (tune, _needed(minimise, "--minimise"), generations)
+                    search = (tune, _needed(minimise, "--minimise"), generations, require or [])
                     result = _interruptible(study, out, engine, shown, search)
                 else:
                     result = _interruptible(study, out, engine, shown, retry_failed=retry_failed)
@@ -157,6 +165,14 @@ def sweep(
         if result["points"] and result["failed"] == result["points"]:
             raise SimulationError("every point failed", where=result["table"],
                                   hint="the column status says why")  # fmt: skip
+
+
+def _goals(metrics: list[str] | None, minimise: str | None, require: list[str] | None) -> list[str]:
+    """Columns that a tuning needs."""
+    from kc2spice.workflow.sweep.tune import limit
+
+    limits = [limit(text).metric for text in require or []]
+    return [*(metrics or []), _needed(minimise, "--minimise"), *limits]
 
 
 def _request(
@@ -195,15 +211,18 @@ def _engine(dask: str | None, workers: int | None) -> Engine:
 
 def _interruptible(
     study: Study, out: Path, engine: Engine, progress: ProgressCallback,
-    search: tuple[list[str], str, int] | None = None, *, retry_failed: bool = False,
+    search: tuple[list[str], str, int, list[str]] | None = None, *, retry_failed: bool = False,
 ) -> Any:  # fmt: skip
     from kc2spice.workflow.sweep import run, tune, tuned
 
     try:
         if search is not None:
-            texts, metric, generations = search
+            texts, metric, generations, required = search
             bounds = [tune.bound(text) for text in texts]
-            return tuned.run_tuning(study, bounds, metric, generations, out, engine, progress)
+            return tuned.run_tuning(
+                study, bounds, metric, generations, out, engine, progress,
+                limits=[tune.limit(text) for text in required],
+            )  # fmt: skip
         return run.sweep(study, out, engine, progress, retry_failed=retry_failed)
     except KeyboardInterrupt:
         print(f"kc2spice: interrupted; the points run so far are kept in {out}, the same command "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from kc2spice.workflow.sweep.table import MISSING, RowStore
 MISSED = 3.0  # ratio of a run that has no such metric: it was not caught, or it failed
 MEAN = 0.1  # weight of the mean ratio beside the worst one
 CANDIDATES = 16  # of one generation
+_LIMIT = r"([^<>=]+)(<=|>=)([^<>=]+)"
 SIMPLEX = 0.05  # first edge of the final search, a share of each value
 REFINEMENTS = 60  # candidates of the final search
 ROWS = "rows.sqlite"
@@ -34,6 +36,24 @@ class Bound:
     key: str
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A metric that must be at most (``<=``) or at least (``>=``) ``value``, in SI."""
+
+    metric: str
+    sign: str
+    value: float
+
+    def holds(self, value: float | bool | None) -> bool:
+        """Whether a run keeps it; one without the metric does not."""
+        if value is None:
+            return False
+        return value <= self.value if self.sign == "<=" else value >= self.value
+
+    def __str__(self) -> str:
+        return f"{self.metric}{self.sign}{self.value:g}"
 
 
 @dataclass(frozen=True)
@@ -64,13 +84,30 @@ def bound(text: str) -> Bound:
     return Bound(name, low, high)
 
 
+def limit(text: str) -> Limit:
+    """``METRIC<=X`` or ``METRIC>=X`` of ``--require``.
+
+    Raises
+    ------
+    UsageError : anything else.
+    """
+    found = re.fullmatch(_LIMIT, text, re.DOTALL)
+    name, sign, value = (part.strip() for part in found.groups()) if found else ("", "", "")
+    try:
+        return Limit(name, sign, float(value))
+    except ValueError:
+        raise UsageError("not a constraint", where="--require", got=text,
+                         expected="METRIC<=X or METRIC>=X, in SI") from None  # fmt: skip
+
+
 def tune(
     study: Study, bounds: Sequence[Bound], metric: str, generations: int, directory: Path,
-    engine: Engine, progress: Progress = silent,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
 ) -> Tuned:  # fmt: skip
     """Minimise ``metric`` over all points of ``study``, its conditions, the worst of them first.
 
-    With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
+    A candidate that breaks one of the ``limits`` under a condition counts as one without the metric
+    there. With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
 
         max_k r_k + MEAN mean_k r_k
 
@@ -84,7 +121,7 @@ def tune(
     """
     conditions = [task(study.plan, index) for index in range(study.plan.size)]
     directory.mkdir(parents=True, exist_ok=True)
-    runs = _Runs(study, bounds, metric, conditions, directory / ROWS, engine)
+    runs = _Runs(study, bounds, metric, conditions, directory / ROWS, engine, limits)
     try:
         before = runs.evaluate([{}])[0]
         if not np.isfinite(before).all():
@@ -126,12 +163,13 @@ class _Runs:
 
     def __init__(
         self, study: Study, bounds: Sequence[Bound], metric: str, conditions: Sequence[Task],
-        path: Path, engine: Engine,
+        path: Path, engine: Engine, limits: Sequence[Limit] = (),
     ) -> None:  # fmt: skip
         self.count = 0
         self._study, self._conditions, self._engine = study, conditions, engine
         self._keys = [b.key for b in bounds]
         self._column = study.job.metrics.index(metric)
+        self._limits = {study.job.metrics.index(each.metric): each for each in limits}
         self._known: dict[tuple[str, ...], float] = {}
         self._store = RowStore(path, 10_000_000)
         self._pool: WorkerPool | None = None
@@ -178,7 +216,13 @@ class _Runs:
         if isinstance(result, WorkerDied) or result.interrupted:
             self._known[name] = float("nan")  # not recorded: a later search runs it again
             return
-        value = None if result.failure else result.values[self._column]
+        broken = [
+            str(each) for column, each in self._limits.items()
+            if any(name[: len(self._keys)])  # the scene as it is is what it is
+            and not result.failure and not each.holds(result.values[column])
+        ]  # fmt: skip
+        failure = f"not {', '.join(broken)}" if broken else result.failure
+        value = None if failure else result.values[self._column]
         self._known[name] = float("nan") if value is None else float(value)
-        self._store.record(self._rows, (*name, value), result.failure)
+        self._store.record(self._rows, (*name, value), failure)
         self._rows += 1
