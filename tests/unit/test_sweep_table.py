@@ -137,3 +137,8 @@ def test_figures_are_chosen_by_what_was_swept(tmp_path, keys, random, expected):
     pictures = sweep_figures(tmp_path, data, names, ["settling_time_s", "caught"], random, {})
     assert {picture.path.name for picture in pictures} == expected
     assert all(picture.path.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
+
+
+def test_nothing_stays_beside_the_rows(tmp_path):
+    filled(tmp_path / "j.sqlite", range(6))
+    assert [path.name for path in tmp_path.iterdir()] == ["j.sqlite"]

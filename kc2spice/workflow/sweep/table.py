@@ -24,7 +24,7 @@ MISSING, GOOD, BAD, INTERRUPTED = -1, 0, 1, 2  # states of a point
 _OPEN = """
 pragma trusted_schema = off;
 pragma locking_mode = exclusive;  -- another process that writes here is refused at once
-pragma journal_mode = truncate;
+pragma journal_mode = delete;
 pragma synchronous = off;         -- a row survives the end of this process, which is enough
 begin exclusive;
 create table if not exists row (point integer primary key, state integer, line text);
