@@ -71,7 +71,7 @@ BUILDERS = {"scipy", "skfem", "gmsh", "matplotlib", "PySpice"}
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("study", BUILDERS)],
+    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("workflow", BUILDERS)],
     ids=["help", "run with cached models"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
