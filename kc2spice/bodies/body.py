@@ -22,6 +22,7 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -48,7 +49,7 @@ from kc2spice.rom.linear import LinearModel, Port
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
-Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"[A-Za-z][A-Za-z0-9_]{0,30}")]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _REFERENCES = ("cathode", "gnd", "ground")
 _KINDS = ("elements", "faces", "curves", "points")
@@ -83,7 +84,7 @@ class FixedKeys(Section):
     """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
 
     group: str
-    axes: Annotated[str, StringConstraints(pattern="[xyz]{1,3}")] = "xyz"
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = "xyz"
 
 
 class PortKeys(Section):
@@ -232,7 +233,8 @@ def _solid(keys: Body, groups: _Groups) -> Solid:
             other = list(keys.materials)[int(owner[cells].max())]
             raise UsageError("elements with two materials", where=where, got=f"also in {other}")
         owner[cells] = number
-        materials.append(material(given, where).poled(keys.poling.get(name, (0, 0, 1))))
+        made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         raise UsageError(
             "elements without material", where="materials", got=f"{np.sum(owner < 0)} elements",

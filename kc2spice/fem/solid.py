@@ -99,9 +99,9 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
     local = [function[0] for function in basis.basis]
     d = solid.components
     axes = np.arange(3) if d == 3 else _FLAT
-    radius = basis.global_coordinates().value[0]
+    radius = np.asarray(basis.global_coordinates())[0]
     for q in range(basis.X.shape[-1]):
-        value = np.stack([np.broadcast_to(f.value, basis.dx.shape)[:, q] for f in local], -1)
+        value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)
         slope = np.stack([f.grad[:, :, q] for f in local], -1)
         B = np.zeros((*value.shape[:1], 6, value.shape[1], d))
         G = np.zeros((*value.shape[:1], 3, value.shape[1]))
@@ -126,7 +126,7 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
         basis = solid.basis(elements=cells)
         weights = basis.dx
         if solid.axisymmetric:
-            weights = 2 * np.pi * weights * basis.global_coordinates().value[0]
+            weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         nodes = basis.element_dofs.T
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
         m = k = c = p = 0.0
