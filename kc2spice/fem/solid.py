@@ -110,8 +110,9 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
             for i, x in enumerate(axes):
                 B[:, _VOIGT[x, y], :, i] += slope[j]
         if solid.axisymmetric:
-            r = np.maximum(radius[:, q], 1e-12 * np.ptp(solid.mesh.p))[:, None]
-            B[:, 1, :, 0] = value / r
+            r = radius[:, q, None]
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # there u_r / r is the derivative
+            B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
         yield value, B.reshape(len(B), 6, -1), G
 
 

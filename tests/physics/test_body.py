@@ -1,6 +1,9 @@
 """Bodies from files: against parametric bodies of the same geometry, and every bad group named."""
 
+import runpy
+import tomllib
 from itertools import pairwise
+from pathlib import Path
 
 import gmsh
 import numpy as np
@@ -14,7 +17,9 @@ from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import build as build_disc
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
+from kc2spice.rom.reduce import reduce
 
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "bracket"
 PZT = material("PZT-5A")
 
 
@@ -281,3 +286,31 @@ def test_free_body_has_no_support_and_exact_capacitance(coarse):
     assert facts["capacitance_clamped_f"] == pytest.approx(
         PZT.eps_S[2, 2] * 36e-6 / 0.3e-3, rel=1e-9
     )
+
+
+def test_example_of_the_bracket(tmp_path):
+    """The STEP file that the example draws, with the keys that it ships: mass of the drawing, a
+    stroke that both patches add to, and a reduced model that keeps its ports."""
+    runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
+    table = tomllib.loads((EXAMPLE / "bracket.toml").read_text("utf-8"))["bracket"]
+    model = build(Body.model_validate(table), tmp_path)
+    frame = (60 * 20 * 2 + 2 * 20 * 18) * 1e-9 * material("aluminium").density
+    patches = 2 * 30 * 14 * 0.5e-9 * PZT.density
+    assert model.facts["mass_kg"] == pytest.approx(frame + patches, rel=1e-9)
+    area = 2 * 30e-3 * 14e-3 / 0.5e-3
+    assert PZT.eps_S[2, 2] * area < model.facts["capacitance_clamped_f"] * 1.01
+    assert model.facts["capacitance_free_f"] < PZT.eps_T[2, 2] * area
+    one = {**table, "materials": {**table["materials"], "lower": {
+        "density": PZT.density, "stiffness": PZT.C.tolist()}}, "poling": {"upper": [0, 0, 1]}}  # fmt: skip
+    one["electrodes"] = {"anode": "hot", "cathode": "cold"}
+    one["groups"] = {**table["groups"], "hot": {"faces": [["20 mm", "10 mm", "2.5 mm"]]},
+                     "cold": {"faces": [["20 mm", "10 mm", "2 mm"]]}}  # fmt: skip
+    alone = build(Body.model_validate(one), tmp_path)
+    both, single = (m.facts["free_stroke_m_per_v"] for m in (model, alone))
+    assert both == pytest.approx(2 * single, rel=0.05)
+    reduced = reduce(model, tolerance=1e-3, band=(0.0, 3e3))
+    assert reduced.certificate.stable
+    assert reduced.certificate.passive
+    assert [p.terminals for p in reduced.ports] == [("tip",), ("base",), ("anode", "cathode")]
+    f = np.array([0.0, 500.0, 619.0, 2000.0])
+    assert np.abs(reduced.transfer(f) / model.transfer(f) - 1).max() < 1e-2
