@@ -130,7 +130,7 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         nodes = basis.element_dofs.T
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
-        m = k = c = p = 0.0
+        m, k, c, p = (np.zeros(()) for _ in range(4))
         for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))

@@ -300,8 +300,9 @@ def test_example_of_the_bracket(tmp_path):
     area = 2 * 30e-3 * 14e-3 / 0.5e-3
     assert PZT.eps_S[2, 2] * area < model.facts["capacitance_clamped_f"] * 1.01
     assert model.facts["capacitance_free_f"] < PZT.eps_T[2, 2] * area
-    one = {**table, "materials": {**table["materials"], "lower": {
-        "density": PZT.density, "stiffness": PZT.C.tolist()}}, "poling": {"upper": [0, 0, 1]}}  # fmt: skip
+    passive = {"density": PZT.density, "stiffness": PZT.C.tolist()}
+    one = {**table, "materials": {**table["materials"], "lower": passive}}
+    one["poling"] = {"upper": [0, 0, 1]}
     one["electrodes"] = {"anode": "hot", "cathode": "cold"}
     one["groups"] = {**table["groups"], "hot": {"faces": [["20 mm", "10 mm", "2.5 mm"]]},
                      "cold": {"faces": [["20 mm", "10 mm", "2 mm"]]}}  # fmt: skip
