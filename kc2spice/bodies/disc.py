@@ -18,17 +18,17 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.bodies.piezo import piezo_model
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Length, Ratio, Section
+from kc2spice.core.quantities import Length, Ratio, Section
 from kc2spice.core.schema import validated
 from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.potentials import PiezoOperators
 from kc2spice.rom.linear import LinearModel, Port
 
-_CELLS = 20  # along the largest radius before refinement
+_CELLS = 20  # along the largest radius (or half the height) before refinement
 
 
 class Feedback(Section):
@@ -60,12 +60,6 @@ class Node(Section):
     node: Length = Field(gt=0, description="diameter")
 
 
-class Mesh(Section):
-    """``refine`` divides every cell along both axes."""
-
-    refine: Count = Field(1, ge=1, le=8)
-
-
 class Disc(Section):
     """Keys of the part. ``wiring`` matters with more than one ceramic layer: ``parallel`` connects
     every second electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and
@@ -85,8 +79,8 @@ def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc
     """Full model of the disc. ``refine`` divides the cells of ``keys.mesh`` once more.
 
     Facts: ``mass_kg``, ``unknowns``, ``capacitance_free_f``, ``capacitance_clamped_f``,
-    ``resonance_short_hz``, ``resonance_open_hz``, ``rigid_modes`` (1 if the support is free: then
-    K is singular along z).
+    ``resonance_short_hz``, ``resonance_open_hz``, ``feedback_capacitance_f`` if there is one, and
+    ``rigid_modes`` (1 if the support is free: then K is singular along z).
 
     Raises
     ------
@@ -115,7 +109,7 @@ def operators(disc: Disc, *, refine: int = 1, where: str = "disc") -> PiezoOpera
         _electrodes(disc, materials, heights, where),
         _supports(disc, heights, where),
         [_centre(disc, heights, where)],
-        size=max(layer.diameter for layer in disc.layers) / (2 * _CELLS),
+        size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
         refine=refine * disc.mesh.refine,
     )
 
@@ -125,7 +119,7 @@ def _electrical(name: str) -> Port:
 
 
 def _materials(disc: Disc, where: str) -> list[Material]:
-    found = []
+    materials = []
     for i, layer in enumerate(disc.layers):
         here = f"{where}.layers.{i}"
         one = material(layer.material, f"{here}.material")
@@ -140,14 +134,14 @@ def _materials(disc: Disc, where: str) -> list[Material]:
                 got=f"{layer.electrodes:g} m",
                 expected=f"at most {layer.diameter:g} m",
             )
-        found.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
-    if not any(one.piezoelectric for one in found):
+        materials.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
+    if not any(one.piezoelectric for one in materials):
         raise UsageError(
             "no piezoelectric layer",
             where=f"{where}.layers",
-            got=", ".join(one.name for one in found),
+            got=", ".join(one.name for one in materials),
         )
-    return found
+    return materials
 
 
 def _qualities(disc: Disc, materials: list[Material], where: str) -> list[float]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.potentials import Condensed, PiezoOperators, condense_potentials
+from kc2spice.fem.potentials import Condensed, PiezoOperators, condense_potentials, solver
 from kc2spice.rom.linear import LinearModel, Port
 
-_MODES = 12  # searched for the first one that an electrode moves
-_COUPLED = 1e-4  # square of the effective coupling from which a mode counts as coupled
+_MODES = (12, 24, 48, 96)  # searched, one after the other, for one that an electrode moves
+_COUPLED = 1e-8  # square of the effective coupling above which it is not rounding
+_STRONG = 1e-2  # of the strongest one among these modes, from which a mode counts as coupled
 
 
 @dataclass(frozen=True)
@@ -46,71 +46,75 @@ def piezo_model(
         rigid-body mode.
     """
     condensed = condense_potentials(operators)
-    mode = first_mode(operators, condensed)
+    mode = first_mode(operators, condensed.b[:, 0], float(condensed.C0[0, 0]))
     K, M = condensed.K, operators.M
     E = damping.matrix(M, K, operators.parts, qualities, mode.short_hz)
     B = np.column_stack([condensed.b, operators.B])
     D = np.zeros((B.shape[1],) * 2)
     k = len(operators.electrodes)
     D[:k, :k] = condensed.C0
-    free = condensed.C0[0, 0] + condensed.b[:, 0] @ static(K, condensed.b[:, 0], mode.rigid)
+    free = _free_capacitances(operators, condensed, mode.rigid)
     facts = {
         "mass_kg": operators.mass,
         "unknowns": float(operators.unknowns),
-        "capacitance_free_f": float(free),
+        "capacitance_free_f": free[0],
         "capacitance_clamped_f": float(condensed.C0[0, 0]),
         "resonance_short_hz": mode.short_hz,
         "resonance_open_hz": mode.open_hz,
         "rigid_modes": float(mode.rigid),
     }
+    for name, value in zip(operators.electrodes[1:], free[1:], strict=True):
+        facts[f"{name}_capacitance_f"] = value
     return LinearModel(B=B, C=B.T.copy(), D=D, ports=tuple(ports), M=M, E=E, K=K, facts=facts)
 
 
-def static(K: np.ndarray, load: np.ndarray, rigid: int = 0) -> np.ndarray:
-    """``K^-1 load``; a body free to move along z is held at one unknown.
+def _free_capacitances(operators: PiezoOperators, condensed: Condensed, rigid: int) -> list[float]:
+    """Static charge per voltage [F] of each electrode, the others shorted.
 
-    Loads of an electrode are in equilibrium, so that the support takes no force.
+    The loads of an electrode are in equilibrium, so that a body free to move along z may be held
+    at any one unknown: that support takes no force.
     """
-    keep = np.arange(rigid, K.shape[0])
-    solution = np.zeros(K.shape[0])
-    solution[keep] = splu(K[keep][:, keep].tocsc()).solve(load[keep])
-    return solution
+    solve = solver(operators, first=rigid)
+    return [
+        float(condensed.C0[i, i] + b @ solve(b)) for i, b in enumerate(np.transpose(condensed.b))
+    ]
 
 
-def first_mode(operators: PiezoOperators, condensed: Condensed) -> FirstMode:
+def first_mode(operators: PiezoOperators, b: np.ndarray, C0: float) -> FirstMode:
     """Resonance ``(K - w^2 M) x = 0`` and antiresonance ``(K + b b'/C0 - w^2 M) x = 0``.
 
     The update by ``b b'/C0`` has rank one, so that eigenvalues interlace: the open mode of the same
     number belongs to the short one.
     """
-    K, M, b, C0 = condensed.K, operators.M, condensed.b[:, 0], condensed.C0[0, 0]
-    count = min(_MODES, K.shape[0] - 1)
-    shift = -_scale(operators)
-    factor = splu((K - shift * M).tocsc())
-    moved = factor.solve(b)
+    M, shift = operators.M, -_scale(operators)
+    shorted = solver(operators, shift)
+    moved = shorted(b)
     gain = C0 + b @ moved
 
     def open_solve(x: np.ndarray) -> np.ndarray:
-        y = factor.solve(x)
+        y = shorted(x)
         return y - moved * (b @ y) / gain
 
-    short, modes = _eigenpairs(M, factor.solve, count, shift)
-    opened, _ = _eigenpairs(M, open_solve, count, shift)
-    rigid = int(np.sum(short < 1e-6 * np.abs(shift)))
-    if rigid > 1:
-        raise SimulationError("more than one rigid-body mode", got=rigid)
-    coupling = (b @ modes) ** 2 / (np.maximum(short, np.abs(shift) * 1e-6) * C0)
-    coupled = np.flatnonzero(coupling[rigid:] > _COUPLED) + rigid
-    if len(coupled) == 0:
+    for count in _MODES:
+        count = min(count, M.shape[0] - 1)
+        short, modes = _eigenpairs(M, shorted, count, shift)
+        rigid = int(np.sum(short < 1e-6 * abs(shift)))
+        if rigid > 1:
+            raise SimulationError("more than one rigid-body mode", got=rigid)
+        coupling = (b @ modes[:, rigid:]) ** 2 / (short[rigid:] * C0)
+        coupled = np.flatnonzero(coupling > max(_COUPLED, _STRONG * coupling.max())) + rigid
+        if len(coupled):
+            break
+    else:
         raise SimulationError(
-            "no coupled resonance among the first modes",
-            got=f"largest squared coupling {coupling[rigid:].max():.1e}",
+            f"no coupled resonance among the first {count} modes",
+            got=f"largest squared coupling {coupling.max():.1e}",
             hint="are the electrodes and the poling directions as intended?",
         )
-    first = coupled[0]
-    return FirstMode(
-        math.sqrt(short[first]) / (2 * math.pi), math.sqrt(opened[first]) / (2 * math.pi), rigid
-    )
+    first = int(coupled[0])
+    opened, _ = _eigenpairs(M, open_solve, count, shift)
+    hertz = np.sqrt([short[first], opened[first]]) / (2 * np.pi)
+    return FirstMode(float(hertz[0]), float(hertz[1]), rigid)
 
 
 def _scale(operators: PiezoOperators) -> float:

@@ -119,6 +119,7 @@ def assemble(
         parts=parts,
         mass=fields.volume_integral([block.material.density for block in blocks]),
         points=fields.points()[free],
+        potential_points=_places(fields, tie_free),
     )
 
 
@@ -131,8 +132,8 @@ def _grid(
     refine: int,
 ) -> Grid:
     faces = [*ports, *(face for electrode in electrodes for face in electrode.faces)]
-    r = [x for item in (*blocks, *faces, *supports) for x in item.r]
-    z = [x for item in (*blocks, *supports) for x in item.z]
+    r = [x for spans in (blocks, faces, supports) for item in spans for x in item.r]
+    z = [x for spans in (blocks, supports) for item in spans for x in item.z]
     return Grid(_divide(r, size, refine), _divide(z, size, refine))
 
 
@@ -162,13 +163,13 @@ def _mesh(blocks: Sequence[Block], grid: Grid) -> tuple[MeshQuad, np.ndarray]:
     t = np.array([corner, corner + nz + 1, corner + nz + 2, corner + 1])
     p = np.array([np.repeat(grid.r, nz + 1), np.tile(grid.z, nr + 1)])
     used, t = np.unique(t, return_inverse=True)
-    return MeshQuad(p[:, used], t.reshape(4, -1)), owner[i, j]
+    return MeshQuad(np.ascontiguousarray(p[:, used]), t.reshape(4, -1)), owner[i, j]
 
 
 def _strain(u, r: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
     """(4, …) strains rr, tt, zz, rz of a discrete field."""
     du = u.grad
-    return np.array([du[0, 0], u.value[0] / r, du[1, 1], du[0, 1] + du[1, 0]])
+    return np.array([du[0, 0], u[0] / r, du[1, 1], du[0, 1] + du[1, 0]])
 
 
 class _Fields:
@@ -255,7 +256,7 @@ def _stiffness_form(material: Material) -> BilinearForm:
 
 def _mass_form(density: float) -> BilinearForm:
     def form(u, v, w):  # type: ignore[no-untyped-def]
-        product = u.value[0] * v.value[0] + u.value[1] * v.value[1]
+        product = u[0] * v[0] + u[1] * v[1]
         return 2 * np.pi * w.x[0] * density * product
 
     return BilinearForm(form)
@@ -283,7 +284,7 @@ def _permittivity_form(material: Material) -> BilinearForm:
 @LinearForm
 def _axial_load(v, w):  # type: ignore[no-untyped-def]
     """A unit load along z per volume or area; its sum over all unknowns is that volume or area."""
-    return 2 * np.pi * w.x[0] * v.value[1]
+    return 2 * np.pi * w.x[0] * v[1]
 
 
 def _require_axisymmetric(material: Material) -> None:
@@ -373,6 +374,15 @@ def _ties(
         (len(owner), len(names)),
     )
     return free, terminal, tuple(names)
+
+
+def _places(fields: _Fields, tie_free: sparse.csc_array) -> np.ndarray:
+    """Where each free potential sits; a floating electrode is in many places, so in none."""
+    places = np.full((tie_free.shape[1], 2), np.nan)
+    nodes = np.diff(tie_free.indptr)
+    single = nodes == 1
+    places[single] = fields.potential.doflocs.T[tie_free.indices[tie_free.indptr[:-1][single]]]
+    return places
 
 
 def _selection(rows: np.ndarray, cols: np.ndarray, shape: tuple[int, int]) -> sparse.csc_array:

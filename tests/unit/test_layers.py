@@ -9,8 +9,8 @@ import kc2spice
 
 ROOT = Path(kc2spice.__file__).parent
 LAYERS = (
-    "__init__", "core", "scene", "linalg", "fem", "rom", "spice", "parts", "sim", "reference",
-    "report", "workflow", "cli",
+    "__init__", "core", "scene", "linalg", "fem", "rom", "bodies", "spice", "parts", "sim",
+    "reference", "report", "workflow", "cli",
 )  # fmt: skip
 SAME_AS = {"__main__": "cli", "pyspice": "workflow"}
 LAZY = ("gmsh", "PySpice", "matplotlib")

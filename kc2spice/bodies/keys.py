@@ -1,4 +1,4 @@
-"""Damping of a body: a ratio or quality met at one frequency, or each material's own loss."""
+"""Keys that all parametric bodies share: damping and the mesh."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from collections.abc import Sequence
 from pydantic import Field, model_validator
 from scipy import sparse
 
-from kc2spice.core.quantities import Frequency, Rate, Ratio, Section
+from kc2spice.core.quantities import Count, Frequency, Rate, Ratio, Section
+
+
+class Mesh(Section):
+    """``refine`` divides every cell along each axis."""
+
+    refine: Count = Field(1, ge=1, le=8)
 
 
 class Damping(Section):
@@ -39,6 +45,10 @@ class Damping(Section):
             return 0.5 / self.quality
         return 0.01 if self.ratio is None else self.ratio
 
+    def beta(self, resonance_hz: float) -> float:
+        """Stiffness coefficient [s] of ``E = alpha M + beta K``: ``2 zeta/omega``."""
+        return self.zeta / (math.pi * (self.at or resonance_hz))
+
     def matrix(
         self,
         M: sparse.csc_array,
@@ -48,10 +58,10 @@ class Damping(Section):
         resonance_hz: float,
     ) -> sparse.csc_array:
         """E of a model with stiffness K, whose ``parts`` belong to materials of ``qualities``."""
-        omega = 2 * math.pi * (self.at or resonance_hz)
         E = self.alpha * M
         if not self.per_material:
-            return (E + (2 * self.zeta / omega) * K).tocsc()
+            return (E + self.beta(resonance_hz) * K).tocsc()
+        omega = 2 * math.pi * (self.at or resonance_hz)
         for part, quality in zip(parts, qualities, strict=True):
             E = E + part / (quality * omega)
         return E.tocsc()
