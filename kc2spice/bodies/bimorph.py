@@ -23,7 +23,7 @@ those below to stretch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -33,10 +33,11 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.damping import Damping
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
+from kc2spice.core.schema import validated
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import LinearModel, Port
@@ -44,6 +45,7 @@ from kc2spice.rom.linear import LinearModel, Port
 Mass: TypeAlias = Annotated[float, si("kg")]
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
 GRADING = 1.6
+HERE = Path()
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -94,12 +96,16 @@ class _Wires:
     poling: dict[int, float]  # of each piezoelectric layer, +1 is up
 
 
-def build(keys: Bimorph, home: Path, *, refine: int = 1) -> LinearModel:
+def build(
+    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
+) -> LinearModel:
     """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine).model
+    return device(keys, home, refine=refine, where=where).model
 
 
-def device(keys: Bimorph, home: Path, *, refine: int = 1) -> Device:
+def device(
+    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
+) -> Device:
     """Mesh the layers and assemble; ``refine`` divides edges in the plane, and every second one
     through the thickness, where a quadratic element holds all that plates do.
 
@@ -107,8 +113,9 @@ def device(keys: Bimorph, home: Path, *, refine: int = 1) -> Device:
     ------
     UsageError : a material that does not exist, wiring without a piezoelectric layer.
     """
+    keys = validated(Bimorph, keys, where)
     materials = [
-        material(layer.material, f"layers[{number}].material")
+        material(layer.material, f"{where}.layers[{number}].material")
         for number, layer in enumerate(keys.layers)
     ]
     heights = np.concatenate([[0.0], np.cumsum([layer.thickness for layer in keys.layers])])

@@ -22,6 +22,7 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -29,7 +30,6 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.damping import Damping
 from kc2spice.bodies.device import (
     Device,
     RigidFace,
@@ -39,8 +39,10 @@ from kc2spice.bodies.device import (
     node_shares,
     spread,
 )
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section
+from kc2spice.core.schema import validated
 from kc2spice.core.units import quantity
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, read_mesh
@@ -51,6 +53,7 @@ Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+HERE = Path()
 _REFERENCES = ("cathode", "gnd", "ground")
 _KINDS = ("elements", "faces", "curves", "points")
 
@@ -163,12 +166,16 @@ class Body(Section):
         return self
 
 
-def build(keys: Body, home: Path, *, refine: int = 1) -> LinearModel:
+def build(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> LinearModel:
     """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine).model
+    return device(keys, home, refine=refine, where=where).model
 
 
-def device(keys: Body, home: Path, *, refine: int = 1) -> Device:
+def device(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> Device:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
     ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are
@@ -180,6 +187,7 @@ def device(keys: Body, home: Path, *, refine: int = 1) -> Device:
         dimension, or used twice; elements without material; an electrode on a material that is
         not piezoelectric.
     """
+    keys = validated(Body, keys, where)
     found = read_mesh(
         home / keys.mesh,
         unit=quantity(f"1 {keys.unit}", "m", where="unit"),

@@ -21,7 +21,7 @@ from scipy import sparse
 from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.solid import Solid, assemble, element
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
@@ -130,13 +130,14 @@ def make_device(solid: Solid, setup: Setup) -> Device:
 def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
     """Rayleigh damping, or of each material's elastic stiffness by its quality."""
     facts = model.facts
-    first = facts.get("resonance_short_hz", facts.get("resonance_hz"))
-    omega = 2 * np.pi * (damping.at or first or 0.0)
-    if not omega and (damping.zeta or damping.per_material):
+    first = damping.at or facts.get("resonance_short_hz", facts.get("resonance_hz"))
+    if first is None and (damping.zeta or damping.per_material):
         raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
     if not damping.per_material:
-        beta = 2 * damping.zeta / omega if damping.zeta else 0.0
+        beta = damping.beta(first) if damping.zeta and first else 0.0
         return replace(model, E=None, rayleigh=(damping.alpha, beta))
+    assert first is not None
+    omega = 2 * np.pi * first
     E = damping.alpha * model.M
     for number, material in enumerate(solid.materials):
         if material.quality is None:

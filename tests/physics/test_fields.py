@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.damping import Damping
+from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import Setup, Shape, make_device, mean
 from kc2spice.bodies.fields import Probe, extremes, principal
 from kc2spice.bodies.recover import recover
