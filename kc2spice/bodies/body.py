@@ -22,7 +22,8 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -188,17 +189,28 @@ def device(
         not piezoelectric.
     """
     keys = validated(Body, keys, where)
-    found = read_mesh(
-        home / keys.mesh,
-        unit=quantity(f"1 {keys.unit}", "m", where="unit"),
-        size=None if keys.size is None else keys.size / refine,
-        picks={name: group.pick() for name, group in keys.groups.items()},
-        dimension=2 if keys.axisymmetric else 3,
-        splits=0 if keys.size else int(np.ceil(np.log2(refine))),
-    )
-    groups = _Groups(found, keys)
-    solid = _solid(keys, groups)
-    return make_device(solid, _setup(keys, groups, solid))
+    with _part(where):
+        found = read_mesh(
+            home / keys.mesh,
+            unit=quantity(f"1 {keys.unit}", "m", where="unit"),
+            size=None if keys.size is None else keys.size / refine,
+            picks={name: group.pick() for name, group in keys.groups.items()},
+            dimension=2 if keys.axisymmetric else 3,
+            splits=0 if keys.size else int(np.ceil(np.log2(refine))),
+        )
+        groups = _Groups(found, keys)
+        solid = _solid(keys, groups)
+        return make_device(solid, _setup(keys, groups, solid))
+
+
+@contextmanager
+def _part(where: str) -> Iterator[None]:
+    """Errors within say which part they are about."""
+    try:
+        yield
+    except UsageError as error:
+        error.where = where if error.where is None else f"{where}: {error.where}"
+        raise
 
 
 class _Groups:

@@ -246,7 +246,7 @@ def test_group_of_two_materials_is_named(tmp_path):
     write(tmp_path / "beam.msh", draw, size=3)
     with pytest.raises(UsageError, match="two materials") as error:
         build(keys(materials={"all": "steel", "layer1": "PZT-5A"}), tmp_path)
-    assert error.value.where == "materials.layer1"
+    assert error.value.where == "body: materials.layer1"
 
 
 def test_script_that_calls_itself_a_mesh_is_not_run(tmp_path):
@@ -264,7 +264,7 @@ def test_pick_that_misses_names_its_point(tmp_path):
     }  # fmt: skip
     with pytest.raises(UsageError, match="no face contains") as error:
         build(Body.model_validate(table), tmp_path)
-    assert error.value.where == "groups.foot.at"
+    assert error.value.where == "body: groups.foot.at"
 
 
 @pytest.mark.parametrize(("changes", "message"), [

@@ -7,9 +7,9 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import Setup, Shape, make_device, mean
 from kc2spice.bodies.fields import Probe, extremes, principal
+from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.recover import recover
 from kc2spice.bodies.vtu import write_vtu
 from kc2spice.core.errors import UsageError

@@ -6,8 +6,8 @@ from scipy.constants import epsilon_0
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import RigidFace, Setup, Shape, make_device, mean
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble
