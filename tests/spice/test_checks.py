@@ -1,32 +1,37 @@
-"""Truth checks pass on a good run and see runs that are wrong in silence."""
+"""Physics checks pass on a good run and see runs that are wrong in silence."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from device import built, deck_of
 from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.parts.bench import loop_deck
-from kc2spice.scene.limits import Checks
-from kc2spice.scene.schema import Contact, Control, Kick, Solver
-from kc2spice.sim.chip import chip_response
+from kc2spice.parts.modalstep import chip_response
+from kc2spice.scene.judge import require
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.truth import find_truth, require
+from kc2spice.workflow.judge import verdict
 
+BALANCES = {"sphere", "contact", "kick"}
 ALL = {
-    "table_left", "outer_ring", "work", "contact", "chip", "penetration", "touches", "saturation",
+    "table_left", "outer_ring", "penetration", "touches", "saturation",
+    "kick_drive drives as defined", "control_enable drives as defined",
+    *(f"energy of {part}" for part in BALANCES),
 }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def waves(scene, header, model, radii, table, tmp_path_factory):
-    deck = loop_deck(scene, header, model, radii, table)
-    return run_deck(deck, tmp_path_factory.mktemp("truth"))
+def waves(scene, model, table, tmp_path_factory):
+    return run_deck(deck_of(scene, model, table), tmp_path_factory.mktemp("checks"))
+
+
+def judged(waves, scene, table, model):
+    return verdict(waves, built(scene, model, table))
 
 
 def violated(waves, scene, table, model):
-    return [c.name for c in find_truth(waves, scene, table, model).checks if not c.passed]
+    return [c.name for c in judged(waves, scene, table, model).checks if not c.passed]
 
 
 def changed(waves, **data):
@@ -34,23 +39,23 @@ def changed(waves, **data):
 
 
 def test_good_run_passes(waves, scene, table, model):
-    truth = find_truth(waves, scene, table, model)
-    require(truth.checks, "here")
-    value = {c.name: c.value for c in truth.checks}
+    found = judged(waves, scene, table, model)
+    require(found.checks, "here")
+    value = {c.name: c.value for c in found.checks}
     assert set(value) == ALL
-    assert all(c.passed for c in truth.checks)
-    assert value["work"] < 2e-5
-    assert value["contact"] < 1e-4
+    assert all(c.passed for c in found.checks)
+    assert value["energy of sphere"] < 2e-5
+    assert value["energy of contact"] < 1e-4
 
 
-def test_books_add_up(waves, scene, table, model):
-    """The sphere's book against its height and speed, the chip's against its own signs."""
-    books = dict(find_truth(waves, scene, table, model).books)
-    mass, y, v = scene.sphere.mass, waves["sphere.y"], waves["sphere.v"]
-    work = books["work"].entries
+def test_balances_add_up(waves, scene, table, model):
+    """The sphere's balance against its height and speed, the chip's against its own signs."""
+    books = dict(judged(waves, scene, table, model).balances)
+    mass, y, v = scene.parts["sphere"].keys.mass, waves["sphere.y"], waves["sphere.v"]
+    work = books["sphere"].entries
     assert work["work of the weight"] == pytest.approx(-mass * 9.81 * (y[-1] - y[0]), rel=1e-3)
     assert work["kinetic"] == pytest.approx(mass * (v[-1] ** 2 - v[0] ** 2) / 2, abs=1e-15)
-    chip = books["chip"].entries
+    chip = books["kick"].entries
     assert chip["damped"] > 0
     taken = chip["electrical work"] + chip["work of the contact"]
     assert taken == pytest.approx(chip["stored"] + chip["damped"], rel=0.05)
@@ -68,7 +73,7 @@ def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, tabl
     for reltol, passed in ((1e-4, True), (1e-3, False)):
         rattling = dataclasses.replace(waves, data=data, stats={**waves.stats, "reltol": reltol})
         (check,) = (
-            c for c in find_truth(rattling, scene, table, model).checks if c.name == "touches"
+            c for c in judged(rattling, scene, table, model).checks if c.name == "touches"
         )
         assert check.value == pytest.approx(30, abs=1)
         assert (check.passed, check.coarse) == (passed, True)
@@ -76,7 +81,7 @@ def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, tabl
 
 def test_energy_from_nowhere_is_seen(waves, scene, table, model):
     faster = waves["sphere.v"] + np.linspace(0, 0.05, waves["time"].size)
-    assert "work" in violated(changed(waves, **{"sphere.v": faster}), scene, table, model)
+    assert "energy of sphere" in violated(changed(waves, **{"sphere.v": faster}), scene, table, model)
 
 
 def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
@@ -84,62 +89,57 @@ def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
     y = waves["sphere.y"]
     moving = 1e-7 * (np.gradient(waves["kick.u.R0"] - y, waves["time"]) < 0)
     found = violated(changed(waves, **{"sphere.y": y - moving}), scene, table, model)
-    assert "contact" in found
+    assert "energy of contact" in found
 
 
 def test_a_current_that_does_not_fit_the_chip_is_seen(waves, scene, table, model):
     more = changed(waves, **{"kick.current": 1.3 * waves["kick.current"]})
-    assert violated(more, scene, table, model) == ["chip"]
+    assert violated(more, scene, table, model) == ["energy of kick"]
 
 
 def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
     wide = changed(waves, **{"contact.force.R5": np.full_like(waves["time"], 0.1)})
     with pytest.raises(SimulationError, match="outer_ring"):
-        require(find_truth(wide, scene, table, model).checks, "here")
+        require(judged(wide, scene, table, model).checks, "here")
 
 
-def test_a_soft_penalty_is_seen(waves, scene, table, model):
+def test_a_soft_penalty_is_seen(waves, varied, table, model):
     """The same forces at a penalty of a thousandth mean a thousand times the penetration."""
-    soft = scene.model_copy(update={"contact": Contact(penalty=1e5)})
+    soft = varied(**{"contact.penalty": 1e5})
     assert "penetration" in violated(waves, soft, table, model)
 
 
-def test_a_controller_at_its_limit_is_seen(waves, scene, table, model):
-    weak = scene.model_copy(update={"control": Control(current_limit=1e-6, enable_at=0.0)})
+def test_a_controller_at_its_limit_is_seen(waves, varied, table, model):
+    weak = varied(**{"control.current_limit": 1e-6, "control.enable_at": 0.0})
     always = changed(waves, **{"coil.upper.current": np.full_like(waves["time"], 1e-6)})
     assert "saturation" in violated(always, weak, table, model)
 
 
 @pytest.mark.parametrize(("action", "fails"), [("fail", True), ("warn", False), ("off", False)])
-def test_a_key_says_what_a_violation_does(action, fails, waves, scene, table, model):
-    free = scene.model_copy(update={"checks": Checks(energy=action)})
+def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, model):
+    free = varied(**{"checks.energy": action})
     bad = changed(waves, **{"kick.current": 2 * waves["kick.current"]})
-    checks = find_truth(bad, free, table, model).checks
+    checks = judged(bad, free, table, model).checks
     assert any(c.fatal for c in checks) == fails
-    assert ("chip" in {c.name for c in checks}) == (action != "off")
+    assert ("energy of kick" in {c.name for c in checks}) == (action != "off")
 
 
-def test_sphere_beyond_the_table_is_seen(scene, header, model, radii, table, tmp_path):
-    kick = Kick.model_validate({"drive": {"voltage": 100.0}})  # too much for the made-up device
-    hard = scene.model_copy(update={"kick": kick, "control": None, "solver": Solver(stop=6e-3)})
-    waves = run_deck(loop_deck(hard, header, model, radii, table), tmp_path)
-    truth = find_truth(waves, hard, table, model)
-    assert [c.name for c in truth.checks if c.fatal] == ["table_left"]
-    assert "work" not in {c.name for c in truth.checks}
+def test_sphere_beyond_the_table_is_seen(varied, model, table, tmp_path):
+    keys = {"kick.drive.voltage": 100.0, "solver.stop": 6e-3}  # too much for the made-up device
+    hard = varied({"control": None}, **keys)
+    waves = run_deck(deck_of(hard, model, table), tmp_path)
+    found = judged(waves, hard, table, model)
+    assert [c.name for c in found.checks if c.fatal] == ["table_left"]
+    assert "energy of sphere" not in {c.name for c in found.checks}
 
 
 @pytest.mark.parametrize("kept", [1, 2, 3])
-def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, scene, table, model):
+def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, varied, table, model):
     """The same waveforms, as a run without the outer rings would leave them: R1 closes in them."""
-    chip = dataclasses.replace(
-        model,
-        gain=np.delete(model.gain, range(kept, 6), axis=1),
-        D=model.D[[*range(kept), 6]][:, [*range(kept), 6]],
-        ports=(*model.ports[:kept], model.ports[-1]),
-    )
+    fewer = varied(**{"contact.rings": kept})
     closed = [waves[f"contact.force.R{k}"].max() > 0 for k in range(6)]
     assert closed == [True, True, False, False, False, False]
-    found = find_truth(waves, scene, table, chip).checks
+    found = judged(waves, fewer, table, model).checks
     (check,) = (c for c in found if c.name == "ring_left_out")
     assert check.passed is not closed[kept]
     if closed[kept]:
@@ -147,13 +147,11 @@ def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, sce
             require((check,), "here")
 
 
-def test_steps_too_coarse_for_the_contact_are_seen(scene, header, model, radii, table, tmp_path):
+def test_steps_too_coarse_for_the_contact_are_seen(varied, model, table, tmp_path):
     """Tolerances at which ngspice ends without a word, with a wrong launch."""
-    coarse = scene.model_copy(update={"solver": Solver(reltol=0.1, max_step=1e-4)})
-    deck = loop_deck(coarse, header, model, radii, table)
-    main = deck.files[deck.main].replace("trtol=1\n", "trtol=7\n")
-    sloppy = dataclasses.replace(deck, files=deck.files | {deck.main: main})
-    found = find_truth(run_deck(sloppy, tmp_path), coarse, table, model)
+    coarse = varied(**{"solver.reltol": 0.1, "solver.max_step": 1e-4})
+    sloppy = deck_of(coarse, model, table).with_options({"trtol": "7"}, "sloppy")
+    found = judged(run_deck(sloppy, tmp_path), coarse, table, model)
     assert any(c.fatal and c.coarse for c in found.checks)
 
 
