@@ -18,10 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.linalg.factor import Solver
+from kc2spice.linalg.factor import Solver, inverses
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel
@@ -86,6 +87,8 @@ def reduce(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
     band = float(band[0]), float(band[1])
+    if solver != "scipy":  # a library that is missing is said before anything else fails
+        inverses(sparse.eye_array(2, format="csc"), symmetric=True, solver=solver)
     require_memory(pencil, solver)
     if order is not None and is_definite(pencil, solver):
         return _krylov(model, pencil, band, order)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.bodies.piezo_stack import piezo_stack, ring_radii
 from kc2spice.parts.bench import loop_deck
-from kc2spice.rom.modal import resonators, whole_device
-from kc2spice.rom.reduce import reduce_kick
-from kc2spice.scene.schema import Contact, Kick, Rom, Solver
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.reduce import reduce
+from kc2spice.scene.schema import Contact, Kick, Solver
 from kc2spice.sim.failure import belongs_to
 from kc2spice.sim.ladder import LadderError, climb
 from kc2spice.sim.ngspice import run_deck
@@ -30,8 +30,8 @@ def deck(cards, stop=1e-3):
 @pytest.fixture(scope="module")
 def stiff(scene, header, table, tmp_path_factory):
     """A stiff contact without the breakpoints that keep its pivots: the first loop that fails."""
-    system = assemble_kick(Kick())
-    chip = whole_device(resonators(reduce_kick(system, Rom())), system.sectors)
+    device = piezo_stack(Kick())
+    chip = resonators(reduce(device, order=30, band=(0.0, 500e3)))
     for voltage, edge in ((120, 2e-8), (140, 2e-7), (160, 1e-7)):
         varied = scene.model_copy(
             update={
@@ -40,7 +40,7 @@ def stiff(scene, header, table, tmp_path_factory):
                 "solver": Solver(stop=0.51e-3),
             }
         )
-        deck = loop_deck(varied, header, chip, system.ring_radii, table)
+        deck = loop_deck(varied, header, chip, ring_radii(Kick()), table)
         kick = re.sub(r"(?m)^[VR]tick .*\n", "", deck.files["kick.lib"])
         sick = dataclasses.replace(deck, files=deck.files | {"kick.lib": kick})
         try:
