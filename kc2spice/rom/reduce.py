@@ -245,12 +245,12 @@ def ordered(
         rest = pencil.coefficients[0].copy()
         rest[: first.shape[1]] = rest[:, : first.shape[1]] = 0.0
         pencil = replace(pencil, coefficients=(rest, *pencil.coefficients[1:]))
-    response = Response(pencil)
-    points = telling(Response(space.pencil), band, space.static)
+    whole = Response(space.pencil)  # the same response, in coordinates that may decouple
+    points = telling(whole, band, space.static)
     s = 2j * np.pi * points
     kept = first.shape[1] if conservative else 0
     return Reduction(
-        model, pencil, space, band, kept, points, response.transfer(s), response.cancelled(s)
+        model, pencil, space, band, kept, points, whole.transfer(s), whole.cancelled(s)
     )
 
 

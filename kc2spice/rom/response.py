@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
 
+from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Pencil
 
 # Errors of entries this far below their own peak are measured against this part of the peak.
@@ -24,23 +26,30 @@ GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 4
 
 
-class Response:
-    """A dense pencil with its decoupled coordinates, where it has such.
+FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
+REPRODUCED = 1e-11
+Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
-    ``modes`` is None, or ``(T, coefficients)``: the congruence with T turns every coefficient of
-    the symmetric pencil into the diagonal given as one array (n,).
+
+class Response:
+    """A dense pencil with coordinates in which it is diagonal, where it has such.
+
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``decoupled`` says that T is a real congruence (``L = T'``).
     """
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
         self.modes = _decoupled(pencil)
+        self.decoupled = self.modes is not None
+        if self.modes is None and FEW < pencil.size <= MANY:
+            self.modes = _eigenvectors(pencil)
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
         if self.modes is None:
             return self.pencil.states(s)
-        T = self.modes[0]
-        return np.asarray(T @ self._modal(s))
+        return np.asarray(self.modes[0] @ self._modal(s))
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
@@ -50,26 +59,29 @@ class Response:
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
         """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
+        s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
         terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
         return np.asarray(size <= CANCELLED * terms)
 
     def _modal(self, s: np.ndarray) -> np.ndarray:
-        T, diagonals = self.modes  # type: ignore[misc]
+        _, L, diagonals = self.modes  # type: ignore[misc]
         s = np.asarray(s, dtype=complex)[:, None]
         return (1 / sum(s**k * d for k, d in enumerate(diagonals)))[:, :, None] * (
-            T.T @ self.pencil.B
+            L @ self.pencil.B
         )
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
-        if self.modes is None or self.pencil.degree == 1:
-            found = self.pencil.poles() if self.modes is None else np.empty(0)
+        if not self.decoupled or self.pencil.degree == 1:
+            found = np.empty(0)
+            if not self.decoupled:
+                found = self.pencil.poles() if self.modes is None else -self.modes[2][0]
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
-        k, e, m = self.modes[1]
+        k, e, m = self.modes[2]  # type: ignore[index]
         oscillating = (k > 0) & (m > 0) & (e**2 < 4 * k * m)
         k, e, m = k[oscillating], e[oscillating], m[oscillating]
         omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
@@ -82,7 +94,33 @@ class Response:
         return frequency[inside], ratio[inside]
 
 
-def _decoupled(pencil: Pencil) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+def _eigenvectors(pencil: Pencil) -> Modes | None:
+    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
+    n, inertia = pencil.size, pencil.coefficients[-1]
+    try:
+        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
+        A, drive = -inner[:, :n], inner[:, n:]
+        if pencil.degree == 2:
+            A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
+            drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
+        values, X = np.linalg.eig(A)
+        modes = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
+    except np.linalg.LinAlgError:
+        return None
+    found = Response.__new__(Response)
+    found.pencil, found.modes, found.decoupled = pencil, modes, False
+    size = np.abs(values)
+    top = float(np.median(size)) or 1.0
+    s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * top
+    try:
+        exact = pencil.states(s)
+    except SimulationError:
+        return None
+    error = np.abs(found.states(s) - exact).max(axis=1) / np.abs(exact).max(axis=1)
+    return modes if np.isfinite(error).all() and error.max() < REPRODUCED else None
+
+
+def _decoupled(pencil: Pencil) -> Modes | None:
     """Solved as ``M phi = mu K phi`` where K is definite: it is the better conditioned of the two."""
     if not pencil.symmetric or not pencil.size:
         return None
@@ -97,14 +135,14 @@ def _decoupled(pencil: Pencil) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | No
             return None
         ends = k, np.ones(pencil.size)
     if pencil.degree == 1:
-        return T, ends
+        return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
     scale = np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     scale += 1e-3 * COUPLING * np.abs(damping).max(initial=0.0)
     if (np.abs(damping - np.diag(diagonal)) > COUPLING * scale).any():
         return None
-    return T, (ends[0], diagonal, ends[1])
+    return T, T.T, (ends[0], diagonal, ends[1])
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
