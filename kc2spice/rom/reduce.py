@@ -157,12 +157,10 @@ class Reduction:
 
     def error(self, order: int) -> float:
         """Estimated largest relative error of any transfer function over the band."""
-        own = self.space.error
-        if order < self.size:
-            found = Response(self.pencil.leading(order)).transfer(2j * np.pi * self.frequency)
-            found[:, self.cancelled] = self.reference[:, self.cancelled]
-            own += SAFETY * relative_error(found, self.reference)
-        return max(own, ROUNDING)
+        found = Response(self.pencil.leading(order)).transfer(2j * np.pi * self.frequency)
+        found[:, self.cancelled] = self.reference[:, self.cancelled]
+        error = self.space.error + SAFETY * relative_error(found, self.reference)
+        return max(error, ROUNDING)
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
@@ -311,16 +309,21 @@ def _rigid(pencil: Pencil, rounding: float) -> np.ndarray:
 
 def _directions(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Orthonormal directions: ``first``, then the principal ones of all others."""
-    size = np.linalg.norm(columns, axis=0).max(initial=0.0)
     for _ in range(2):
         columns = columns - first @ (first.T @ columns)
-    return np.hstack([first, _range(columns, size)])
+    both = np.hstack([first, _principal(columns)[0]])
+    return np.asarray(np.linalg.qr(both)[0])
 
 
-def _range(columns: np.ndarray, unit: float | None = None) -> np.ndarray:
-    """Principal directions of the columns, those beyond rounding of ``unit`` (the largest)."""
+def _range(columns: np.ndarray) -> np.ndarray:
+    """Principal directions of the columns, those beyond rounding of the largest."""
+    U, size = _principal(columns)
+    return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
+
+
+def _principal(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Left singular vectors and values."""
     if columns.shape[1] > 2 * columns.shape[0]:  # a thinner matrix of the same directions
         columns = np.linalg.qr(columns.T, mode="r").T
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
-    scale = size.max(initial=0.0) if unit is None else unit
-    return np.asarray(U[:, size > RANK * max(scale, np.finfo(float).tiny)])
+    return U, size
