@@ -90,7 +90,7 @@ def _refuse_halves(found: dict[str, Matrix], where: str) -> None:
     of that form may be a model's own."""
     square = [letter for letter in ("M", "E", "K", "A") if letter in found]
     halves = [k for k in square if half_stored(found[k])]
-    if halves and ("K" in halves or "A" in found and len(halves) == len(square)):
+    if halves and ("K" in halves or ("A" in found and len(halves) == len(square))):
         raise UsageError(
             "only one triangle of a matrix is stored", where=where, got=", ".join(halves),
             expected="whole matrices, or files that say 'symmetric'",

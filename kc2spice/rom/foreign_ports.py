@@ -100,7 +100,8 @@ class PortTable:
         if len(entries) != model.B.shape[1]:
             raise self._unfit(f"{len(entries)} ports", model.B.shape[1], model.C.shape[0])
         return replace(
-            model, ports=tuple(Port(e.name, e.kind, pins=e.pins) for e in entries)  # type: ignore[arg-type]
+            model,
+            ports=tuple(Port(e.name, e.kind, pins=e.pins) for e in entries),  # type: ignore[arg-type]
         )
 
     def _unfit(self, got: str, m: int, p: int) -> UsageError:

@@ -154,7 +154,7 @@ class LinearModel:
             zero = sparse.csc_array((n, n)) if not first else sparse.eye_array(n, format="csc")
             whole = self.A if first else self.K
             put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
-        elif self.E is not None and self.rayleigh is not None or (first and self.rayleigh):
+        elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
             raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
         shapes = {"M": (n, n), "E": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
         for letter, shape in shapes.items():

@@ -50,7 +50,7 @@ class Schur:
         return factor(self.pp, symmetric=same(self.pp, self.pp.T))
 
     @cached_property
-    def T(self) -> Schur:  # noqa: N802 (numpy's name)
+    def T(self) -> Schur:
         """Transpose."""
         return Schur(*(sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
 
@@ -82,7 +82,7 @@ class Sum:
         return self.terms[0][1].shape
 
     @property
-    def T(self) -> Sum:  # noqa: N802
+    def T(self) -> Sum:
         """Transpose."""
         return Sum(tuple((c, P.T) for c, P in self.terms))
 

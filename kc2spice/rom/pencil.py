@@ -12,7 +12,16 @@ from scipy.linalg import eigvals
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, Solver, factorise
 from kc2spice.rom.operators import (
-    Matrix, Schur, Sum, congruence, dense, factor, largest, same, symmetric, two_sided,
+    Matrix,
+    Schur,
+    Sum,
+    congruence,
+    dense,
+    factor,
+    largest,
+    same,
+    symmetric,
+    two_sided,
 )  # fmt: skip
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
@@ -262,23 +271,23 @@ def eliminated(pencil: Pencil) -> Pencil:
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
         return pencil
-    used = sum(
-        np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1)
-    )
+    used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
     free = np.asarray(used) == 0
     if not free.any() or free.all():
         return pencil
     keep, p = np.flatnonzero(~free), np.flatnonzero(free)
     rest = sparse.csc_array(rest)
-    blocks = [sparse.csc_array(rest[i][:, j]) for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))]
+    blocks = [
+        sparse.csc_array(rest[i][:, j]) for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))
+    ]
     schur = Schur(*blocks)
     if not blocks[3].nnz:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        back = factor(
-            sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)
-        ).solve(pencil.C[:, p].T)
+        back = factor(sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)).solve(
+            pencil.C[:, p].T
+        )
     except SimulationError:
         return pencil
     B = pencil.B[keep] - schur.up @ lift

@@ -24,6 +24,7 @@ FLANK = 1e-4
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 4
+PEAKS, PEAK_ROUNDS = 12, 3
 
 
 FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
@@ -209,6 +210,40 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
         order = np.argsort(frequency)
         frequency, size = frequency[order], size[order]
     return frequency
+
+
+def largest_error(
+    found: Response, exact: Response, frequency: np.ndarray, band: tuple[float, float]
+) -> float:
+    """:func:`relative_error` over the band: at ``frequency`` [Hz], then closer and closer around
+    where it is largest. Entries of ``exact`` that are zero but for rounding do not count."""
+    s = 2j * np.pi * frequency
+    reference = exact.transfer(s)
+    counted = ~exact.cancelled(s)
+    floor = FLOOR * np.abs(reference).max(axis=0)
+
+    def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
+        difference = np.abs(found.transfer(2j * np.pi * points) - H)
+        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+        return np.asarray((difference / base * counted).max(axis=(1, 2)))
+
+    at, ratio = exact.within((0.9 * band[0], 1.1 * band[1]))
+    error = sizes(frequency, reference)
+    for _ in range(PEAK_ROUNDS):
+        inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
+        top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
+        low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
+        spans = [
+            np.linspace(frequency[i], frequency[j], ZOOM) for i, j in zip(low, high, strict=True)
+        ]
+        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+        if not new.size:
+            break
+        error = np.r_[error, sizes(new, exact.transfer(2j * np.pi * new))]
+        frequency = np.r_[frequency, new]
+        order = np.argsort(frequency)
+        frequency, error = frequency[order], error[order]
+    return float(error.max())
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:

@@ -25,7 +25,14 @@ from kc2spice.rom.krylov import DEFLATION, extend
 from kc2spice.rom.operators import Schur
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
-    FLOOR, FLANK, GRID, Response, around, clear_of_poles, grid, relative_size,
+    FLANK,
+    FLOOR,
+    GRID,
+    Response,
+    around,
+    clear_of_poles,
+    grid,
+    relative_size,
 )  # fmt: skip
 
 WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
@@ -89,7 +96,7 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
 def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
     """All of a small model; None where its response would take too long to evaluate."""
     response = Response(full)
-    if not response.decoupled and (full.size > WHOLE or response.modes is None and full.size > 150):
+    if not response.decoupled and (full.size > WHOLE or (response.modes is None and full.size > 150)):
         return None
     sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
     eps = np.finfo(float).eps
@@ -278,7 +285,9 @@ class _Search:
 
     def _candidates(self) -> np.ndarray:
         at, ratio = self.response.within(self.band)
-        points = np.union1d(grid(self.band, CANDIDATES, self.static), around(at, ratio, np.zeros(1)))
+        points = np.union1d(
+            grid(self.band, CANDIDATES, self.static), around(at, ratio, np.zeros(1))
+        )
         points = points[(points >= self.band[0]) & (points <= self.band[1])]
         return clear_of_poles(points, at, ratio)
 

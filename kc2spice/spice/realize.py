@@ -142,14 +142,13 @@ def _terminals(ports: Sequence[Port], D: np.ndarray, where: str) -> list[_Termin
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
         tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        found.append(
-            _Terminal(port.kind, checked_name(port.name), pins, tag, into, out, clamped)
-        )
+        found.append(_Terminal(port.kind, checked_name(port.name), pins, tag, into, out, clamped))
     return found
 
 
 def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin, ...], str]:
     """Electrical pairs, other conservative pins and the base; signals as they come, before ref."""
+
     def of(kinds: tuple[str, ...]) -> list[Pin]:
         return [
             Pin(pin, port.across, "-" if kinds[0] == "input" else port.flow)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.linalg import eigvals
 
-from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
@@ -52,7 +51,14 @@ def fine(matrices, band):
     offsets = np.r_[0.0, 0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
     near = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-offsets, offsets]).ravel()
     every = np.union1d(near, np.linspace(*band, 150))
-    return every[(every >= band[0]) & (every <= band[1])]
+    every = every[(every >= band[0]) & (every <= band[1])]
+    for _ in range(3):  # into the notches, where relative errors are largest
+        size = np.abs(direct(matrices, every)).reshape(len(every), -1)
+        lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
+        at = np.flatnonzero(lowest.any(axis=1))
+        spans = [np.linspace(every[k], every[k + 2], 6) for k in at]
+        every = np.unique(np.concatenate([every, *spans]))
+    return every
 
 
 def check(seed):
@@ -65,8 +71,9 @@ def check(seed):
     base = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
     error = float((np.abs(found - exact) / base).max())
     estimate = rom.certificate.error_estimate
-    assert error <= estimate <= tolerance, (seed, error, estimate, tolerance)
     # Rounding of either solution is no error of the reduction.
+    assert error <= estimate + 1e-9, (seed, error, estimate)
+    assert estimate <= tolerance, (seed, estimate, tolerance)
     assert estimate <= 3 * error + 1e-9, (seed, error, estimate)
 
 

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
-from kc2spice.core.errors import SimulationError
 from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_forces, contact_surface, sphere_gap
 from kc2spice.fem.piezo.harmonic import harmonic
@@ -17,7 +17,7 @@ from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
 from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
-from kc2spice.scene.schema import Contact, Drive, Kick, Rom, Sphere
+from kc2spice.scene.schema import Contact, Drive, Kick, Sphere
 from kc2spice.workflow.verify.surrogate import surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from kc2spice.core.errors import UsageError
 from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient

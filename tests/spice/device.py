@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.linear import Port
-from kc2spice.rom.linear import Certificate
+from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 
 RADII = 50e-6 * np.arange(6)

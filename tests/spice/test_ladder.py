@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.core.errors import SimulationError
 from kc2spice.bodies.piezo_stack import piezo_stack, ring_radii
+from kc2spice.core.errors import SimulationError
 from kc2spice.parts.bench import loop_deck
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce

@@ -6,8 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.bodies.piezo_stack import piezo_stack, ring_radii
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.reference.loop import impact, kick_and_catch

@@ -14,10 +14,10 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.harmonic import harmonic as full_harmonic
 from kc2spice.fem.piezo.statics import Electrical, ImprintResult, imprint, imprint_refactorised
-from kc2spice.rom.linear import Port
 from kc2spice.reference.statics import spectra
 from kc2spice.report.metrics import metrics
 from kc2spice.report.verdict import Check, Findings, OutputError, Road
+from kc2spice.rom.linear import Port
 from kc2spice.rom.response import FLOOR, relative_error
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene

@@ -7,9 +7,9 @@ from typing import Any
 
 from kc2spice.core.progress import Clock
 from kc2spice.report.html import Section, quantity
-from kc2spice.workflow.verify.meshstudy import VARIANTS, MeshPoint, mesh_study
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Impact, Scene
+from kc2spice.workflow.verify.meshstudy import VARIANTS, MeshPoint, mesh_study
 
 DEPTH = 20e-6  # m, of the imprint: three rings carry
 # Free potentials make the factors of these two some twenty times more expensive.

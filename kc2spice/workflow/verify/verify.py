@@ -18,7 +18,6 @@ from kc2spice.report.plots import Picture
 from kc2spice.report.verdict import Check, Findings
 from kc2spice.report.verify_figures import poles_figure, steps_figure
 from kc2spice.report.verify_page import write_verify
-from kc2spice.workflow.verify.meshstudy import MeshPoint
 from kc2spice.rom.naive import naive_poles
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import find_ngspice
@@ -28,6 +27,7 @@ from kc2spice.workflow.verify.emforce import verify_em_force
 from kc2spice.workflow.verify.fullmodel import full_system
 from kc2spice.workflow.verify.linear import verify_harmonic, verify_imprint
 from kc2spice.workflow.verify.meshes import compare_meshes, mesh_records, mesh_section
+from kc2spice.workflow.verify.meshstudy import MeshPoint
 from kc2spice.workflow.verify.steps import step_records, step_section
 from kc2spice.workflow.verify.transients import verify_impact, verify_loop
 
