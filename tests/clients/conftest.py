@@ -65,3 +65,9 @@ def run():
         return done.stdout + done.stderr
 
     return execute
+
+
+@pytest.fixture(scope="session")
+def model():
+    """The made-up chip."""
+    return device.chip()
