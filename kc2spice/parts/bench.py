@@ -213,9 +213,13 @@ def contact(
     scene: Scene, header: Header, rings: tuple[str, ...], ring_radii: np.ndarray
 ) -> Subcircuit:
     """Contact of the scene's sphere with whole rings."""
-    gaps = ring_gaps(ring_radii, need(scene.sphere, "sphere").radius)
+    radius = need(scene.sphere, "sphere").radius
     return contact_subcircuit(
-        header, rings, gaps, QUARTERS * need(scene.contact, "contact").penalty
+        header,
+        rings,
+        ring_gaps(ring_radii, radius),
+        QUARTERS * need(scene.contact, "contact").penalty,
+        under=(radius, ring_radii),
     )
 
 

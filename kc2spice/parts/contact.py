@@ -26,10 +26,13 @@ def contact_subcircuit(
     eps: float,
     *,
     name: str = "contact",
+    under: tuple[float, np.ndarray] | None = None,
 ) -> Subcircuit:
     """The law of :func:`contact_force` between ring pins, the sphere's ``v`` and its ``bottom``.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring.
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
+    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and those of the subcircuit are added to them.
     """
     pins = (
         *(Pin(ring, "um", "N") for ring in rings),
@@ -37,10 +40,16 @@ def contact_subcircuit(
         Pin("bottom", "um", "-"),
         Pin("base", "um", "N"),
     )
+    radii = () if under is None else under[1][: len(rings)]
+    sphere = [] if under is None else [
+        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
+    ]  # fmt: skip
+    doc = "gap at {} when the sphere touches" if under is None else "added to the gap at {}"
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        Param("eps", eps, "N/m", "contact penalty of a whole ring", 0.0),
+        *sphere,
         *(
-            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when the sphere touches")
+            Param(f"gap_{ring}", 0.0 if under else float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
     )
@@ -51,5 +60,6 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        squares=[float(r) ** 2 for r in radii],
     )
     return Subcircuit(name, pins, params, text)

@@ -11,7 +11,7 @@ from kc2spice.spice.circuit import Deck, Subcircuit
 from kc2spice.spice.statements import statements
 
 _NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_])")
-_ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|@)")
+_ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|sign:|validity:|rating:|@)")
 _HASH = re.compile(r"(?m)^\* scene: .*\bhash=(\S+)")
 _CARD = re.compile(r"(?im)^(?:x|\.subckt\b|\.ends\b).*(?:\n\+.*)*")
 

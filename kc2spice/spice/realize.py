@@ -102,6 +102,11 @@ def realize(
             pins,
             params,
             rom=rom_line(model.order, model.certificate),
+            validity=(
+                f"small signals up to {model.certificate.band_hz[1]:g} Hz at the temperature of "
+                "the data; no hysteresis, depolarisation or heating"
+            ),
+            rating="keep every layer's field within its material's limits; the model never ends",
         ),
         name=checked_name(name),
         pins=[pin.name for pin in pins],
