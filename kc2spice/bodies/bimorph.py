@@ -33,8 +33,8 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
 from kc2spice.fem.materials import Material, material

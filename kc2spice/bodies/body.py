@@ -28,7 +28,6 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.device import (
     Device,
     RigidFace,
@@ -38,6 +37,7 @@ from kc2spice.bodies.device import (
     node_shares,
     spread,
 )
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section
 from kc2spice.core.units import quantity

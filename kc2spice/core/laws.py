@@ -142,6 +142,11 @@ class Sine:
     start: float = 0.0
     offset: float = 0.0
 
+    @property
+    def pace(self) -> float:
+        """Largest step that cannot miss what the wave makes a guard do [s]."""
+        return 0.05 / self.frequency
+
     def value(self, t: Any) -> Any:
         """Value at the times ``t``."""
         s = np.maximum(np.asarray(t) - self.start, 0.0)
@@ -780,18 +785,25 @@ class ForceTable:
         """Integral over y, value and slope of all columns; the end cubics go on outside."""
         j = min(max(int(self.y.searchsorted(y, side="right")) - 1, 0), self.y.size - 2)
         s, p = y - self.y[j], self._potential[:, j]
-        integral = (((p[0] * s + p[1]) * s + p[2]) * s + p[3]) * s + p[4]
-        c3, c2, c1, c0 = self._spline[:, j]
-        value = ((c3 * s + c2) * s + c1) * s + c0
-        return integral, value, (3 * c3 * s + 2 * c2) * s + c1
+        t = s * s
+        powers = np.array((t * t, t * s, t, s, 1.0))
+        c = self._spline[:, j]
+        return powers @ p, powers[1:] @ c, np.array((3 * t, 2 * s, 1.0)) @ c[:3]
 
     def powers(self, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Monomials (columns,) of the currents and their derivatives (columns, coils)."""
+        first, k, m = self._monomials
+        slopes = np.zeros((self.columns.shape[1], self.coils))
+        n = 1 + self.coils
+        slopes[1:n] = first[0]
+        slopes[n:] = first[1] * i[m][:, None] + first[2] * i[k][:, None]
+        return np.concatenate(((1.0,), i, i[k] * i[m])), slopes
+
+    @cached_property
+    def _monomials(self) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
         k, m = np.triu_indices(self.coils)
         unit = np.eye(self.coils)
-        first = unit[k] * i[m][:, None] + unit[m] * i[k][:, None]
-        monomials = np.concatenate(([1.0], i, i[k] * i[m]))
-        return monomials, np.vstack((np.zeros((1, self.coils)), unit, first))
+        return (unit, unit[k], unit[m]), k, m
 
     def check(self, y: float, where: str, t: float) -> None:
         """Raise SimulationError if ``y`` lies outside the nodes."""

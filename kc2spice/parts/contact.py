@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
@@ -137,6 +138,26 @@ class Contact(PartType):
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         return {} if "time" not in waves else _balance(part, build, waves)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        force = waves.data.get(f"{part.name}.force")
+        if force is None:
+            return
+        ports = kept_ports(part, build.scene)
+        scale, (x, factor) = next(iter(waves.data.values())), ("time in µs", 1e6)
+        if "imprint.depth" in waves:
+            scale, (x, factor) = waves["imprint.depth"], ("depth in µm", 1e6)
+        inside = _loaded(force) if "time" in waves else slice(None)
+        curves = [
+            Curve(port, factor * scale[inside], waves[f"{part.name}.force.{port}"][inside])
+            for port in ports
+            if waves[f"{part.name}.force.{port}"].max() > 0
+        ]
+        curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
+        (one, _), (other, _) = _names(part, build.scene)
+        panel = Panel(x, "contact force in N", tuple(curves))
+        caption = f"Force between {one} and {other}, whole device, at each port that closes."
+        yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count = len(kept_ports(part, scene))
@@ -310,6 +331,16 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
     later = min(int(np.searchsorted(t, t[free] + 100e-9)), t.size - 1)
     slope = (v[later] - v[free]) / (t[later] - t[free]) if later > free else 0.0
     return float(time), float(v[free] + slope * (time - t[free]))
+
+
+def _loaded(force: np.ndarray) -> slice:
+    """From the first contact to the last of the first tenth of all that have a load."""
+    loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
+    if loaded.size == 0:
+        return slice(None)
+    gaps = np.flatnonzero(np.diff(loaded) > 200)
+    last = loaded[gaps[0]] if gaps.size else loaded[-1]
+    return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:

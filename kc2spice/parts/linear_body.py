@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, window
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import chipbook
@@ -234,6 +235,7 @@ class LinearBody(PartType):
         return found
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        yield from port_figures(part, waves)
         z = impedance(part, waves)
         if z is not None:
             yield impedance_figure(part.name, waves["frequency"].real, z)
@@ -333,6 +335,36 @@ def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray) -> Figure:
             Panel("frequency in kHz", "phase in °", (phase,), log_x=log),
         ),
     )  # fmt: skip
+
+
+def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
+    """Displacements of its ports around the time of their largest swing, over the voltage."""
+    moved = {n: v for n, v in waves.data.items() if n.startswith(f"{part.name}.u.")}
+    if "time" not in waves or not moved:
+        return
+    t = waves["time"]
+    inside = busy(t, np.sum([np.abs(v) for v in moved.values()], axis=0))
+    x = 1e6 * t[inside]
+    curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
+    panels = [Panel("", "displacement in µm", curves)]
+    voltage, current = (waves.data.get(f"{part.name}.{n}") for n in ("voltage", "current"))
+    if voltage is not None:
+        panels.append(Panel("", "voltage in V", (Curve("", x, voltage[inside]),)))
+    if current is not None:
+        panels.append(Panel("", "current in A", (Curve("", x, current[inside]),)))
+    panels[-1] = replace(panels[-1], x="time in µs")
+    caption = f"Ports of {part.name} while they move most."
+    yield Figure(f"{part.name}_ports", f"Motion of {part.name}", caption, tuple(panels))
+
+
+def busy(t: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the shortest stretch that holds all that is above 2 % of the largest value."""
+    above = np.flatnonzero(size > 0.02 * size.max(initial=0.0))
+    if above.size == 0:
+        return np.ones(t.size, dtype=bool)
+    first, last = t[above[0]], t[above[-1]]
+    margin = 0.1 * (last - first)
+    return window(t, first - margin, last + margin)
 
 
 def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Terminal]:

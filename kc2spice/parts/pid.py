@@ -217,6 +217,11 @@ class Pid(PartType):
             "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
         }
 
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterator[tuple[float, float, str]]:
+        if _ball(part, scene) is moved:
+            step = abs(part.keys.setpoint - moved.keys.radius)
+            yield part.keys.setpoint, SETTLING_BAND * step, "set point, ±5 % of the step"
+
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
         if current is None or "time" not in waves:

@@ -298,9 +298,10 @@ def _run(
         return step if flight is None else FlightStep.of(step, flight, z.size)
 
     steps: list[Step] = []
+    pace = min((getattr(p.wave, "pace", np.inf) for p in piece.system.sources), default=np.inf)
     h, fired = solver.guess(end), None
     while solver.t < end:
-        inner, h_next = solver.advance(h, end)
+        inner, h_next = solver.advance(min(h, pace), end)
         step = full(inner)
         now = step.start + step.length
         if flight is not None:

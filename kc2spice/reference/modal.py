@@ -151,7 +151,8 @@ def modes_of(piece: Piece) -> Modes | None:
     chosen = np.ones(n, dtype=bool)
     for k in range(count):
         inside = label == k
-        if bent[inside].any() or inside.sum() < 4:
+        square = np.ix_(inside, inside)
+        if bent[inside].any() or np.linalg.matrix_rank(piece.A[square]) < inside.sum():
             chosen[inside] = False
     where, others = np.flatnonzero(chosen), np.flatnonzero(~chosen)
     if not where.size or not others.size:

@@ -32,11 +32,22 @@ class Piece:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
         self.linear = not self.curved
+        self._asked: np.ndarray | None = None
+
+    def _inputs(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sources at ``t``; Newton's iterations ask for the same times again and again."""
+        if t is not self._asked:
+            self._given = self.system.inputs(t, self.within)
+            s, d = self._given
+            self._drive = self.Bs @ s + self.Bd @ d + self.const[:, None]
+            self._kept = self.system.Gs @ s + self.system.Gd @ d
+            self._asked = t
+        return self._given
 
     def stored(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
         """``g`` (n, nt)."""
-        s, d = self.system.inputs(t, self.within)
-        g = self.system.M @ z + self.system.Gs @ s + self.system.Gd @ d
+        s, d = self._inputs(t)
+        g = self.system.M @ z + self._kept
         for device, _ in self.curved:
             if device.stores is not None:
                 e = device.inputs.at(z, s, d)
@@ -45,8 +56,8 @@ class Piece:
 
     def flow(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
         """``f`` (n, nt)."""
-        s, d = self.system.inputs(t, self.within)
-        f = self.A @ z + self.Bs @ s + self.Bd @ d + self.const[:, None]
+        s, d = self._inputs(t)
+        f = self.A @ z + self._drive
         for device, mode in self.curved:
             e = device.inputs.at(z, s, d)
             out = [device.law.evaluate(tau, x, mode)[0] for tau, x in zip(t, e.T, strict=True)]

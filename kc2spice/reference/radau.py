@@ -141,6 +141,7 @@ class Radau:
         if self.before is not None:
             Z = self.before.at(t) - self.z[:, None]
         scale = self.rtol * (1.0 + np.abs(self.z))
+        scale = np.where(p.differential, scale, 1e3 * scale)  # these carry no error onwards
         last, rate = None, None
         for k in range(_MAX_NEWTON):
             z = self.z[:, None] + Z
@@ -153,11 +154,11 @@ class Radau:
                 return None
             if last is not None and last > 0.0:
                 rate = size / last
-                if rate >= 1.0 and size > self.newton_tol:
+                if rate >= 1.0 and size > 1e-2:  # below that it is rounding
                     return None
             Z += dZ
             done = p.linear and k == 0 and self.fresh
-            done |= size == 0.0 or (rate is not None and rate / (1 - min(rate, 0.9)) * size
+            done |= size == 0.0 or (rate is not None and rate >= 1.0) or (rate is not None and rate / (1 - min(rate, 0.9)) * size
                                     < self.newton_tol)  # fmt: skip
             if done:
                 self.iterations = k + 1
@@ -180,10 +181,10 @@ class Radau:
         rejected = False
         active, f0 = self.problem.differential, self._rate()
         while True:
-            if h < 1e-15 * max(abs(self.t), 1e-6):
+            if not h > 1e-15 * max(abs(self.t), 1e-6):
                 raise SimulationError("the step became too small", where=f"t = {self.t:.9e} s")
             h = min(h, end - self.t)
-            if end - self.t - h < 1e-3 * h:
+            if not rejected and end - self.t - h < 1e-3 * h:
                 h = end - self.t
             step = self.take(h)
             if step is None:

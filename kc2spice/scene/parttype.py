@@ -240,6 +240,10 @@ class PartType:
         """Simulator options that it needs, with the reason."""
         return {}
 
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterable[tuple[float, float, str]]:
+        """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
+        return ()
+
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
         return None

@@ -113,7 +113,11 @@ def _options(build: Build) -> Iterable[Option]:
     chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
     return [
         Option("reltol", number(solver.reltol), "error per step; decides the launch velocity"),
-        Option("trtol", number(solver.trtol).removesuffix(".0"), "trust the error estimate: contact needs every step it asks for"),
+        Option(
+            "trtol",
+            number(solver.trtol).removesuffix(".0"),
+            "trust the error estimate: contact needs every step it asks for",
+        ),
         Option(
             "chgtol",
             number(chgtol),

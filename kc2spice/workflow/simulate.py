@@ -28,6 +28,7 @@ def simulate(
     *,
     progress: Callable[[float], None] | None = None,
     timeout: float | None = None,
+    retries: int | None = None,
 ) -> Outcome:
     """Run ``deck`` with the scene's retries, its result judged by the scene's parts.
 
@@ -38,7 +39,7 @@ def simulate(
         return verdict(waves, build)
 
     return run_with_retries(
-        deck, directory, retries=build.scene.solver.retries, judge=judge, progress=progress,
+        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, progress=progress,
         timeout=timeout,
     )  # fmt: skip
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kc2spice.scene.schema import Rom, Scene
+from kc2spice.scene.model import Scene
+from kc2spice.scene.settings import Rom
 
 Values = Mapping[str, Any]  # scene keys with their values
 Place = tuple[int, ...]  # of a setting: the position on each axis
@@ -46,10 +47,15 @@ def axes(scene: Scene, *, transient: bool) -> tuple[Axis, ...]:
     found = []
     for key in _FACTORS:
         section, name = key.split(".")
-        own = getattr(getattr(scene, section, None), name, None)
+        holder = (
+            scene.parts[section].keys
+            if section in scene.parts
+            else getattr(scene.frame, section, None)
+        )
+        own = getattr(holder, name, None)
         if own is not None and (transient or key in _STATIC):
             found.append(_scaled(key, own))
-    if scene.kick is not None:
+    if any(part.type.reduced for part in scene.parts.values()):
         found.append(_reduction(scene.rom, transient))
     return tuple(axis for axis in found if len(axis.values) > 1)
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.report.metrics import metrics
-from kc2spice.scene.keys import did_you_mean
-from kc2spice.scene.schema import Scene
+from kc2spice.core.words import did_you_mean
+from kc2spice.scene.model import Scene
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
@@ -40,14 +40,13 @@ def evaluate(scene: Scene, *, trust: bool = False) -> Run:
     SimulationError : the run failed or its result violates a physical check.
     MissingToolError : no ngspice.
     """
-    scene = scene.model_copy(update={"solver": scene.solver.model_copy(update={"retries": 0})})
-    models = build_models(scene, Clock())
-    deck = make_deck(scene, models, trust=trust)
+    build = build_models(scene, Clock(), trust=trust)
+    deck = make_deck(build)
     with tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as folder:
         begin = _children_cpu()
-        result = simulate(scene, models, deck, Path(folder))
+        result = simulate(build, deck, Path(folder), retries=0)
         spent = _children_cpu() - begin
-    return Run(dict(_flat("", metrics(result.waves, scene))), spent, deck.stop is not None)
+    return Run(dict(_flat("", metrics(result.waves, build))), spent, deck.stop is not None)
 
 
 def _children_cpu() -> float:
