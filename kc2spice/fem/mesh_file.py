@@ -33,8 +33,8 @@ class Pick:
     """
 
     dimension: int
-    at: Sequence[Sequence[float]] = ()
-    box: Sequence[Sequence[float]] | None = None
+    at: np.ndarray | Sequence[Sequence[float]] = ()
+    box: np.ndarray | Sequence[Sequence[float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ def _label(gmsh: ModuleType, entity: tuple[int, int]) -> str:
 
 def _pick(gmsh: ModuleType, name: str, pick: Pick) -> list[int]:
     everything = gmsh.model.getBoundingBox(-1, -1)
-    near = TOUCHING * np.linalg.norm(np.subtract(everything[3:], everything[:3]))
+    near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     found: list[int] = []
     for point in pick.at:
         hits = [tag for d, tag in gmsh.model.getEntities(pick.dimension)
-                if _contains(gmsh, d, tag, point, near)]  # fmt: skip
+                if _contains(gmsh, d, tag, np.asarray(point), near)]  # fmt: skip
         if not hits:
             raise UsageError(
                 f"no {_DIMENSION[pick.dimension][:-1]} contains this point",
