@@ -96,7 +96,9 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
 def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
     """All of a small model; None where its response would take too long to evaluate."""
     response = Response(full)
-    if not response.decoupled and (full.size > WHOLE or (response.modes is None and full.size > 150)):
+    if not response.decoupled and (
+        full.size > WHOLE or (response.modes is None and full.size > 150)
+    ):
         return None
     sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
     eps = np.finfo(float).eps
