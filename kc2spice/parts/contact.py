@@ -94,9 +94,12 @@ class Contact(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
+        a, b = sides(part, build.scene)
+        added = np.full(len(ports), part.keys.gap)
+        under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, gaps(part, build.scene), stiffness(part, build.scene),
+                header, ports, added, stiffness(part, build.scene), under=under,
                 rigid=self._velocity(part, build.scene), name=build.libraries[part.name],
             ),
         )  # fmt: skip
@@ -469,19 +472,28 @@ def contact_subcircuit(
     eps: float,
     *,
     rigid: bool = True,
+    under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
     """The law of :func:`contact_force` between ring pins and the other side.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. The other side is a
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
+    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is a
     ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
     """
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
+    radii = () if under is None else under[1][: len(rings)]
+    sphere = [] if under is None else [
+        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
+    ]  # fmt: skip
+    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        Param("eps", eps, "N/m", "contact penalty of a whole ring", 0.0),
+        *sphere,
         *(
-            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when both sides are at rest")
+            Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
     )
@@ -492,6 +504,7 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        squares=[float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
     )

@@ -26,7 +26,7 @@ from kc2spice.rom.operators import (
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
-BATCH_BYTES = 2e8  # of matrices solved at once
+BATCH_BYTES = 8e6  # of matrices solved at once
 
 
 @dataclass(frozen=True, eq=False)
