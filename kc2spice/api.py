@@ -11,7 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from kc2spice.core.figure import Figure
+    from kc2spice.core.waveforms import Waveforms
     from kc2spice.rom.linear import LinearModel
     from kc2spice.scene.judge import Check
     from kc2spice.scene.model import Scene
     from kc2spice.scene.parttype import PartType
-    from kc2spice.sim.retries import Outcome
     from kc2spice.spice.circuit import Subcircuit
     from kc2spice.spice.deck import Deck
     from kc2spice.workflow.run import Completed
@@ -90,7 +90,7 @@ def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearMode
 
     loaded = load_scene(scene)
     return {
-        part.name: part.type.full(part, loaded, Clock())
+        part.name: replace(part.type.full(part, loaded, Clock()), name=part.name)
         for part in loaded.parts.values()
         if isinstance(part.type, LinearBody)
     }
@@ -225,26 +225,51 @@ def run(
 
 
 def simulate(
-    deck: Deck | Scene | str | Path | Mapping[str, Any], *, timeout: float | None = None
+    deck: Deck | Scene | str | Path | Mapping[str, Any],
+    *,
+    timeout: float | None = None,
+    control: Callable[[float, Mapping[str, float]], Mapping[str, float]] | None = None,
+    period: float | None = None,
+    delay: float = 0.0,
 ) -> Result:
     """Run a deck in ngspice; a scene is run as by :func:`run`.
 
     A deck alone gives waveforms. Metrics and checks are those of a scene's parts, so they need the
-    scene: ``kc.run(scene, deck=FILE)``. ``timeout`` is in seconds of wall clock.
+    scene: ``kc.run(scene, deck=FILE)``.
+
+    Parameters
+    ----------
+    timeout : seconds of wall clock.
+    control : ``control(time, values) -> {source: volts}``, called every ``period`` [s] of simulated
+        time in this process (libngspice). ``values`` are the vectors that the deck saves, by
+        ngspice's names without ``v()``, in its units (displacements in um); the answer names
+        sources whose card says ``EXTERNAL``, in lower case, and holds from ``delay`` [s] later on.
 
     Raises
     ------
-    MissingToolError : no ngspice.
-    SimulationError : ngspice failed or stopped early; the message says where.
+    UsageError : ``control`` without ``period``, or together with ``timeout``.
+    MissingToolError : no ngspice, or for ``control`` no libngspice.
+    SimulationError : ngspice or ``control`` failed, or ngspice stopped early.
     """
     from kc2spice.sim.retries import run_with_retries
     from kc2spice.spice.deck import Deck
 
+    if control is not None and (period is None or timeout is not None):
+        raise UsageError("a controller needs a period and no timeout", where="simulate")
     if not isinstance(deck, Deck):
-        return run(deck)
+        if control is None and timeout is None:
+            return run(deck)
+        deck = _deck(deck)
+    if control is not None and period is not None:
+        from kc2spice.sim.loop import Loop, Sampled, run_shared
+
+        return _plain_result(deck, run_shared(deck, Loop(control, Sampled(period, delay))))
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         outcome = run_with_retries(deck, Path(work), retries=0, timeout=timeout)
-    return _plain_result(outcome)
+    return _plain_result(outcome.deck, outcome.waves)
+
+
+_deck = deck  # where an argument has its name
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -417,22 +442,21 @@ def _result(done: Completed) -> Result:
     record, outcome = run_record(done), done.outcome
     return Result(
         done.build.scene.name, record["metrics"], outcome.waves.data,
-        _units(outcome), outcome.verdict.checks, record, outcome.deck,
+        _units(outcome.deck, outcome.waves), outcome.verdict.checks, record, outcome.deck,
         {figure.name: figure for figure in done.figures}, done,
     )  # fmt: skip
 
 
-def _plain_result(outcome: Outcome) -> Result:
+def _plain_result(deck: Deck, waves: Waveforms) -> Result:
     import kc2spice
 
-    found = outcome.deck
-    record = {"scene": found.name, "version": kc2spice.__version__, "netlist": found.main}
-    return Result(found.name, {}, outcome.waves.data, _units(outcome), (), record, found)
+    record = {"scene": deck.name, "version": kc2spice.__version__, "netlist": deck.main}
+    return Result(deck.name, {}, waves.data, _units(deck, waves), (), record, deck)
 
 
-def _units(outcome: Outcome) -> dict[str, str]:
-    scale = next(iter(outcome.waves.data))
-    return {scale: {"time": "s", "frequency": "Hz"}.get(scale, ""), **outcome.deck.units}
+def _units(deck: Deck, waves: Waveforms) -> dict[str, str]:
+    scale = next(iter(waves.data))
+    return {scale: {"time": "s", "frequency": "Hz"}.get(scale, ""), **deck.units}
 
 
 # ------------------------------------------------------------------------------------- sweeps
