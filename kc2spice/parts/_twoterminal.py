@@ -1,36 +1,15 @@
-"""Resistor, capacitor and inductor between two electrical pins."""
+"""What resistor, capacitor and inductor share: one card between two electrical pins."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pydantic import Field
-
-from kc2spice.core.quantities import Capacitance, Inductance, Resistance, Section
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
 from kc2spice.spice.cards import number
 
 
-class ResistorKeys(Section):
-    """``v = R i``."""
-
-    resistance: Resistance = Field(gt=0)
-
-
-class CapacitorKeys(Section):
-    """``i = C dv/dt``."""
-
-    capacitance: Capacitance = Field(gt=0)
-
-
-class InductorKeys(Section):
-    """``v = L di/dt``."""
-
-    inductance: Inductance = Field(gt=0)
-
-
-class _TwoTerminal(PartType):
+class TwoTerminal(PartType):
     """One card ``LETTERname a b value``."""
 
     letter: str
@@ -60,22 +39,3 @@ class _TwoTerminal(PartType):
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         value = getattr(part.keys, self.key)
         return Modelled(part.name, "circuit", f"{self.name} of {value:g} {self.unit}")
-
-
-class Resistor(_TwoTerminal):
-    name, title, schema = "resistor", "ideal resistor", ResistorKeys
-    letter, key, unit = "R", "resistance", "Ohm"
-
-
-class Capacitor(_TwoTerminal):
-    name, title, schema = "capacitor", "ideal capacitor", CapacitorKeys
-    letter, key, unit = "C", "capacitance", "F"
-
-
-class Inductor(_TwoTerminal):
-    name, title, schema = "inductor", "ideal inductor", InductorKeys
-    letter, key, unit = "L", "inductance", "H"
-
-
-for _type in (Resistor, Capacitor, Inductor):
-    register(_type())

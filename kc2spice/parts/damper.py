@@ -1,0 +1,30 @@
+"""The part ``damper`` between two displacement pins."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from kc2spice.core.quantities import MechanicalDamping, Section
+from kc2spice.parts._mechanical import Link
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build, register
+
+
+class DamperKeys(Section):
+    """``F = c (x_a' - x_b')``."""
+
+    damping: MechanicalDamping = Field(gt=0)
+
+
+class Damper(Link):
+    name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        a, b = build.net(part, "a"), build.net(part, "b")
+        return (f"C{part.name} {a} {b} {part.keys.damping * 1e-6!r}",)
+
+    def meter(self, part: Part) -> str:
+        return f"@c{part.name.lower()}[i]"
+
+
+register(Damper())

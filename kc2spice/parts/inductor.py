@@ -1,0 +1,23 @@
+"""The part ``inductor``."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Inductance, Section
+from kc2spice.parts._twoterminal import TwoTerminal
+from kc2spice.scene.parttype import register
+
+
+class InductorKeys(Section):
+    """``v = L di/dt``."""
+
+    inductance: Inductance = Field(gt=0)
+
+
+class Inductor(TwoTerminal):
+    name, title, schema = "inductor", "ideal inductor", InductorKeys
+    letter, key, unit = "L", "inductance", "H"
+
+
+register(Inductor())
