@@ -10,8 +10,10 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Mass, MechanicalDamping, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.passive import across, meter, metered
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
+from kc2spice.spice.cards import number
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import parameter_list, part_header
 from kc2spice.spice.render import render
@@ -106,9 +108,10 @@ class _Link(_Mechanical):
         return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.force": Vector(self.meter(part), 1.0, "N")}
+        return {f"{part.name}.force": self.through(part, build)}
 
-    def meter(self, part: Part) -> str:
+    def through(self, part: Part, build: Build) -> Vector:
+        """The force that it passes from ``a`` to ``b``."""
         raise NotImplementedError
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
@@ -121,10 +124,10 @@ class Spring(_Link):
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"R{part.name} {a} {b} {1e6 / part.keys.stiffness!r}",)
+        return (f"R{part.name} {a} {b} {number(1e6 / part.keys.stiffness)}",)
 
-    def meter(self, part: Part) -> str:
-        return f"@r{part.name.lower()}[i]"
+    def through(self, part: Part, build: Build) -> Vector:
+        return Vector(across(part, build), 1e-6 * part.keys.stiffness, "N")
 
 
 class Damper(_Link):
@@ -132,10 +135,10 @@ class Damper(_Link):
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"C{part.name} {a} {b} {part.keys.damping * 1e-6!r}",)
+        return metered(part, "C", number(1e-6 * part.keys.damping), a, b)
 
-    def meter(self, part: Part) -> str:
-        return f"@c{part.name.lower()}[i]"
+    def through(self, part: Part, build: Build) -> Vector:
+        return Vector(meter(part).expression, 1.0, "N")
 
 
 for _type in (PointMass, Spring, Damper):
