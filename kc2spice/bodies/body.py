@@ -5,7 +5,7 @@ Groups of the file name materials, supports, electrodes and ports::
     [bracket]
     part = "body"
     mesh = "bracket.step"
-    unit = "mm"                   # of the file
+    unit = "mm"                   # of .msh and .brep files; STEP files state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
     poling = { patch = [0, 0, 1] }

@@ -20,6 +20,8 @@ from kc2spice.fem.gmsh_session import gmsh_session
 
 SUFFIXES = {".msh": b"$MeshFormat", ".step": b"ISO-10303", ".stp": b"ISO-10303",
             ".brep": b"DBRep_DrawableShape"}  # fmt: skip
+STEP = (".step", ".stp")
+MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))  # order of gmsh's mid-edge nodes
 _TRI_EDGES = ((0, 1), (1, 2), (2, 0))
 _DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
@@ -75,6 +77,9 @@ def read_mesh(
         without size, or a pick that selects nothing.
     """
     _require_kind(path)
+    if path.suffix.lower() in STEP and unit != MILLIMETRE:
+        raise UsageError("a STEP file states its own unit", where="unit", got=f"{unit:g} m",
+                         expected="no unit, or mm")  # fmt: skip
     cad = path.suffix.lower() != ".msh"
     if cad == (size is None):
         raise UsageError(
@@ -87,6 +92,7 @@ def read_mesh(
     with gmsh_session(path.stem) as gmsh:
         try:
             gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+            gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
             gmsh.merge(str(path))
             if cad:
                 assert size is not None

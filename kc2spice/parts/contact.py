@@ -94,9 +94,12 @@ class Contact(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
+        a, b = sides(part, build.scene)
+        added = np.full(len(ports), part.keys.gap)
+        under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, gaps(part, build.scene), stiffness(part, build.scene),
+                header, ports, added, stiffness(part, build.scene), under=under,
                 rigid=self._velocity(part, build.scene), name=build.libraries[part.name],
             ),
         )  # fmt: skip
@@ -124,7 +127,8 @@ class Contact(PartType):
         v = waves.data.get(f"{other}.v")
         if "time" not in waves or v is None or thrown(part, build.scene):
             return {}
-        launch = separation(waves["time"], waves[f"{part.name}.force"], v)
+        force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
+        launch = separation(waves["time"], force, v, busy)
         return {
             "launch_velocity_m_s": launch[1] if launch else None,
             "launch_time_s": launch[0] if launch else None,
@@ -306,17 +310,43 @@ def thrown(part: Part, scene: Scene) -> bool:
 # --- what the waveforms say -----------------------------------------------------------------------
 
 
-def separation(t: np.ndarray, force: np.ndarray, v: np.ndarray) -> tuple[float, float] | None:
-    """Time [s] and velocity [m/s] at the end of the first contact that a flight follows, or None.
+def separation(
+    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf
+) -> tuple[float, float] | None:
+    """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
 
-    A flight lasts 20 us or until the data end.
+    A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
+    later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
+    drive stops moving, the launch is the first with at least half of the largest speed. Without
+    one it is the first of all; by default the drive is not known and all of them count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
+    flights = []
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])
         if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
-            return _edge(t, v, force, int(last))
-    return None
+            flights.append(_edge(t, v, force, int(last)))
+    if not flights:
+        return None
+    kicked = [each for each in flights if each[0] <= busy + _FLIGHT] or flights[:1]
+    fastest = max(speed for _, speed in kicked)
+    return next(each for each in kicked if each[1] >= min(fastest, fastest / 2))
+
+
+def busy_until(scene: Scene) -> float:
+    """Time [s] at which the last source stops changing, but for those that only enable something.
+
+    Infinite where one never does or there is none.
+    """
+    ends = [math.inf]
+    for source in scene.of("source"):
+        wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
+        if all(scene.parts[name].type.name == "pid" for name, _ in joined):
+            continue
+        corners = wave.corners(scene.stop)
+        ends.append(math.inf if wave.kind == "sine" else float(max(corners, default=0.0)))
+    known = [end for end in ends[1:] if end > 0]
+    return max(known, default=ends[0])
 
 
 def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:
@@ -469,19 +499,28 @@ def contact_subcircuit(
     eps: float,
     *,
     rigid: bool = True,
+    under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
     """The law of :func:`contact_force` between ring pins and the other side.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. The other side is a
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
+    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is a
     ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
     """
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
+    radii = () if under is None else under[1][: len(rings)]
+    sphere = [] if under is None else [
+        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
+    ]  # fmt: skip
+    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        Param("eps", eps, "N/m", "contact penalty of a whole ring", 0.0),
+        *sphere,
         *(
-            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when both sides are at rest")
+            Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
     )
@@ -492,6 +531,7 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        squares=[float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
     )

@@ -40,14 +40,14 @@ def gallery() -> dict[str, Traversable]:
 
 
 def load_scene(
-    name_or_path: str | Path | Mapping[str, Any],
+    name_or_path: Scene | str | Path | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Scene:
     """Read a scene, apply overrides in order, check it and join its parts.
 
     Parameters
     ----------
-    name_or_path : gallery name, path of a TOML file, or the tables themselves.
+    name_or_path : gallery name, path of a TOML file, the tables themselves, or a scene.
     overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
         or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
         values; numbers are SI.
@@ -57,7 +57,10 @@ def load_scene(
     UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
         each other, pins that do not fit.
     """
-    if isinstance(name_or_path, Mapping):
+    if isinstance(name_or_path, Scene):
+        source = _Source("scene", name_or_path.name, "", name_or_path.home)
+        data = _copied(name_or_path.tables)
+    elif isinstance(name_or_path, Mapping):
         source = _Source("scene", "scene", "", Path())
         data = _copied(name_or_path)
     else:
@@ -79,6 +82,7 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
+    tables = _copied(data)
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
     for name, part_type in types.items():
         if "part" not in data[name]:
@@ -102,7 +106,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
             own, at = dict(table), tuple(table.get("at", (name,)))
             own.pop("at", None)
             parts[name] = _part(name, own, part_types()[own["part"]], source, at)
-    scene = replace(scene, parts=parts)
+    scene = replace(scene, parts=parts, tables=tables)
     if scene.frame.analysis == Frame.model_fields["analysis"].default:
         asked = [part.type.analysis(part, scene) for part in parts.values()]
         chosen = [each for each in asked if each is not None]

@@ -348,8 +348,19 @@ def _head(
     header: Header, name: str, title: str, pins: tuple[Pin, ...], params: tuple[Param, ...],
     order: int, certificate: object,
 ) -> str:  # fmt: skip
-    rom = "" if certificate is None else rom_line(order, certificate)  # type: ignore[arg-type]
-    return part_header(header, f"{name}: {title}", pins, params, rom=rom)
+    if certificate is None:
+        return part_header(header, f"{name}: {title}", pins, params)
+    top = certificate.band_hz[1]  # type: ignore[attr-defined]
+    return part_header(
+        header,
+        f"{name}: {title}",
+        pins,
+        params,
+        rom=rom_line(order, certificate),  # type: ignore[arg-type]
+        validity=f"small signals up to {top:g} Hz at the temperature of the data; no hysteresis, "
+        "depolarisation or heating",
+        rating="keep every layer's field within its material's limits; the model never ends",
+    )
 
 
 # ------------------------------------------------------------------------------------- blocks

@@ -157,6 +157,30 @@ def test_file_unit_scales_the_body(coarse):
     assert large["resonance_short_hz"] == pytest.approx(small["resonance_short_hz"] / 10)
 
 
+def test_step_file_states_its_own_unit(tmp_path):
+    write(tmp_path / "a.step", slabs([0, 4], 12, 3), size=1)
+    table = {
+        "mesh": "a.step", "size": "3 mm", "materials": {"all": "steel"},
+        "groups": {"all": {"solids": [["6 mm", "1 mm", "1 mm"]]}},
+        "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
+    }  # fmt: skip
+    steel = material("steel").density
+    assert build(table, tmp_path).facts["mass_kg"] == pytest.approx(144e-9 * steel)
+    with pytest.raises(UsageError, match="own unit"):
+        build({**table, "unit": "m"}, tmp_path)
+    text = (tmp_path / "a.step").read_text()
+    assert "SI_UNIT(.MILLI.,.METRE.)" in text
+    (tmp_path / "a.step").write_text(
+        text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.CENTI.,.METRE.)")
+    )
+    larger = {
+        **table,
+        "size": "30 mm",
+        "groups": {"all": {"solids": [["60 mm", "10 mm", "10 mm"]]}},
+    }
+    assert build(larger, tmp_path).facts["mass_kg"] == pytest.approx(144e-6 * steel)
+
+
 def test_axisymmetric_mesh_is_the_disc(tmp_path):
     def draw(gmsh):
         gmsh.model.occ.addRectangle(0, 0, 0, 5, 0.5)

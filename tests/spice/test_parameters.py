@@ -67,7 +67,7 @@ CHANGES = {
     "penalty": ("contact", {"penalty": 7e7}, {"contact.eps"}),
     "mass": ("sphere", {"density": 9000.0}, {"sphere.mass"}),
     "radius": ("sphere", {"radius": 1.2e-3},
-               {"sphere.mass", "sphere.radius", *(f"contact.gap_R{i}" for i in range(1, 6))}),
+               {"sphere.mass", "sphere.radius", "contact.radius"}),
     "gravity": (None, {"gravity": 1.62}, {"sphere.gravity"}),
     "set point": ("control", {"setpoint": 2.0e-3}, {"pid.setpoint"}),
     "gains": ("control", {"kp": 3e4, "ki": 1e3, "kd": 15.0, "rolloff": 2e-7},
