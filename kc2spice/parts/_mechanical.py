@@ -28,9 +28,10 @@ class Link(Mechanical):
         return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.force": Vector(self.meter(part), 1.0, "N")}
+        return {f"{part.name}.force": self.through(part, build)}
 
-    def meter(self, part: Part) -> str:
+    def through(self, part: Part, build: Build) -> Vector:
+        """The force that it passes from ``a`` to ``b``."""
         raise NotImplementedError
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:

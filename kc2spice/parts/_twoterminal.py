@@ -10,7 +10,11 @@ from kc2spice.spice.cards import number
 
 
 class TwoTerminal(PartType):
-    """One card ``LETTERname a b value``."""
+    """One card ``LETTERname a b value``.
+
+    Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
+    alone in an ac analysis.
+    """
 
     letter: str
     key: str
@@ -24,18 +28,34 @@ class TwoTerminal(PartType):
         return (f"{self.letter}{part.name} {a} {b} {number(getattr(part.keys, self.key))}",)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        device = f"{self.letter.lower()}{part.name.lower()}"
-        across = f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
-        return {
-            f"{part.name}.v": Vector(across, 1.0, "V"),
-            f"{part.name}.i": Vector(f"@{device}[i]", 1.0, "A"),
-        }
+        through = self.through(part, build)
+        return {f"{part.name}.v": Vector(across(part, build), 1.0, "V"), f"{part.name}.i": through}
+
+    def through(self, part: Part, build: Build) -> Vector:
+        """The current from ``a`` to ``b``."""
+        raise NotImplementedError
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        device = f"{self.letter.lower()}{part.name.lower()}"
-        return Vector(f"@{device}[i]", -1.0 if pin == "a" else 1.0, "A")
+        found = self.through(part, build)
+        return Vector(found.expression, -found.factor if pin == "a" else found.factor, "A")
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         value = getattr(part.keys, self.key)
         return Modelled(part.name, "circuit", f"{self.name} of {value:g} {self.unit}")
+
+
+def across(part: Part, build: Build) -> str:
+    """The voltage from pin ``a`` to pin ``b``."""
+    a, b = build.net(part, "a"), build.net(part, "b")
+    return f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
+
+
+def metered(part: Part, letter: str, value: str, a: str, b: str) -> tuple[str, ...]:
+    """A card with an ideal meter in series at ``a``; see :func:`meter`."""
+    inner = f"{part.name.lower()}_metered"
+    return (f"V{part.name}_meter {a} {inner} 0", f"{letter}{part.name} {inner} {b} {value}")
+
+
+def meter(part: Part) -> Vector:
+    """What the meter of :func:`metered` reads, from ``a`` to ``b``."""
+    return Vector(f"i(v{part.name.lower()}_meter)", 1.0, "A")

@@ -6,8 +6,10 @@ from pydantic import Field
 
 from kc2spice.core.quantities import MechanicalDamping, Section
 from kc2spice.parts._mechanical import Link
+from kc2spice.parts._twoterminal import meter, metered
 from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import Build, register
+from kc2spice.scene.parttype import Build, Vector, register
+from kc2spice.spice.cards import number
 
 
 class DamperKeys(Section):
@@ -21,10 +23,10 @@ class Damper(Link):
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"C{part.name} {a} {b} {part.keys.damping * 1e-6!r}",)
+        return metered(part, "C", number(1e-6 * part.keys.damping), a, b)
 
-    def meter(self, part: Part) -> str:
-        return f"@c{part.name.lower()}[i]"
+    def through(self, part: Part, build: Build) -> Vector:
+        return Vector(meter(part).expression, 1.0, "N")
 
 
 register(Damper())

@@ -6,8 +6,10 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Section, Stiffness
 from kc2spice.parts._mechanical import Link
+from kc2spice.parts._twoterminal import across
 from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import Build, register
+from kc2spice.scene.parttype import Build, Vector, register
+from kc2spice.spice.cards import number
 
 
 class SpringKeys(Section):
@@ -21,10 +23,10 @@ class Spring(Link):
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"R{part.name} {a} {b} {1e6 / part.keys.stiffness!r}",)
+        return (f"R{part.name} {a} {b} {number(1e6 / part.keys.stiffness)}",)
 
-    def meter(self, part: Part) -> str:
-        return f"@r{part.name.lower()}[i]"
+    def through(self, part: Part, build: Build) -> Vector:
+        return Vector(across(part, build), 1e-6 * part.keys.stiffness, "N")
 
 
 register(Spring())

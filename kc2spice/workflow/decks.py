@@ -137,12 +137,18 @@ def replacements(build: Build) -> dict[str, tuple[str, ...]]:
 
 
 def _results(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own."""
+    """Results of all parts that have an instance of their own.
+
+    Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
+    which is no response: they are no results there.
+    """
     replaced = replacements(build)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in replaced:
             found |= part.type.vectors(part, build)
+    if build.scene.analysis.type == "ac":
+        return {name: each for name, each in found.items() if "@" not in each.expression}
     return found
 
 
