@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Mass, MechanicalDamping, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -78,6 +79,20 @@ class PointMass(_Mechanical):
             f"{part.name}.force": Vector(f"i(v.x{part.name.lower()}.vmass)", 1.0, "N"),
         }
 
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        if build.net(part, "base") != "0":
+            return None
+        n = part.name
+        gravity = build.scene.gravity if part.keys.weight else 0.0
+        results = {
+            f"{n}.x": laws.reading(f"{n}.a"),
+            f"{n}.v": laws.reading(f"{n}.a.rate"),
+            f"{n}.force": laws.reading(f"{n}.a.through"),
+        }
+        return laws.Equations(
+            (laws.Mass(n, part.keys.mass, gravity),), (("a", f"{n}.a"),), results
+        )
+
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         inertia = waves.data.get(f"{part.name}.force")
         if inertia is None or pin != "a":
@@ -111,6 +126,16 @@ class _Link(_Mechanical):
     def meter(self, part: Part) -> str:
         raise NotImplementedError
 
+    def link(self, part: Part) -> laws.Law:
+        raise NotImplementedError
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        pins = (("a", f"{n}.a"), ("b", f"{n}.b"))
+        return laws.Equations(
+            (self.link(part),), pins, {f"{n}.force": laws.reading(f"{n}.a.through")}
+        )
+
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         found = waves.data.get(f"{part.name}.force")
         return None if found is None else (-found if pin == "a" else found)
@@ -126,6 +151,9 @@ class Spring(_Link):
     def meter(self, part: Part) -> str:
         return f"@r{part.name.lower()}[i]"
 
+    def link(self, part: Part) -> laws.Law:
+        return laws.Spring(part.name, part.keys.stiffness)
+
 
 class Damper(_Link):
     name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
@@ -136,6 +164,9 @@ class Damper(_Link):
 
     def meter(self, part: Part) -> str:
         return f"@c{part.name.lower()}[i]"
+
+    def link(self, part: Part) -> laws.Law:
+        return laws.Damper(part.name, part.keys.damping)
 
 
 for _type in (PointMass, Spring, Damper):

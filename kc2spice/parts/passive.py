@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Capacitance, Inductance, Resistance, Section
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
@@ -36,6 +37,16 @@ class _TwoTerminal(PartType):
     letter: str
     key: str
     unit: str
+    two_pole: type
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        results = {
+            f"{n}.v": laws.difference(f"{n}.a", f"{n}.b"),
+            f"{n}.i": laws.reading(f"{n}.a.through"),
+        }
+        pins = (("a", f"{n}.a"), ("b", f"{n}.b"))
+        return laws.Equations((self.two_pole(n, getattr(part.keys, self.key)),), pins, results)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", "gnd"))
@@ -65,16 +76,19 @@ class _TwoTerminal(PartType):
 class Resistor(_TwoTerminal):
     name, title, schema = "resistor", "ideal resistor", ResistorKeys
     letter, key, unit = "R", "resistance", "Ohm"
+    two_pole = laws.Resistor
 
 
 class Capacitor(_TwoTerminal):
     name, title, schema = "capacitor", "ideal capacitor", CapacitorKeys
     letter, key, unit = "C", "capacitance", "F"
+    two_pole = laws.Capacitor
 
 
 class Inductor(_TwoTerminal):
     name, title, schema = "inductor", "ideal inductor", InductorKeys
     letter, key, unit = "L", "inductance", "H"
+    two_pole = laws.Inductor
 
 
 for _type in (Resistor, Capacitor, Inductor):
