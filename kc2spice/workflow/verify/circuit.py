@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import Equations, Law, Reading
+from kc2spice.core.laws import Equations, Law, Reading, Source
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import System, assemble
@@ -141,7 +141,7 @@ def solve(build: Build, waves: Waveforms) -> Reference:
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    parts = [circuit for circuit in circuits(build) if circuit.readings]
+    parts = [c for c in circuits(build) if not all(isinstance(law, Source) for law in c.laws)]
     kind = build.scene.analysis.type
     if kind == "transient":
         return _transients(parts, build, waves)
