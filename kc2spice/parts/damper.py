@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import MechanicalDamping, Section
 from kc2spice.parts._mechanical import Link
 from kc2spice.parts._twoterminal import meter, metered
@@ -27,6 +28,9 @@ class Damper(Link):
 
     def through(self, part: Part, build: Build) -> Vector:
         return Vector(meter(part).expression, 1.0, "N")
+
+    def link(self, part: Part) -> laws.Law:
+        return laws.Damper(part.name, part.keys.damping)
 
 
 register(Damper())

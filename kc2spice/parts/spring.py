@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Section, Stiffness
 from kc2spice.parts._mechanical import Link
 from kc2spice.parts._twoterminal import across
@@ -27,6 +28,9 @@ class Spring(Link):
 
     def through(self, part: Part, build: Build) -> Vector:
         return Vector(across(part, build), 1e-6 * part.keys.stiffness, "N")
+
+    def link(self, part: Part) -> laws.Law:
+        return laws.Spring(part.name, part.keys.stiffness)
 
 
 register(Spring())

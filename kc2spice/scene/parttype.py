@@ -24,7 +24,9 @@ from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 if TYPE_CHECKING:
     import numpy as np
 
+    from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
+    from kc2spice.scene.gates import FullSolution, Gate
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
@@ -312,8 +314,30 @@ class PartType:
         """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
         return {}
 
-    def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
-        """Its equations for the independent reference; None where it has none."""
+    def law(self, part: Part, build: Build) -> Equations | None:
+        """Its equations for the independent integrator; None where it has none."""
+        return None
+
+    def gates(self, part: Part, build: Build) -> Iterable[Gate]:
+        """Results that the scene is run for, and how far two solution paths may differ in them."""
+        return ()
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> Any | None:
+        """Its full :class:`kc2spice.rom.linear.LinearModel` that ``verify`` judges the reduced one
+        by; None where it has none."""
+        return None
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        """The scene, or the piece of it that is affordable, solved with this part's full model.
+
+        ``whole`` asks for the costs of every step, not of a timed sample. None where it cannot.
+        """
+        return None
+
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Any | None:
+        """Figures of this scene over meshes (:class:`kc2spice.scene.gates.Table`), or None."""
         return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:

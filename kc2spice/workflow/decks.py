@@ -202,8 +202,7 @@ def _command(build: Build) -> Command:
         return ac(chosen.start, float(chosen.stop or 0.0), chosen.points, chosen.scale)
     if chosen.type == "op":
         return Command("op", ())
-    name, _, key = str(chosen.sweep).partition(".")
-    part = scene.part(name, "analysis.sweep")
+    part, key, first, last = swept(scene)
     found = part.type.dc(part, key, build)
     if found is None:
         raise UsageError(
@@ -212,8 +211,15 @@ def _command(build: Build) -> Command:
             hint="kc2spice sweep varies any key, one run each",
         )  # fmt: skip
     source, scale = found
-    first, last = part.type.sweep_range(part, scene) or _range(part, key, chosen)
     return dc(source, scale * first, scale * last, chosen.points)
+
+
+def swept(scene: Scene) -> tuple[Part, str, float, float]:
+    """Part and key that a dc analysis moves, first and last value in SI."""
+    name, _, key = str(scene.analysis.sweep).partition(".")
+    part = scene.part(name, "analysis.sweep")
+    first, last = part.type.sweep_range(part, scene) or _range(part, key, scene.analysis)
+    return part, key, first, last
 
 
 def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
