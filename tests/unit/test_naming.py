@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.drivers import amplifier_subcircuit
+from kc2spice.parts.amplifier import amplifier_subcircuit
 from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.scene.drivers import Amplifier
 from kc2spice.scene.schema import Control
