@@ -59,6 +59,7 @@ class Checks(Section):
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
     penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
     saturation: Action = Field("warn", description="share of the time at the current limit")
+    start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
 
 
 class Bench(Section):
