@@ -25,7 +25,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -495,7 +495,7 @@ def contact_subcircuit(
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        positive("eps", eps, "N/m", "contact penalty of a whole ring"),
         *(
             Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when both sides are at rest")
             for ring, gap in zip(rings, gaps, strict=True)

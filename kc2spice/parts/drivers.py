@@ -24,7 +24,7 @@ from kc2spice.parts.opamp import Level, opamp_subcircuit
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
@@ -142,9 +142,9 @@ def linear_subcircuit(
     resistance = load.resistance + SENSE
     ratio = 2 * math.pi * drive.bandwidth * load.inductance / SENSE
     params = (
-        Param("rail", drive.rail, "V", "supplies of plus and minus this voltage"),
-        Param("slew", drive.slew, "V/s", "fastest change of the output"),
-        Param("current_limit", 2 * current, "A", "largest output current"),
+        positive("rail", drive.rail, "V", "supplies of plus and minus this voltage"),
+        positive("slew", drive.slew, "V/s", "fastest change of the output"),
+        positive("current_limit", 2 * current, "A", "largest output current"),
     )
     r2 = 1e3 * ratio
     return _rendered(
@@ -160,10 +160,10 @@ def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm"
     resistance = load.resistance + 2 * drive.resistance + 1.0
     r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
     params = (
-        Param("rail", drive.rail, "V", "supply of the bridge"),
-        Param("frequency", drive.frequency, "Hz", "of the carrier"),
-        Param("resistance", drive.resistance, "Ohm", "of each switch when on"),
-        Param("edge", drive.edge, "s", "of the switched voltage"),
+        positive("rail", drive.rail, "V", "supply of the bridge"),
+        positive("frequency", drive.frequency, "Hz", "of the carrier"),
+        positive("resistance", drive.resistance, "Ohm", "of each switch when on"),
+        positive("edge", drive.edge, "s", "of the switched voltage"),
     )
     return _rendered(
         header, "pwm", name, "H-bridge for the coils", params, ("drive", "ret"),
@@ -200,7 +200,9 @@ def _part(
     terminals: tuple[str, ...] = ("out",),
 ) -> Subcircuit:
     """A driver whose parameters are the keys of its scene section."""
-    params = tuple(Param(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items())
+    params = tuple(
+        positive(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items()
+    )
     return _rendered(header, template, name, title, params, terminals)
 
 

@@ -12,7 +12,7 @@ from kc2spice.core.quantities import Mass, MechanicalDamping, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -58,7 +58,7 @@ class PointMass(_Mechanical):
         name = build.libraries[part.name]
         gravity = build.scene.gravity if part.keys.weight else 0.0
         params = (
-            Param("mass", part.keys.mass, "kg", "mass"),
+            positive("mass", part.keys.mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
         )
         text = render(

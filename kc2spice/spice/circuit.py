@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+LEAST = 1e-30  # what "above zero" means for a parameter
+
 
 @dataclass(frozen=True)
 class Pin:
@@ -44,3 +46,8 @@ class Subcircuit:
     def filename(self) -> str:
         """Name of the library file that holds this part."""
         return self.file or f"{self.name}.lib"
+
+
+def positive(name: str, default: float, unit: str, doc: str) -> Param:
+    """A parameter that must stay above zero."""
+    return Param(name, default, unit, doc, low=LEAST)

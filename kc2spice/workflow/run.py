@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +17,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
 from kc2spice.report.plotworker import PlotWorker
 from kc2spice.report.run_page import write_run
+from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
@@ -30,6 +31,7 @@ from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
+from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -59,6 +61,11 @@ def run(
         with simulating as share, kept:
             outcome = simulate(build, deck, work, progress=share)
         deck, waves = outcome.deck, outcome.waves
+        extra = reduction_check(build, waves, clock)
+        if extra is not None:
+            require((extra,), scene.name)
+            verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
+            outcome = replace(outcome, verdict=verdict)
         warn_of(outcome.verdict.checks)
         with clock.stage("report", "metrics, plots and page"):
             figures = run_figures(build, waves)
@@ -150,7 +157,10 @@ def _record(build: Build, simulator: Simulator, outcome: Outcome, clock: Clock) 
         if (rom := part.type.rom(part, build)) is not None
     }
     if reduced:
-        record["rom"] = next(iter(reduced.values()))
+        record["rom"] = dict(next(iter(reduced.values())))
+        if estimated(build.scene):
+            own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+            record["rom"]["contact_error"] = next(own, None)
         if len(reduced) > 1:
             record["roms"] = reduced
     record |= {
