@@ -44,7 +44,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -174,8 +174,8 @@ def catch_subcircuit(
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:
     """The resistances of both coils, which a deck may change."""
     return (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
     )
 
 

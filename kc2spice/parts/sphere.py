@@ -25,7 +25,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -254,8 +254,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ from kc2spice.report.figures import draw_all
 from kc2spice.report.plots import Picture
 from kc2spice.report.plotworker import PlotWorker
 from kc2spice.report.run_page import write_run
+from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
@@ -32,6 +33,7 @@ from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
+from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -100,6 +102,11 @@ def complete(
         write_deck(chosen, work)
     with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
         outcome = simulate(build, chosen, work, progress=share)
+    extra = reduction_check(build, outcome.waves, clock)
+    if extra is not None:
+        require((extra,), scene.name)
+        verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
+        outcome = replace(outcome, verdict=verdict)
     warn_of(outcome.verdict.checks)
     return Completed(build, simulator, outcome, clock)
 
@@ -204,7 +211,10 @@ def run_record(done: Completed) -> dict[str, Any]:
         if (rom := part.type.rom(part, build)) is not None
     }
     if reduced:
-        record["rom"] = next(iter(reduced.values()))
+        record["rom"] = dict(next(iter(reduced.values())))
+        if estimated(build.scene):
+            own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+            record["rom"]["contact_error"] = next(own, None)
         if len(reduced) > 1:
             record["roms"] = reduced
     record |= {
