@@ -80,10 +80,12 @@ def _gains(control: Control) -> tuple[Param, ...]:
             expected="no gain below zero and at least one above",
         )
     params = (
-        Param("kp", control.kp, "A/m", "proportional gain, above zero"),
-        Param("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
-        Param("kd", control.kd, "A.s/m", "derivative gain, above zero"),
-        Param("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
+        Param("kp", control.kp, "A/m", "proportional gain, above zero", low=1e-12),
+        Param("ki", control.ki, "A/(m.s)", "integral gain, above zero", low=1e-12),
+        Param("kd", control.kd, "A.s/m", "derivative gain, above zero", low=1e-12),
+        Param(
+            "rolloff", control.rolloff, "s", "time constant of the differentiator's pole", low=1e-12
+        ),
     )
     present = {"kp": control.kp, "ki": control.ki, "kd": control.kd, "rolloff": control.kd}
     return tuple(param for param in params if present[param.name])

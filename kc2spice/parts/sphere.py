@@ -231,8 +231,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        Param("mass", mass, "kg", "mass of the sphere", low=1e-12),
+        Param("radius", radius, "m", "radius of the sphere", low=1e-9),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

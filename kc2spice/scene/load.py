@@ -193,7 +193,7 @@ def _part(
         checked = part_type.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), part_type.schema, source) from None
-    return Part(name, part_type, checked, dict(pins))
+    return Part(name, part_type, checked, dict(pins), at)
 
 
 @dataclass(frozen=True)
