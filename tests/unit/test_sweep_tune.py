@@ -9,8 +9,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.sweep import tune
-from kc2spice.workflow.sweep.point import Outcome
-from kc2spice.workflow.sweep.point import SceneText
+from kc2spice.workflow.sweep.point import Outcome, SceneText
 from kc2spice.workflow.sweep.study import Request, make_study
 
 KEYS = keys_of(load_scene("kick_and_catch"))

@@ -32,7 +32,7 @@ from kc2spice.spice.cards import number
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.included import included_sources
-from kc2spice.workflow.decks import libraries, make_deck, results
+from kc2spice.workflow.decks import libraries, make_deck, result_vectors
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.simulate import simulate
@@ -325,7 +325,7 @@ def scalar_metrics(scene: Scene) -> dict[str, type]:
 
 def _made_up_run(build: Build) -> Waveforms:
     """Zeros; for ``ac`` 1 V everywhere, and currents of a series resonance beside a capacitance."""
-    vectors, analysis = results(build), build.scene.analysis
+    vectors, analysis = result_vectors(build), build.scene.analysis
     if analysis.type != "ac":
         scale = {"transient": "time"}.get(analysis.type, "sweep")
         data = {scale: np.linspace(0.0, 1.0, 5)} | {name: np.zeros(5) for name in vectors}
@@ -333,8 +333,8 @@ def _made_up_run(build: Build) -> Waveforms:
     low, high = max(analysis.start, 1e-3 * float(analysis.stop or 1.0)), float(analysis.stop or 1.0)
     f = np.linspace(low, high, 2001)
     x = f / f.mean()
-    values = {"V": np.ones(f.size, complex), "A": 1j * x * 1e-3 * (1 + 0.05 / (1 - x**2 + 0.02j * x))}
-    zero = np.zeros(f.size, complex)
+    zero, one = np.zeros(f.size, complex), np.ones(f.size, complex)
+    values = {"V": one, "A": 1e-3j * x * (1 + 0.05 / (1 - x**2 + 0.02j * x))}
     data = {name: values.get(vector.unit, zero) for name, vector in vectors.items()}
     return Waveforms({"frequency": f} | data, {})
 

@@ -312,7 +312,8 @@ class _Meter:
         self._done += 1
         rate = self._done / max(time.monotonic() - self.start, 1e-9)
         minutes, seconds = divmod(round((self._total - self._done) / rate), 60)
-        left = f"{minutes // 60} h {minutes % 60} min" if minutes > 59 else f"{minutes} min {seconds} s"
+        hours, minutes = divmod(minutes, 60)
+        left = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds} s"
         text = f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, {left} left"
         self._progress("sweep", self._done / self._total, text)
 

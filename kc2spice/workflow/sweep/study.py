@@ -256,9 +256,11 @@ def _definition(name: str) -> Mapping[str, Any] | None:
     for key, value in content.items():
         kind = _STUDY.get(key)
         if kind is None or not isinstance(value, kind):
-            raise UsageError("not a key of a study" if kind is None else "of the wrong type",
-                             where=f"{name}, key {key}", got=repr(value),
-                             expected=", ".join(_STUDY), hint=did_you_mean(key, _STUDY))  # fmt: skip
+            raise UsageError(
+                "not a key of a study" if kind is None else "of the wrong type",
+                where=f"{name}, key {key}", got=repr(value), expected=", ".join(_STUDY),
+                hint=did_you_mean(key, _STUDY) if kind is None else None,
+            )  # fmt: skip
     return content
 
 
