@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -353,13 +356,19 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
-def file_stamp(path: Any) -> str:
-    """What tells one state of a file from another: its size and time of change."""
+def file_stamp(path: Path) -> str:
+    """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
         found = path.stat()
+        return _content(path, found.st_size, found.st_mtime_ns)
     except OSError:
         return "absent"
-    return f"{found.st_size} {found.st_mtime_ns}"
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def modal_form(model: LinearModel) -> Resonators | None:

@@ -45,6 +45,9 @@ class Controller(PartType):
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return () if part.keys.file is None else (part.keys.file,)
+
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         keys = part.keys
         inputs = (

@@ -195,7 +195,7 @@ def _part(
         checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), kind.schema, source) from None
-    return Part(name, kind, checked, dict(pins))
+    return Part(name, kind, checked, dict(pins), at)
 
 
 @dataclass(frozen=True)

@@ -122,13 +122,15 @@ class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
-    of its subcircuit.
+    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
+    somebody changed parameters there: they are asked for no checks and no energy balance.
     """
 
     scene: Scene
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
@@ -181,6 +183,10 @@ class PartType:
         """Whether it names a subcircuit out of the scene's ``include`` files."""
         return False
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Names of the files beside the scene that it reads."""
+        return ()
+
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
         return ()
@@ -222,6 +228,13 @@ class PartType:
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
         """What its model depends on; parts with equal keys share a model. None: no model."""
         return None
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
+        """What the costly first stage of its model depends on, where that is less: finite elements.
+
+        Parts and sweeps with equal keys share that stage.
+        """
+        return self.model_key(part, scene)
 
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
         """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""

@@ -31,7 +31,7 @@ from kc2spice.spice.lint import lint
 from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts
+from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
 from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
@@ -205,18 +205,10 @@ def run_record(done: Completed) -> dict[str, Any]:
         },
         "model": model_facts(build),
     }
-    reduced = {
-        part.name: rom
-        for part in build.scene.parts.values()
-        if (rom := part.type.rom(part, build)) is not None
-    }
-    if reduced:
-        record["rom"] = dict(next(iter(reduced.values())))
-        if estimated(build.scene):
-            own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
-            record["rom"]["contact_error"] = next(own, None)
-        if len(reduced) > 1:
-            record["roms"] = reduced
+    record |= rom_facts(build)
+    if "rom" in record and estimated(build.scene):
+        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        record["rom"]["contact_error"] = next(own, None)
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
