@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from math import pi
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,6 +23,12 @@ from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
+SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+HEADROOM = 1.2  # of a supply over what it must give
+# Largest deviation of the flight from that under an ideal PID, of its 1.5 mm, with the usual gains
+# and limits of 0.1 to 1 A; the launch differs by 6e-6 at most.
+OPAMPS, HIGHEST = 6.5e-5, 1.0
 EDGE = 1e-8  # s, of the enabling signal
 SETTLING_BAND = 0.05  # of the step from rest to set point
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
@@ -83,24 +89,50 @@ def _gains(control: Control) -> tuple[Param, ...]:
     return tuple(param for param in params if present[param.name])
 
 
+def sense_resistance(control: Control, *, output: bool = True) -> float:
+    """Volts of the command for each ampere of coil current.
+
+    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
+    100 Ohm, so that no limit is beyond the rails; to a driver it says 100 V for each ampere.
+    """
+    return min(SENSE, COMMAND / control.current_limit) if output else SENSE
+
+
+def compliance(control: Control, load: float) -> float:
+    """Supply [V] of an output stage that drives the current limit through ``load`` [Ohm] of coils.
+
+    In steps of 100 V, at least 400 V: what is left over slews the current.
+    """
+    needed = HEADROOM * control.current_limit * (load + sense_resistance(control))
+    return max(SUPPLY, 100.0 * math.ceil(needed / 100.0))
+
+
 def pid_subcircuit(
-    header: Header, control: Control, *, output: bool = True, name: str = "pid"
+    header: Header,
+    control: Control,
+    *,
+    output: bool = True,
+    load: float = 0.0,
+    name: str = "pid",
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants.
+    ``load`` [Ohm] is what the coils are between them. Without its ``output`` stage it ends at
+    ``command``, 100 V for each ampere that it wants.
     """
+    sense = sense_resistance(control, output=output)
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
     )
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
-    supply = Param("compliance", 400.0, "V", "supply of the output stage")
+    supply = Param("compliance", compliance(control, load), "V", "supply of the output stage")
+    rail = max(15.0, HEADROOM * sense * control.current_limit)
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         *_gains(control),
         Param("current_limit", control.current_limit, "A", "largest coil current"),
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        Param("rail", 15.0, "V", "supply of the signal amplifiers"),
+        Param("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
     gains = [param.name for param in params]
@@ -113,9 +145,9 @@ def pid_subcircuit(
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
-        sense=SENSE,
+        sense=sense,
         bandwidth=BANDWIDTH,
-        pi=pi,
+        pi=math.pi,
         output=output,
     )
     part = Subcircuit(name, pins, params, text)
@@ -192,8 +224,10 @@ class Pid(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
+        table = build.model(_coils(part, build.scene))
+        load = float(table.resistance.sum())
         name = build.libraries[part.name]
-        return (pid_subcircuit(header, part.keys, output=local, name=name),)
+        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
@@ -241,13 +275,16 @@ class Pid(PartType):
         return Modelled(part.name, "circuit", detail)
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        known = part.keys.current_limit == Control().current_limit
+        keys, usual = part.keys, Control()
+        gains = ("kp", "ki", "kd", "rolloff")
+        known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
+        known = known and usual.current_limit <= keys.current_limit <= HIGHEST
         yield ErrorRow(
             "controller",
             None,
-            3.5e-5 if known else None,
+            OPAMPS if known else None,
             "op-amps with finite gain",
-            "not part of the budget: what real op-amps do to the position, against an ideal PID",
+            "not part of the budget: what real op-amps do to the trajectory, against an ideal PID",
         )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, Time, Voltage
+from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
@@ -47,11 +47,13 @@ class Drive(Section):
     width: Time = Field(25e-6, gt=0)
     edge: Time = Field(0.1e-6, gt=0)
     start: Time = Field(0.5e-3, ge=0)
+    period: Time | None = Field(None, gt=0, description="of a train of pulses")
+    count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
 
     @property
     def waveform(self) -> Waveform:
         """The pulse as a function of time."""
-        return pulse(0.0, self.voltage, self.start, self.width, self.edge)
+        return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
 class Stack(Chip):
@@ -97,7 +99,7 @@ class PiezoStack(LinearBody):
             found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
             target = f"{name}.command"
         d = keys.drive
-        wave = {"high": d.voltage, "width": d.width, "edge": d.edge, "start": d.start}
+        wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
 

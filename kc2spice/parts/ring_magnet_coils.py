@@ -539,14 +539,17 @@ def _driven(part: Part, scene: Scene) -> bool:
 
 
 def largest_current(part: Part, scene: Scene) -> float:
-    """Largest coil current [A] that a controller of the scene asks for; 0 without one."""
+    """Largest coil current [A] that a controller of the scene asks for.
+
+    1 A where something drives the coils that tells no limit, 0 where nothing does.
+    """
     limits = [
         limit
         for other in scene.parts.values()
         if (limit := getattr(other.keys, "current_limit", None)) is not None
         and other.type.name == "pid"
     ]
-    return float(max(limits, default=0.0))
+    return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
 
 
 def beyond(table: EMTable, y: np.ndarray) -> float:

@@ -96,7 +96,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     try:
         scene = Scene(Frame.model_validate(frame), {}, home=source.folder, budgeted=budgeted)
     except ValidationError as error:
-        raise _explain(error.errors()[0], (), Frame, source) from None
+        raise _explain(_first(error), (), Frame, source) from None
     parts = {name: _part(name, data[name], kind, source) for name, kind in types.items()}
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
@@ -194,7 +194,7 @@ def _part(
     try:
         checked = part_type.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
-        raise _explain(error.errors()[0], at or (name,), part_type.schema, source) from None
+        raise _explain(_first(error), at or (name,), part_type.schema, source) from None
     return Part(name, part_type, checked, dict(pins))
 
 
@@ -292,6 +292,12 @@ def _toml_value(text: str) -> Any:
     except ValueError:
         return text
     return table["value"] if set(table) == {"value"} else text
+
+
+def _first(error: ValidationError) -> ErrorDetails:
+    """The finding to tell: an unknown key before one that is missing, which it may stand for."""
+    found = error.errors()
+    return next((each for each in found if each["type"] == "extra_forbidden"), found[0])
 
 
 def _explain(

@@ -10,7 +10,7 @@ Everything else (deck, metrics, checks, plots, energy balance, ``explain``, swee
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -101,6 +101,20 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class Sampled:
+    """A function outside of the simulator that sets ``source`` (a card's name in lower case).
+
+    ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
+    it returns is held from ``delay`` [s] later on.
+    """
+
+    source: str
+    period: float
+    delay: float
+    call: Callable[[float, Mapping[str, float]], float]
+
+
+@dataclass(frozen=True)
 class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
@@ -112,6 +126,7 @@ class Build:
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""
@@ -246,6 +261,10 @@ class PartType:
 
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
+        return None
+
+    def sampled(self, part: Part, build: Build) -> Sampled | None:
+        """The function that runs beside the simulator for it."""
         return None
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:

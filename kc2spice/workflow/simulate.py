@@ -45,8 +45,19 @@ def simulate(
         checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
         return Verdict(tuple(checks), found.balances)
 
+    sampled = [
+        found
+        for part in build.scene.parts.values()
+        if (found := part.type.sampled(part, build)) is not None
+    ]
+
+    def shared(tried: Deck) -> Waveforms:
+        from kc2spice.sim.loop import run_shared
+
+        return run_shared(tried, sampled, progress)
+
     return run_with_retries(
-        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, progress=progress,
+        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, engine=shared if sampled else None, progress=progress,
         timeout=timeout,
     )  # fmt: skip
 
