@@ -50,8 +50,10 @@ def test_import_loads_nothing_else():
 
 
 def test_loading_a_scene_needs_no_plots_and_no_mesher():
-    loaded = fresh("import sys, kc2spice as kc; kc.load_scene('kick_and_catch'); print(*sys.modules)")
-    assert not {"gmsh", "PySpice", "matplotlib", "skfem"} & set(loaded)
+    loaded = fresh(
+        "import sys, kc2spice as kc; kc.load_scene('kick_and_catch'); print(*sys.modules)"
+    )
+    assert not {"gmsh", "PySpice", "matplotlib"} & set(loaded)
 
 
 def test_everything_promised_is_there_and_explains_itself():
@@ -114,7 +116,9 @@ def test_plots_show_waves_and_refuse_others(tmp_path):
 
 
 def test_sweep_has_a_row_for_each_point_and_the_reason_of_a_failure(tmp_path):
-    table = kc.sweep(PULSE, {"upper.resistance": [500, "1 kOhm"], "store.capacitance": [1e-6, 2e-6]})
+    table = kc.sweep(
+        PULSE, {"upper.resistance": [500, "1 kOhm"], "store.capacitance": [1e-6, 2e-6]}
+    )
     assert table.columns == ("upper.resistance", "store.capacitance", "top_v", "status")
     wanted = [1 - np.exp(-5e-3 / (r * c)) for r in (500, 1e3) for c in (1e-6, 2e-6)]
     np.testing.assert_allclose(table["top_v"], wanted, rtol=1e-3)
@@ -138,29 +142,25 @@ def test_overrides_of_a_loaded_scene_keep_those_before():
 
 
 def test_own_controller_is_asked_at_its_instants():
-    class Outside(kc.PartType):
-        name, title, schema = "outside_for_test", "from Python", kc.Section
-
-        def pins(self, part, scene):
-            return (kc.Terminal("out", "V", "A", required=True), kc.Terminal("ret", "V", "A", "gnd"))
-
-        def cards(self, part, build):
-            return (f"V{part.name} {build.net(part, 'out')} 0 EXTERNAL",)
-
-    kc.register_part(Outside())
-    tables = {**PULSE, "drive": {"part": "outside_for_test"}}
+    controller = {"part": "controller", "inputs": ["top"], "units": {"top": "V"}, "period": 1e-3,
+                  "pins": {"top": "store.a"}}  # fmt: skip
+    tables = {**PULSE, "drive": controller, "probes": {}}
     seen = []
 
-    def staircase(time, values):
-        seen.append(time)
-        return {"vdrive": 1.0 if time >= 2e-3 else 0.0}
+    def step(time, inputs):
+        seen.append((time, inputs["top"]))
+        return 1.0 if time >= 2e-3 else 0.0
 
-    result = kc.simulate(tables, control=staircase, period=1e-3)
-    np.testing.assert_allclose(seen, 1e-3 * np.arange(7), atol=1e-12)
+    result = kc.simulate(tables, functions={"drive": step})
+    times, tops = np.array(seen).T
+    np.testing.assert_allclose(times, 1e-3 * np.arange(7), atol=1e-12)
+    np.testing.assert_allclose(tops, 1 - np.exp(-(times - 2e-3).clip(0) / 1e-3), atol=5e-3)
     wanted = 1 - np.exp(-(result.time - 2e-3).clip(0) / 1e-3)
     np.testing.assert_allclose(result.waves["store.v"], wanted, atol=5e-3)
-    with pytest.raises(kc.errors.UsageError, match="period"):
-        kc.simulate(tables, control=staircase)
+    with pytest.raises(kc.errors.UsageError, match="no function"):
+        kc.run(tables)
+    with pytest.raises(kc.errors.UsageError, match="parts of a scene"):
+        kc.simulate(kc.deck(PULSE), functions={"drive": step})
 
 
 def test_edited_deck_gets_the_metrics_of_its_scene(tmp_path):
