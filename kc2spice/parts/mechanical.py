@@ -47,6 +47,17 @@ class _Mechanical(PartType):
 
 class PointMass(_Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    example = """
+[mass]
+part = "mass"
+mass = "1 mg"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
@@ -118,6 +129,17 @@ class _Link(_Mechanical):
 
 class Spring(_Link):
     name, title, schema = "spring", "linear spring between two displacement pins", SpringKeys
+    example = """
+[spring]
+part = "spring"
+stiffness = "100 N/m"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
@@ -129,6 +151,17 @@ class Spring(_Link):
 
 class Damper(_Link):
     name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
+    example = """
+[damper]
+part = "damper"
+damping = "0.02 N s/m"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")

@@ -64,16 +64,47 @@ class _TwoTerminal(PartType):
 
 class Resistor(_TwoTerminal):
     name, title, schema = "resistor", "ideal resistor", ResistorKeys
+    example = """
+[resistor]
+part = "resistor"
+resistance = "50 Ohm"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+dc = "1 V"
+"""
     letter, key, unit = "R", "resistance", "Ohm"
 
 
 class Capacitor(_TwoTerminal):
     name, title, schema = "capacitor", "ideal capacitor", CapacitorKeys
+    example = """
+[capacitor]
+part = "capacitor"
+capacitance = "100 nF"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+dc = "1 V"
+"""
     letter, key, unit = "C", "capacitance", "F"
 
 
 class Inductor(_TwoTerminal):
     name, title, schema = "inductor", "ideal inductor", InductorKeys
+    example = """
+[inductor]
+part = "inductor"
+inductance = "10 uH"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+kind = "current"
+dc = "1 A"
+"""
     letter, key, unit = "L", "inductance", "H"
 
 
