@@ -96,6 +96,9 @@ class LinearBody(PartType):
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return tuple(_terminals(part, self.kept(part, scene), scene))
 
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return tuple(_terminals(part, self.ports(part, scene), scene))
+
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
         names = ports or tuple(mechanical[:1])

@@ -31,6 +31,17 @@ class MassKeys(Section):
 
 class PointMass(Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    example = """
+[mass]
+part = "mass"
+mass = "1 mg"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))

@@ -151,6 +151,8 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
+    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    example: ClassVar[str] = ""
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -174,6 +176,10 @@ class PartType:
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
         raise NotImplementedError
+
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins and those that it would have if the scene asked for them."""
+        return self.pins(part, scene)
 
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -88,14 +88,17 @@ def complete(
     *,
     trust: bool = False,
     deck: Path | None = None,
+    functions: Mapping[str, Any] | None = None,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+
+    ``functions`` are those of controllers, by part.
 
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    build = build_models(scene, clock, trust=trust)
+    build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         chosen = make_deck(build) if deck is None else edited_deck(build, deck)
         lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
