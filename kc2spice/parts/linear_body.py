@@ -372,11 +372,14 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
     electrical = [p for p in ports if p.kind == "electrical"]
     moved = [p for p in ports if p.kind in ANSWERS]
     signals = [p for p in ports if p.kind in ("input", "output")]
+    shared: set[str] = set()
     for port in electrical:
         plus, minus = port.terminals
         yield Terminal(plus, port.across, port.flow)
-        floating = minus in wanted(part, scene) - set(part.pins)
-        yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        if minus not in shared:
+            floating = minus in wanted(part, scene) - set(part.pins)
+            yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        shared.add(minus)
     for port in moved:
         yield Terminal(port.terminals[0], port.across, port.flow)
     for port in signals:

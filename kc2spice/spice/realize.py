@@ -157,7 +157,8 @@ def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin,
             for pin in terminal.pins
         ]  # fmt: skip
 
-    electrical, signals = of(("electrical",)), of(("input", "output"))
+    # electrical ports against one cathode share its pin
+    electrical, signals = list(dict.fromkeys(of(("electrical",)))), of(("input", "output"))
     moving = of(("mechanical", "rotational", "acceleration"))
     if not electrical and not moving:
         return (*signals, Pin("ref", "V", "A")), "ref"
