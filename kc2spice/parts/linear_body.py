@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, window
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import chipbook
@@ -18,7 +20,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import reference, subcircuit
@@ -29,7 +31,7 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
-GROUNDED = ("cathode",)  # second pins of electrical ports that are grounded unless joined
+PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
 class BodyKeys(Section):
@@ -261,6 +263,29 @@ class LinearBody(PartType):
         ports = ", ".join(port.name for port in self.kept(part, scene))
         detail = f"reduced to {target}, band {low:g} … {high:g} Hz; ports {ports}"
         return Modelled(part.name, self.source, detail)
+
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        found = self.mesh_error(part, scene)
+        if found is None:
+            return
+        fact = found.fact.rpartition("_")[0].replace("_", " ")
+        why = "against cells of half the size"
+        if found.error is None:
+            why = f"not estimated: takes about {found.seconds:.0f} s"
+        yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
+
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
+        """Error of the headline number on this mesh, None where there is no mesh."""
+
+        def estimate() -> MeshError | None:
+            return headline_error(lambda k: self.full(part, scene, Clock(silent), k), PATIENCE)
+
+        key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
+        found, _ = cached(
+            "mesh_error", key, estimate, classes=(MeshError,),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.bodies"),
+        )  # fmt: skip
+        return found
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         kept = self.kept(part, scene)

@@ -316,6 +316,10 @@ class PartType:
         """Errors of its model."""
         return ()
 
+    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
+        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
+        return ()
+
 
 _types: dict[str, PartType] = {}
 _loaded: list[bool] = []
