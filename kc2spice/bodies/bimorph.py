@@ -60,8 +60,8 @@ class Bimorph(Section):
     """Keys of ``part = "bimorph"``; see the module.
 
     ``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported* (on
-    knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points`` are further ports on the centre line of the top, by
-    distance from the clamp.
+    knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points`` are
+    further ports on the centre line of the top, by distance from the clamp.
     """
 
     length: Length = Field(gt=0)

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.bodies import body
+from kc2spice.bodies.device import Device
 from kc2spice.core.progress import Clock
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts.linear_body import file_stamp
+from kc2spice.parts.meshed import MeshedBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -16,12 +18,13 @@ from kc2spice.scene.settings import Rom
 
 
 class BodyKeys(body.Body):
-    """Keys of the body, and its own reduction if it has one."""
+    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
 
     rom: Rom | None = None
+    fields: bool = False
 
 
-class Body(LinearBody):
+class Body(MeshedBody):
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
     schema = BodyKeys
@@ -37,12 +40,16 @@ class Body(LinearBody):
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
         stamp = file_stamp(scene.home / part.keys.mesh)
         with clock.stage("mesh", f"mesh and matrices of {part.name}"):
-            return _built(self.body_keys(part), scene.home, refine, stamp)
+            return _device(self.body_keys(part), scene.home, refine, stamp).model
+
+    def device(self, part: Part, scene: Scene) -> Device:
+        stamp = file_stamp(scene.home / part.keys.mesh)
+        return _device(self.body_keys(part), scene.home, 1, stamp)
 
 
 @lru_cache(maxsize=2)
-def _built(keys: body.Body, home: Path, refine: int, stamp: str) -> LinearModel:
-    return body.build(keys, home, refine=refine)
+def _device(keys: body.Body, home: Path, refine: int, stamp: str) -> Device:
+    return body.device(keys, home, refine=refine)
 
 
 register(Body())

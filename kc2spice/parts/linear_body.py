@@ -68,7 +68,7 @@ class LinearBody(PartType):
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
-        return {"keys": part.keys.model_dump(mode="json", exclude={"rom"})}
+        return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
 
     # --- scene ----------------------------------------------------------------------------------
 

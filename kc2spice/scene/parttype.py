@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kc2spice.core.errors import UsageError
@@ -293,6 +294,10 @@ class PartType:
     def arrays(self, part: Part, build: Build) -> Mapping[str, Mapping[str, Any]]:
         """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
         return {}
+
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
+        """Further files of a run; writes them into ``folder`` and gives their names."""
+        return ()
 
     def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
         """Its equations for the independent reference; None where it has none."""

@@ -65,7 +65,7 @@ def run(
             drawn = plots.draw(draw_all, work, figures)
             record = _record(build, simulator, outcome, clock)
             files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
-            files += _arrays(build, work)
+            files += [*_arrays(build, work), *_own_files(build, waves, work)]
             pictures = drawn.result()
             files += [picture.path.name for picture in pictures]
         record["files"] = [*files, "report.html", "result.json"]
@@ -90,6 +90,12 @@ def _arrays(build: Build, directory: Path) -> list[str]:
             np.savez_compressed(directory / name, **arrays)
             names.append(name)
     return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
 
 
 def export(
