@@ -38,18 +38,22 @@ class Body(MeshedBody):
         return {**super().full_key(part, scene), "file": file_stamp(scene.home / part.keys.mesh)}
 
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
-        stamp = file_stamp(scene.home / part.keys.mesh)
         with clock.stage("mesh", f"mesh and matrices of {part.name}"):
-            return _device(self.body_keys(part), scene.home, refine, stamp).model
+            return self._refined(part, scene, refine).model
 
     def device(self, part: Part, scene: Scene) -> Device:
-        stamp = file_stamp(scene.home / part.keys.mesh)
-        return _device(self.body_keys(part), scene.home, 1, stamp)
+        return self._refined(part, scene, 1)
+
+    def _refined(self, part: Part, scene: Scene, refine: int) -> Device:
+        # unset keys stay out: a group is picked by the keys that it has
+        keys = self.body_keys(part).model_dump_json(exclude_unset=True)
+        return _device(keys, scene.home, refine, file_stamp(scene.home / part.keys.mesh), part.name)
 
 
 @lru_cache(maxsize=2)
-def _device(keys: body.Body, home: Path, refine: int, stamp: str) -> Device:
-    return body.device(keys, home, refine=refine)
+def _device(keys: str, home: Path, refine: int, stamp: str, where: str) -> Device:
+    parsed = body.Body.model_validate_json(keys)
+    return body.device(parsed, home, refine=refine, where=where)
 
 
 register(Body())

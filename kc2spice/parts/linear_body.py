@@ -73,8 +73,13 @@ class LinearBody(PartType):
     # --- scene ----------------------------------------------------------------------------------
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        """The ports that the scene needs: electrical ones, and others that something names."""
+        """The ports that the scene needs: electrical ones, and others that something names.
+
+        All where the body is the only part: the scene is there to export it.
+        """
         every = self.ports(part, scene)
+        if len(scene.parts) == 1:
+            return every
         names = wanted(part, scene)
         unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
         for name in unknown:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from kc2spice.bodies.recover import Motion
 
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
-ADVICE = "look at the VTU file: edges of clamps and re-entrant corners exceed any limit when refined"
+ADVICE = (
+    "look at the VTU file: edges of clamps and re-entrant corners exceed any limit when refined"
+)
 _QUANTITIES = {"principal_stress": ("stress", "pa"), "electric_field": ("field", "v_m")}
 # What the last run of each part gave: metrics, checks, figures and files all ask for it.
 _recent: dict[str, tuple[Waveforms, Recovered]] = {}
