@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
@@ -55,7 +56,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    short_for = ("contact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
@@ -127,7 +127,8 @@ class Contact(PartType):
         v = waves.data.get(f"{other}.v")
         if "time" not in waves or v is None or thrown(part, build.scene):
             return {}
-        launch = separation(waves["time"], waves[f"{part.name}.force"], v)
+        force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
+        launch = separation(waves["time"], force, v, busy)
         return {
             "launch_velocity_m_s": launch[1] if launch else None,
             "launch_time_s": launch[0] if launch else None,
@@ -161,6 +162,16 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, scene = part.name, build.scene
+        ports = kept_ports(part, scene)
+        law = laws.Contact(n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene))
+        place = "bottom" if self._velocity(part, scene) else "b"
+        pins = (*((port, f"{n}.{port}") for port in ports), (place, f"{n}.b"))
+        results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
+        every = tuple((1.0, f"{n}.{r}.through") for r in ports)
+        return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count = len(kept_ports(part, scene))
@@ -309,17 +320,43 @@ def thrown(part: Part, scene: Scene) -> bool:
 # --- what the waveforms say -----------------------------------------------------------------------
 
 
-def separation(t: np.ndarray, force: np.ndarray, v: np.ndarray) -> tuple[float, float] | None:
-    """Time [s] and velocity [m/s] at the end of the first contact that a flight follows, or None.
+def separation(
+    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf
+) -> tuple[float, float] | None:
+    """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
 
-    A flight lasts 20 us or until the data end.
+    A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
+    later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
+    drive stops moving, the launch is the first with at least half of the largest speed. Without
+    one it is the first of all; by default the drive is not known and all of them count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
+    flights = []
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])
         if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
-            return _edge(t, v, force, int(last))
-    return None
+            flights.append(_edge(t, v, force, int(last)))
+    if not flights:
+        return None
+    kicked = [each for each in flights if each[0] <= busy + _FLIGHT] or flights[:1]
+    fastest = max(speed for _, speed in kicked)
+    return next(each for each in kicked if each[1] >= min(fastest, fastest / 2))
+
+
+def busy_until(scene: Scene) -> float:
+    """Time [s] at which the last source stops changing, but for those that only enable something.
+
+    Infinite where one never does or there is none.
+    """
+    ends = [math.inf]
+    for source in scene.of("source"):
+        wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
+        if all(scene.parts[name].type.name == "pid" for name, _ in joined):
+            continue
+        corners = wave.corners(scene.stop)
+        ends.append(math.inf if wave.kind == "sine" else float(max(corners, default=0.0)))
+    known = [end for end in ends[1:] if end > 0]
+    return max(known, default=ends[0])
 
 
 def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from math import pi
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts import sphere
+from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
@@ -23,6 +25,12 @@ from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
+SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+HEADROOM = 1.2  # of a supply over what it must give
+# Largest deviation of the flight from that under an ideal PID, of its 1.5 mm, with the usual gains
+# and limits of 0.1 to 1 A; the launch differs by 6e-6 at most.
+OPAMPS, HIGHEST = 6.5e-5, 1.0
 EDGE = 1e-8  # s, of the enabling signal
 SETTLING_BAND = 0.05  # of the step from rest to set point
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
@@ -83,24 +91,50 @@ def _gains(control: Control) -> tuple[Param, ...]:
     return tuple(param for param in params if present[param.name])
 
 
+def sense_resistance(control: Control, *, output: bool = True) -> float:
+    """Volts of the command for each ampere of coil current.
+
+    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
+    100 Ohm, so that no limit is beyond the rails; to a driver it says 100 V for each ampere.
+    """
+    return min(SENSE, COMMAND / control.current_limit) if output else SENSE
+
+
+def compliance(control: Control, load: float) -> float:
+    """Supply [V] of an output stage that drives the current limit through ``load`` [Ohm] of coils.
+
+    In steps of 100 V, at least 400 V: what is left over slews the current.
+    """
+    needed = HEADROOM * control.current_limit * (load + sense_resistance(control))
+    return max(SUPPLY, 100.0 * math.ceil(needed / 100.0))
+
+
 def pid_subcircuit(
-    header: Header, control: Control, *, output: bool = True, name: str = "pid"
+    header: Header,
+    control: Control,
+    *,
+    output: bool = True,
+    load: float = 0.0,
+    name: str = "pid",
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants.
+    ``load`` [Ohm] is what the coils are between them. Without its ``output`` stage it ends at
+    ``command``, 100 V for each ampere that it wants.
     """
+    sense = sense_resistance(control, output=output)
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
     )
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
-    supply = Param("compliance", 400.0, "V", "supply of the output stage")
+    supply = Param("compliance", compliance(control, load), "V", "supply of the output stage")
+    rail = max(15.0, HEADROOM * sense * control.current_limit)
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         *_gains(control),
         Param("current_limit", control.current_limit, "A", "largest coil current"),
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        Param("rail", 15.0, "V", "supply of the signal amplifiers"),
+        Param("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
     gains = [param.name for param in params]
@@ -113,9 +147,9 @@ def pid_subcircuit(
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
-        sense=SENSE,
+        sense=sense,
         bandwidth=BANDWIDTH,
-        pi=pi,
+        pi=math.pi,
         output=output,
     )
     part = Subcircuit(name, pins, params, text)
@@ -126,7 +160,6 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height, of operational amplifiers"
     schema = Control
-    short_for = ("control",)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -192,8 +225,10 @@ class Pid(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
+        table = build.model(_coils(part, build.scene))
+        load = float(table.resistance.sum())
         name = build.libraries[part.name]
-        return (pid_subcircuit(header, part.keys, output=local, name=name),)
+        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
@@ -201,6 +236,20 @@ class Pid(PartType):
             wanted = f"v({build.net(part, 'command')})"
             found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
         return found
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """The ideal law; what the amplifiers add to it is an error of the netlist."""
+        keys, n, scene = part.keys, part.name, build.scene
+        own = [name for name, _ in scene.joined(n, "enable")] == [f"{n}_enable"]
+        if _remote(part, scene) or not own or build.net(part, "ref") != "0":
+            return None
+        on = tuple(t for t, state in keys.switching if state)
+        law = laws.Pid(
+            n, keys.kp, keys.ki, keys.kd, keys.rolloff, keys.current_limit, keys.setpoint,
+            sphere.offset(part, "y", scene), on, tuple(keys.disable_at),
+        )  # fmt: skip
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
+        return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         ball = _ball(part, build.scene)
@@ -241,13 +290,16 @@ class Pid(PartType):
         return Modelled(part.name, "circuit", detail)
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        known = part.keys.current_limit == Control().current_limit
+        keys, usual = part.keys, Control()
+        gains = ("kp", "ki", "kd", "rolloff")
+        known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
+        known = known and usual.current_limit <= keys.current_limit <= HIGHEST
         yield ErrorRow(
             "controller",
             None,
-            3.5e-5 if known else None,
+            OPAMPS if known else None,
             "op-amps with finite gain",
-            "not part of the budget: what real op-amps do to the position, against an ideal PID",
+            "not part of the budget: what real op-amps do to the trajectory, against an ideal PID",
         )
 
 

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from kc2spice.bodies.convergence import MeshError, headline_error
+from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, window
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import chipbook
+from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.judge import Balance
@@ -148,7 +149,13 @@ class LinearBody(PartType):
             with clock.stage("reduce", f"reduction of {part.name}"):
                 chosen = full.select(kept)
                 order = None if target.order is None else min(target.order, chosen.order)
-                return reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+                small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+            modal = modal_form(small)  # whose later use needs no eigenvalues
+            return (
+                small
+                if modal is None
+                else replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            )
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
@@ -247,15 +254,35 @@ class LinearBody(PartType):
         if z is not None:
             yield impedance_figure(part.name, waves["frequency"].real, z)
 
-    def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
-        from kc2spice.core import laws
-
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
-        if model.first_order:
+        ports, n = model.ports, part.name
+        pins = {pin.name for pin in self.pins(part, build.scene)}
+        if build.net(part, next(p for p in ("base", "ground", "ref") if p in pins)) != "0":
             return None
-        pencil = model.pencil.dense()
-        K, E, M = pencil.coefficients
-        return laws.body(part.name, M, E, K, model.B, model.D, model.ports)
+        if all(port.kind in ("input", "output") for port in ports):
+            return _signal_law(n, model)
+        if model.first_order or not all(port.conservative for port in ports):
+            return None
+        modal = modal_form(model)
+        kinds = {"mechanical": "displacement", "rotational": "rotation"}
+        own = tuple(
+            laws.Port(p.name, kinds.get(p.kind, p.kind), "".join(p.terminals[1:])) for p in ports
+        )
+        if modal is not None:
+            law = laws.LinearBody(
+                n, np.ones(modal.order), modal.damp, modal.omega**2, modal.gain, modal.gain.T,
+                modal.D, own,
+            )  # fmt: skip
+        else:
+            K, E, M = model.pencil.dense().coefficients
+            law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
+        joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
+        joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        return laws.Equations((law,), tuple(joins), _readings(part, model))
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
+        return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         rom = self.settings(part, scene)
@@ -298,6 +325,40 @@ class LinearBody(PartType):
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             yield LeftOut(what, "nothing of the scene needs them", "none")
+
+
+def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
+    """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
+    found: dict[str, laws.Reading] = {}
+    n = part.name
+    electrical = [port for port in model.ports if port.kind == "electrical"]
+    for port in model.ports:
+        if port.kind == "electrical":
+            prefix = n if port is electrical[0] else f"{n}.{port.name}"
+            found[f"{prefix}.voltage"] = laws.difference(
+                f"{n}.{port.name}", f"{n}.{port.terminals[1]}"
+            )
+            found[f"{prefix}.current"] = laws.reading(f"{n}.{port.name}.through")
+        elif port.kind in ANSWERS:
+            found[f"{n}.{ANSWERS[port.kind][2]}.{port.name}"] = laws.reading(f"{n}.{port.name}")
+    return found
+
+
+def _signal_law(name: str, model: LinearModel) -> laws.Equations:
+    """Signals in, signals out, in first order: ``x = [q, q']`` where the model has inertia."""
+    *rest, last = model.pencil.dense().coefficients
+    B, C = model.B, model.C
+    if model.first_order:
+        E, A = last, -rest[0]
+    else:
+        one, none = np.eye(model.order), np.zeros((model.order, model.order))
+        E = np.block([[one, none], [none, last]])
+        A = np.block([[none, one], [-rest[0], -rest[1]]])
+        B, C = np.vstack([0.0 * B, B]), np.hstack([C, 0.0 * C])
+    law = laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
+    pins = tuple((port.terminals[0], f"{name}.{port.name}") for port in model.ports)
+    results = {f"{name}.{port.name}": laws.reading(f"{name}.{port.name}") for port in model.ports}
+    return laws.Equations((law,), pins, results)
 
 
 def wanted(part: Part, scene: Scene) -> set[str]:

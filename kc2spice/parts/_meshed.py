@@ -18,8 +18,8 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import chipbook
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts import _chipbook as chipbook
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
