@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, window
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
@@ -22,7 +24,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import reference, subcircuit
@@ -33,7 +35,7 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
-GROUNDED = ("cathode",)  # second pins of electrical ports that are grounded unless joined
+PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
 class BodyKeys(Section):
@@ -70,13 +72,18 @@ class LinearBody(PartType):
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
-        return {"keys": part.keys.model_dump(mode="json", exclude={"rom"})}
+        return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
 
     # --- scene ----------------------------------------------------------------------------------
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        """The ports that the scene needs: electrical ones, and others that something names."""
+        """The ports that the scene needs: electrical ones, and others that something names.
+
+        All where the body is the only part: the scene is there to export it.
+        """
         every = self.ports(part, scene)
+        if len(scene.parts) == 1:
+            return every
         names = wanted(part, scene)
         unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
         for name in unknown:
@@ -295,6 +302,29 @@ class LinearBody(PartType):
         detail = f"reduced to {target}, band {low:g} … {high:g} Hz; ports {ports}"
         return Modelled(part.name, self.source, detail)
 
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        found = self.mesh_error(part, scene)
+        if found is None:
+            return
+        fact = found.fact.rpartition("_")[0].replace("_", " ")
+        why = "against cells of half the size"
+        if found.error is None:
+            why = f"not estimated: takes about {found.seconds:.0f} s"
+        yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
+
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
+        """Error of the headline number on this mesh, None where there is no mesh."""
+
+        def estimate() -> MeshError | None:
+            return headline_error(lambda k: self.full(part, scene, Clock(silent), k), PATIENCE)
+
+        key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
+        found, _ = cached(
+            "mesh_error", key, estimate, classes=(MeshError,),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.bodies"),
+        )  # fmt: skip
+        return found
+
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         kept = self.kept(part, scene)
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
@@ -445,11 +475,14 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
     electrical = [p for p in ports if p.kind == "electrical"]
     moved = [p for p in ports if p.kind in ANSWERS]
     signals = [p for p in ports if p.kind in ("input", "output")]
+    shared: set[str] = set()
     for port in electrical:
         plus, minus = port.terminals
         yield Terminal(plus, port.across, port.flow)
-        floating = minus in wanted(part, scene) - set(part.pins)
-        yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        if minus not in shared:
+            floating = minus in wanted(part, scene) - set(part.pins)
+            yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        shared.add(minus)
     for port in moved:
         yield Terminal(port.terminals[0], port.across, port.flow)
     for port in signals:

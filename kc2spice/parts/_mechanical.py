@@ -26,7 +26,8 @@ class Link(Mechanical):
     unit: str
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
+        ground = None if scene.named(part.name, "b") else "gnd"
+        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", ground))
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.force": self.through(part, build)}

@@ -23,7 +23,8 @@ class TwoTerminal(PartType):
     unit: str
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", "gnd"))
+        ground = None if scene.named(part.name, "b") else "gnd"
+        return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", ground))
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")

@@ -54,6 +54,9 @@ class Matrices(LinearBody):
             raise UsageError("matrices cannot be refined", where=part.name, got=refine)
         return self._model(part, scene)
 
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """The mesh is that of the other tool."""
+
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         keys = part.keys
         sidecar = None if keys.sidecar is None else scene.home / keys.sidecar

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kc2spice.core.errors import UsageError
@@ -333,6 +334,10 @@ class PartType:
         """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
         return {}
 
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
+        """Further files of a run; writes them into ``folder`` and gives their names."""
+        return ()
+
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None
@@ -375,6 +380,10 @@ class PartType:
 
     def errors(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
         """Errors of its model."""
+        return ()
+
+    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
+        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
         return ()
 
 

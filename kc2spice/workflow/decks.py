@@ -104,12 +104,15 @@ def _seconds(words: tuple[str, ...], where: str) -> float:
 
 
 def libraries(scene: Scene) -> dict[str, str]:
-    """Name of every part's subcircuit; parts that would share a name get one of their own."""
-    names = {part.name: part.type.library(part, scene) for part in scene.parts.values()}
-    low = [name.lower() for name in names.values()]
+    """Name of every part's subcircuit; parts of two types that would share a name get their own."""
+    parts = scene.parts
+    names = {part.name: part.type.library(part, scene) for part in parts.values()}
+    owners: dict[str, set[str]] = {}
+    for part, name in names.items():
+        owners.setdefault(name.lower(), set()).add(parts[part].type.name)
     return {
         part: name
-        if low.count(name.lower()) == 1 or scene.parts[part].type.uses_netlists(scene.parts[part])
+        if len(owners[name.lower()]) == 1 or parts[part].type.uses_netlists(parts[part])
         else part
         for part, name in names.items()
     }

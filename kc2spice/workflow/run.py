@@ -126,7 +126,7 @@ def write_run_files(
         drawn = draw(done.figures)
         record = run_record(done)
         files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
-        files += _arrays(done.build, work)
+        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
         pictures = drawn()
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
@@ -152,6 +152,12 @@ def _arrays(build: Build, directory: Path) -> list[str]:
             np.savez_compressed(directory / name, **arrays)
             names.append(name)
     return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
 
 
 def export(
