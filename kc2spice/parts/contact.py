@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -138,6 +139,16 @@ class Contact(PartType):
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         return {} if "time" not in waves else _balance(part, build, waves)
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
+            gates = build.scene.gates
+            limits = {
+                "ngspice_vs_rom": gates.launch_velocity,
+                "rom_vs_fom": gates.launch_full_model,
+                "ngspice_vs_fom": gates.launch_full_model,
+            }
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene = part.name, build.scene

@@ -12,6 +12,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -110,6 +111,11 @@ class Sphere(PartType):
         if "time" not in waves or f"{part.name}.v" not in waves:
             return {}
         return work_balance(part, build, waves)
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not start(part, build.scene):
+            limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
+            yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
