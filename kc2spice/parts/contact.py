@@ -15,6 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -164,6 +165,16 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
+            gates = build.scene.gates
+            limits = {
+                "ngspice_vs_rom": gates.launch_velocity,
+                "rom_vs_fom": gates.launch_full_model,
+                "ngspice_vs_fom": gates.launch_full_model,
+            }
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene = part.name, build.scene

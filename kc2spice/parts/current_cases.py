@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -81,6 +82,11 @@ class CurrentCases(PartType):
             "current_pairs_a": [list(case) for case in cases(part)],
             "force_n": [force.tolist() for force in forces],
         }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        limits = dict.fromkeys(PAIRS, build.scene.gates.lookup)
+        of = f"{_coils(build.scene).name}.force.*"
+        yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""

@@ -34,6 +34,7 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
+    from kc2spice.scene.gates import FullSolution
 
 SECTORS = 4  # the finite-element model is one symmetry sector of this many
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
@@ -145,6 +146,17 @@ class PiezoStack(LinearBody):
             _assembled(chip)
         with clock.stage("reduce", "elimination of the potentials"):
             return _device(chip)
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        from kc2spice.parts.chip_full import solve
+
+        def assembled() -> PiezoSystem:
+            with clock.stage("assemble", "piezoelectric matrices"):
+                return _assembled(chip_of(part.keys))
+
+        return solve(part, build, assembled, clock, whole)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))

@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -113,6 +114,15 @@ class PortLoads(PartType):
         panels = [Panel("frequency in kHz", "|response| in m/N", mechanical, log_y=True)]
         caption = "Response of every port to a unit load on itself."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        """What was asked of the reduction bounds what it may cost."""
+        gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
+        limits = {
+            "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
+        }  # fmt: skip
+        yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
