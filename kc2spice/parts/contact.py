@@ -55,7 +55,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    short_for = ("contact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)

@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -71,7 +71,6 @@ class PiezoStack(LinearBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
-    short_for = ("kick",)
     source = "FE (piezoelectric, linear)"
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,6 @@ class PortLoads(PartType):
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
-    short_for = ("harmonic",)
     analysis_type = "ac"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:

@@ -273,7 +273,6 @@ class RingMagnetCoils(PartType):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
-    short_for = ("catch",)
     lookup_key = "points"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:

@@ -51,7 +51,6 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    short_for = ("sphere",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):

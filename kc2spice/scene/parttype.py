@@ -1,10 +1,11 @@
 """What a part type is: one class with hooks, registered under its name.
 
-A module defines a subclass of :class:`PartType` and calls :func:`register` with an instance.
+A module, named after the type, defines a subclass of :class:`PartType` and calls :func:`register`
+with an instance.
 Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
-``kc2spice.parts`` are loaded by themselves, those of other packages through the entry point group
-``kc2spice.parts``.
+``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
+``kc2spice.parts``; each is loaded when a scene needs it.
 """
 
 from __future__ import annotations
@@ -146,8 +147,6 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
-    #: names of tables that mean this type where a scene has no ``part`` key in them
-    short_for: ClassVar[tuple[str, ...]] = ()
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -337,7 +336,6 @@ class PartType:
 
 
 _types: dict[str, PartType] = {}
-_loaded: list[bool] = []
 
 
 def register(part_type: PartType) -> PartType:
@@ -354,15 +352,29 @@ def register(part_type: PartType) -> PartType:
     return part_type
 
 
-def part_types() -> Mapping[str, PartType]:
-    """All known part types by name."""
-    if not _loaded:
-        package = import_module(PACKAGE)
-        for module in pkgutil.iter_modules(package.__path__):
-            import_module(f"{PACKAGE}.{module.name}")
-        for entry in entry_points(group=PACKAGE):
+def type_names() -> tuple[str, ...]:
+    """Names of all part types, without loading any of them.
+
+    A module of ``kc2spice.parts`` is named after its type; one that begins with ``_`` is shared by
+    several.
+    """
+    own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+    foreign = (entry.name for entry in entry_points(group=PACKAGE))
+    return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+
+
+def part_type(name: str) -> PartType | None:
+    """The part type of this name, None where there is none; its module is loaded when needed."""
+    if name not in _types and name in type_names():
+        for entry in entry_points(group=PACKAGE, name=name):
             found = entry.load()
             if isinstance(found, PartType):
                 register(found)
-        _loaded.append(True)
-    return dict(sorted(_types.items()))
+        if name not in _types:
+            import_module(f"{PACKAGE}.{name}")
+    return _types.get(name)
+
+
+def part_types() -> Mapping[str, PartType]:
+    """All part types by name; loads them all."""
+    return {name: found for name in type_names() if (found := part_type(name)) is not None}

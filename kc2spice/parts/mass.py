@@ -1,4 +1,4 @@
-"""Mass, spring and damper at displacement pins."""
+"""The part ``mass``: a point mass at a displacement pin."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.quantities import Mass, MechanicalDamping, Section, Stiffness
+from kc2spice.core.quantities import Mass, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.passive import across, meter, metered
+from kc2spice.parts._mechanical import Mechanical
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
-from kc2spice.spice.cards import number
+from kc2spice.scene.parttype import Build, Surface, Vector, register
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import parameter_list, part_header
 from kc2spice.spice.render import render
@@ -29,25 +28,7 @@ class MassKeys(Section):
     weight: bool = Field(False, description="whether gravity pulls it")
 
 
-class SpringKeys(Section):
-    """``F = k (x_a - x_b)``."""
-
-    stiffness: Stiffness = Field(gt=0)
-
-
-class DamperKeys(Section):
-    """``F = c (x_a' - x_b')``."""
-
-    damping: MechanicalDamping = Field(gt=0)
-
-
-class _Mechanical(PartType):
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        (key, value), *_ = part.keys
-        return Modelled(part.name, "closed form", f"{key} {value:g}")
-
-
-class PointMass(_Mechanical):
+class PointMass(Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
@@ -97,49 +78,4 @@ class PointMass(_Mechanical):
         }
 
 
-class _Link(_Mechanical):
-    """Two displacement pins and one law between them."""
-
-    template: str
-    key: str
-    unit: str
-
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
-
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.force": self.through(part, build)}
-
-    def through(self, part: Part, build: Build) -> Vector:
-        """The force that it passes from ``a`` to ``b``."""
-        raise NotImplementedError
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        found = waves.data.get(f"{part.name}.force")
-        return None if found is None else (-found if pin == "a" else found)
-
-
-class Spring(_Link):
-    name, title, schema = "spring", "linear spring between two displacement pins", SpringKeys
-
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"R{part.name} {a} {b} {number(1e6 / part.keys.stiffness)}",)
-
-    def through(self, part: Part, build: Build) -> Vector:
-        return Vector(across(part, build), 1e-6 * part.keys.stiffness, "N")
-
-
-class Damper(_Link):
-    name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
-
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        return metered(part, "C", number(1e-6 * part.keys.damping), a, b)
-
-    def through(self, part: Part, build: Build) -> Vector:
-        return Vector(meter(part).expression, 1.0, "N")
-
-
-for _type in (PointMass, Spring, Damper):
-    register(_type())
+register(PointMass())

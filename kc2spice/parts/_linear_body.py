@@ -13,7 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, window
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import chipbook
+from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.judge import Balance
@@ -141,7 +141,13 @@ class LinearBody(PartType):
             with clock.stage("reduce", f"reduction of {part.name}"):
                 chosen = full.select(kept)
                 order = None if target.order is None else min(target.order, chosen.order)
-                return reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+                small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+            modal = modal_form(small)  # whose later use needs no eigenvalues
+            return (
+                small
+                if modal is None
+                else replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            )
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),

@@ -1,36 +1,15 @@
-"""Resistor, capacitor and inductor between two electrical pins."""
+"""What resistor, capacitor and inductor share: one card between two electrical pins."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pydantic import Field
-
-from kc2spice.core.quantities import Capacitance, Inductance, Resistance, Section
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
 from kc2spice.spice.cards import number
 
 
-class ResistorKeys(Section):
-    """``v = R i``."""
-
-    resistance: Resistance = Field(gt=0)
-
-
-class CapacitorKeys(Section):
-    """``i = C dv/dt``."""
-
-    capacitance: Capacitance = Field(gt=0)
-
-
-class InductorKeys(Section):
-    """``v = L di/dt``."""
-
-    inductance: Inductance = Field(gt=0)
-
-
-class _TwoTerminal(PartType):
+class TwoTerminal(PartType):
     """One card ``LETTERname a b value``.
 
     Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
@@ -80,35 +59,3 @@ def metered(part: Part, letter: str, value: str, a: str, b: str) -> tuple[str, .
 def meter(part: Part) -> Vector:
     """What the meter of :func:`metered` reads, from ``a`` to ``b``."""
     return Vector(f"i(v{part.name.lower()}_meter)", 1.0, "A")
-
-
-class Resistor(_TwoTerminal):
-    name, title, schema = "resistor", "ideal resistor", ResistorKeys
-    letter, key, unit = "R", "resistance", "Ohm"
-
-    def through(self, part: Part, build: Build) -> Vector:
-        return Vector(across(part, build), 1.0 / part.keys.resistance, "A")
-
-
-class Capacitor(_TwoTerminal):
-    name, title, schema = "capacitor", "ideal capacitor", CapacitorKeys
-    letter, key, unit = "C", "capacitance", "F"
-
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        return metered(part, "C", number(part.keys.capacitance), a, b)
-
-    def through(self, part: Part, build: Build) -> Vector:
-        return meter(part)
-
-
-class Inductor(_TwoTerminal):
-    name, title, schema = "inductor", "ideal inductor", InductorKeys
-    letter, key, unit = "L", "inductance", "H"
-
-    def through(self, part: Part, build: Build) -> Vector:
-        return Vector(f"i(l{part.name.lower()})", 1.0, "A")
-
-
-for _type in (Resistor, Capacitor, Inductor):
-    register(_type())
