@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from kc2spice.report.plots import (
     legend_beside,
     name_axes,
     sheet,
+    shown,
     style,
 )
 
@@ -31,23 +31,13 @@ def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
 
 def notebook_figure(figure: Figure) -> Any:
     """The matplotlib figure of ``figure``, which notebooks show by themselves."""
-    from matplotlib.figure import Figure as Canvas
-
-    class Shown(Canvas):
-        """A figure that is its own picture."""
-
-        def _repr_png_(self) -> bytes:
-            stream = BytesIO()
-            self.savefig(stream, format="png")
-            return stream.getvalue()
-
     count = len(figure.panels)
     with style():
-        sheet = Shown(figsize=(7.0, 4.0 if count == 1 else 2.6 * count), layout="constrained")
-        rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
+        drawn = shown((7.0, 4.0 if count == 1 else 2.6 * count))
+        rows = drawn.subplots(count, 1, sharex=True, squeeze=False)
         for (axes,), panel in zip(rows, figure.panels, strict=True):
             _fill(axes, panel)
-    return sheet
+    return drawn
 
 
 def draw(directory: Path, figure: Figure) -> Picture:

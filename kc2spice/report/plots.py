@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,21 @@ def style() -> Any:
 def load() -> None:
     """Load what draws, which takes longer than a figure."""
     import matplotlib.figure  # noqa: F401
+
+
+def shown(size: tuple[float, float]) -> Any:
+    """An empty figure of ``size`` [inches] that notebooks show by themselves."""
+    from matplotlib.figure import Figure
+
+    class Shown(Figure):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    return Shown(figsize=size, layout="constrained")
 
 
 @contextmanager
