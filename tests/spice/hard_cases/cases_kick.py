@@ -11,7 +11,7 @@ from hard_cases.kit import HEADER, bench_deck, case, kick, relative, scene
 from scipy.linalg import expm
 
 from kc2spice import reference
-from kc2spice.parts.drivers import charge_drive_subcircuit, half_bridge_subcircuit
+from kc2spice.parts._drivers import charge_drive_subcircuit, half_bridge_subcircuit
 from kc2spice.parts.experiments import scene_deck
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.report.metrics import separation
