@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from kc2spice.rom.compress import directions, krylov_model
-from kc2spice.rom.project import certify, project_again
-from kc2spice.rom.schur import condense
 from scipy.linalg import expm
 
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.rom.candidates import balanced, candidates, gramians
+from kc2spice.rom.compress import directions, krylov_model
+from kc2spice.rom.project import certify, project_again
 from kc2spice.rom.response import frequency_response, relative_error
+from kc2spice.rom.schur import condense
 from kc2spice.scene.schema import Kick
 from kc2spice.workflow.candidates import SHIPPED, compare, table
 

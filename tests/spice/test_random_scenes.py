@@ -18,6 +18,7 @@ from kc2spice.scene.keys import scene_keys, submodel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Frame
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.short import SHORT
 from kc2spice.sim.retries import RetriesFailedError
 from kc2spice.spice.lint import lint
 from kc2spice.workflow.decks import make_deck
@@ -77,9 +78,8 @@ def all_fields():
     """Fields of the frame, of parts under their short names, and of drivers within them."""
     yield from schema_fields(Frame)
     types = part_types()
-    for kind in types.values():
-        for short in kind.short_for:
-            yield from schema_fields(kind.schema, f"{short}.")
+    for short, kind in SHORT.items():
+        yield from schema_fields(types[kind].schema, f"{short}.")
     for part, drivers in DRIVERS.items():
         for short, name in drivers.items():
             yield from schema_fields(types[name].schema, f"{part}.driver.{short}.")
