@@ -16,8 +16,8 @@ from kc2spice.report.plots import (
     legend_above,
     legend_beside,
     name_axes,
+    open_sheet,
     sheet,
-    shown,
     style,
 )
 
@@ -33,11 +33,11 @@ def notebook_figure(figure: Figure) -> Any:
     """The matplotlib figure of ``figure``, which notebooks show by themselves."""
     count = len(figure.panels)
     with style():
-        drawn = shown((7.0, 4.0 if count == 1 else 2.6 * count))
-        rows = drawn.subplots(count, 1, sharex=True, squeeze=False)
+        sheet = open_sheet((7.0, 4.0 if count == 1 else 2.6 * count))
+        rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
         for (axes,), panel in zip(rows, figure.panels, strict=True):
             _fill(axes, panel)
-    return drawn
+    return sheet
 
 
 def draw(directory: Path, figure: Figure) -> Picture:
@@ -69,6 +69,8 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_xlim(*panel.span)
     elif panel.curves:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
     name_axes(axes, panel.x, panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
     if labels > MANY:

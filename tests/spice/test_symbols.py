@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.parts._drivers import amplifier_subcircuit
 from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import amplifier_subcircuit
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
