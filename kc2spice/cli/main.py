@@ -94,6 +94,14 @@ def run(
     scene: SceneName,
     out: Out = None,
     set_: Set = None,
+    deck: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Run this netlist, edited by hand, instead of SCENE's own; same metrics, checks "
+            "and plots.",
+        ),
+    ] = None,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -107,7 +115,7 @@ def run(
         from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
-            result = study.run(study_scene, directory, progress, trust=trust)
+            result = study.run(study_scene, directory, progress, trust=trust, deck=deck)
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:

@@ -6,7 +6,7 @@ from typing import Any
 
 from kc2spice.bodies import bimorph
 from kc2spice.fem.materials import material
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register

@@ -8,7 +8,7 @@ from typing import Any
 
 from kc2spice.bodies import body
 from kc2spice.core.progress import Clock
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
@@ -55,7 +56,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    short_for = ("contact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
@@ -94,9 +94,12 @@ class Contact(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
+        a, b = sides(part, build.scene)
+        added = np.full(len(ports), part.keys.gap)
+        under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, gaps(part, build.scene), stiffness(part, build.scene),
+                header, ports, added, stiffness(part, build.scene), under=under,
                 rigid=self._velocity(part, build.scene), name=build.libraries[part.name],
             ),
         )  # fmt: skip
@@ -140,6 +143,26 @@ class Contact(PartType):
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         return {} if "time" not in waves else _balance(part, build, waves)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        force = waves.data.get(f"{part.name}.force")
+        if force is None:
+            return
+        ports = kept_ports(part, build.scene)
+        scale, (x, factor) = next(iter(waves.data.values())), ("time in µs", 1e6)
+        if "imprint.depth" in waves:
+            scale, (x, factor) = waves["imprint.depth"], ("depth in µm", 1e6)
+        inside = _loaded(force) if "time" in waves else slice(None)
+        curves = [
+            Curve(port, factor * scale[inside], waves[f"{part.name}.force.{port}"][inside])
+            for port in ports
+            if waves[f"{part.name}.force.{port}"].max() > 0
+        ]
+        curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
+        (one, _), (other, _) = _names(part, build.scene)
+        panel = Panel(x, "contact force in N", tuple(curves))
+        caption = f"Force between {one} and {other}, whole device, at each port that closes."
+        yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count = len(kept_ports(part, scene))
@@ -341,6 +364,16 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
     return float(time), float(v[free] + slope * (time - t[free]))
 
 
+def _loaded(force: np.ndarray) -> slice:
+    """From the first contact to the last of the first tenth of all that have a load."""
+    loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
+    if loaded.size == 0:
+        return slice(None)
+    gaps = np.flatnonzero(np.diff(loaded) > 200)
+    last = loaded[gaps[0]] if gaps.size else loaded[-1]
+    return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
+
+
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
     """Position [m] of side ``b`` at its lowest point, zero where it touches."""
     (_, _), (other, b) = _names(part, build.scene)
@@ -485,19 +518,28 @@ def contact_subcircuit(
     eps: float,
     *,
     rigid: bool = True,
+    under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
     """The law of :func:`contact_force` between ring pins and the other side.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. The other side is a
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
+    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is a
     ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
     """
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
+    radii = () if under is None else under[1][: len(rings)]
+    sphere = [] if under is None else [
+        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
+    ]  # fmt: skip
+    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     params = (
         positive("eps", eps, "N/m", "contact penalty of a whole ring"),
+        *sphere,
         *(
-            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when both sides are at rest")
+            Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
     )
@@ -508,6 +550,7 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        squares=[float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
     )

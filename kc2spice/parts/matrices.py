@@ -12,7 +12,7 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register

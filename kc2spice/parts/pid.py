@@ -12,7 +12,7 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
@@ -158,7 +158,6 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height, of operational amplifiers"
     schema = Control
-    short_for = ("control",)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -250,6 +249,11 @@ class Pid(PartType):
             "hold_current_a": None if current is None else tail_mean(t, current),
             "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
         }
+
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterator[tuple[float, float, str]]:
+        if _ball(part, scene) is moved:
+            step = abs(part.keys.setpoint - moved.keys.radius)
+            yield part.keys.setpoint, SETTLING_BAND * step, "set point, ±5 % of the step"
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         current = waves.data.get(f"{_label(part, build.scene)}.upper.current")

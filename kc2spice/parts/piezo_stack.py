@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, Time, Voltage
+from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -47,11 +47,13 @@ class Drive(Section):
     width: Time = Field(25e-6, gt=0)
     edge: Time = Field(0.1e-6, gt=0)
     start: Time = Field(0.5e-3, ge=0)
+    period: Time | None = Field(None, gt=0, description="of a train of pulses")
+    count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
 
     @property
     def waveform(self) -> Waveform:
         """The pulse as a function of time."""
-        return pulse(0.0, self.voltage, self.start, self.width, self.edge)
+        return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
 class Stack(Chip):
@@ -69,7 +71,6 @@ class PiezoStack(LinearBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
-    short_for = ("kick",)
     source = "FE (piezoelectric, linear)"
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,7 +98,7 @@ class PiezoStack(LinearBody):
             found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
             target = f"{name}.command"
         d = keys.drive
-        wave = {"high": d.voltage, "width": d.width, "edge": d.edge, "start": d.start}
+        wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
 

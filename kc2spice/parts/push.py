@@ -27,7 +27,6 @@ class Push(PartType):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
-    short_for = ("imprint",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:

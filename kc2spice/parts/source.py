@@ -159,6 +159,7 @@ class Source(PartType):
         yield Check(
             f"{part.name} drives as defined", float(np.abs(found - wanted).max()) / swing,
             DEVIATION, "of its swing", "the netlist's source is not the scene's: please report it",
+            wiring=True,
         )  # fmt: skip
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Balance
@@ -50,7 +51,6 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    short_for = ("sphere",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):
@@ -120,6 +120,24 @@ class Sphere(PartType):
         if "time" not in waves or f"{part.name}.v" not in waves:
             return {}
         return work_balance(part, build, waves)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        y = waves.data.get(f"{part.name}.y")
+        if y is None or "time" not in waves:
+            return
+        goals = [
+            (1e3 * goal, 1e3 * band, label)
+            for other in build.scene.parts.values()
+            for goal, band, label in other.type.goals(other, build.scene, part)
+        ]
+        panel = Panel(
+            "time in ms", "height of the centre in mm",
+            (Curve(part.name, 1e3 * waves["time"], 1e3 * y),),
+            levels=tuple((goal, label) for goal, _, label in goals),
+            bands=tuple((goal - band, goal + band, "") for goal, band, _ in goals),
+        )  # fmt: skip
+        caption = f"Vertical position of {part.name}."
+        yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from kc2spice.report.plots import (
     legend_beside,
     name_axes,
     sheet,
+    style,
 )
 
 MANY = 4  # labels above the axes; more stand beside them
@@ -25,6 +27,27 @@ MANY = 4  # labels above the axes; more stand beside them
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
     """Draw every figure into ``directory``."""
     return [draw(directory, figure) for figure in figures]
+
+
+def notebook_figure(figure: Figure) -> Any:
+    """The matplotlib figure of ``figure``, which notebooks show by themselves."""
+    from matplotlib.figure import Figure as Canvas
+
+    class Shown(Canvas):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    count = len(figure.panels)
+    with style():
+        sheet = Shown(figsize=(7.0, 4.0 if count == 1 else 2.6 * count), layout="constrained")
+        rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
+        for (axes,), panel in zip(rows, figure.panels, strict=True):
+            _fill(axes, panel)
+    return sheet
 
 
 def draw(directory: Path, figure: Figure) -> Picture:

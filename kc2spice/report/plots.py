@@ -50,6 +50,13 @@ class Picture:
     caption: str
 
 
+def style() -> Any:
+    """Context in which figures have the look of this project."""
+    import matplotlib
+
+    return matplotlib.rc_context(_STYLE)
+
+
 def load() -> None:
     """Load what draws, which takes longer than a figure."""
     import matplotlib.figure  # noqa: F401
@@ -67,11 +74,10 @@ def sheet(
 
     ``size`` is in inches at 150 dots per inch. ``options`` go to ``Figure.subplots``.
     """
-    import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    with matplotlib.rc_context(_STYLE):
+    with style():
         layout = ConstrainedLayoutEngine()
         figure = Figure(figsize=size, layout=layout)
         axes = figure.subplots(rows, columns, **options)

@@ -107,7 +107,8 @@ class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
     ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground); ``budgeted`` are
-    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file.
+    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file, ``tables``
+    what it says with all overrides.
     """
 
     frame: Frame
@@ -115,6 +116,7 @@ class Scene:
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     budgeted: frozenset[str] = frozenset()
     home: Path = Path()
+    tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""

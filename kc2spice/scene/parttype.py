@@ -1,16 +1,17 @@
 """What a part type is: one class with hooks, registered under its name.
 
-A module defines a subclass of :class:`PartType` and calls :func:`register` with an instance.
+A module, named after the type, defines a subclass of :class:`PartType` and calls :func:`register`
+with an instance.
 Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
-``kc2spice.parts`` are loaded by themselves, those of other packages through the entry point group
-``kc2spice.parts``.
+``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
+``kc2spice.parts``; each is loaded when a scene needs it.
 """
 
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -101,6 +102,20 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class Sampled:
+    """A function outside of the simulator that sets ``source`` (a card's name in lower case).
+
+    ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
+    it returns is held from ``delay`` [s] later on.
+    """
+
+    source: str
+    period: float
+    delay: float
+    call: Callable[[float, Mapping[str, float]], float]
+
+
+@dataclass(frozen=True)
 class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
@@ -112,6 +127,7 @@ class Build:
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""
@@ -131,8 +147,6 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
-    #: names of tables that mean this type where a scene has no ``part`` key in them
-    short_for: ClassVar[tuple[str, ...]] = ()
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -240,8 +254,16 @@ class PartType:
         """Simulator options that it needs, with the reason."""
         return {}
 
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterable[tuple[float, float, str]]:
+        """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
+        return ()
+
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
+        return None
+
+    def sampled(self, part: Part, build: Build) -> Sampled | None:
+        """The function that runs beside the simulator for it."""
         return None
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
@@ -314,7 +336,6 @@ class PartType:
 
 
 _types: dict[str, PartType] = {}
-_loaded: list[bool] = []
 
 
 def register(part_type: PartType) -> PartType:
@@ -331,15 +352,29 @@ def register(part_type: PartType) -> PartType:
     return part_type
 
 
-def part_types() -> Mapping[str, PartType]:
-    """All known part types by name."""
-    if not _loaded:
-        package = import_module(PACKAGE)
-        for module in pkgutil.iter_modules(package.__path__):
-            import_module(f"{PACKAGE}.{module.name}")
-        for entry in entry_points(group=PACKAGE):
+def type_names() -> tuple[str, ...]:
+    """Names of all part types, without loading any of them.
+
+    A module of ``kc2spice.parts`` is named after its type; one that begins with ``_`` is shared by
+    several.
+    """
+    own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+    foreign = (entry.name for entry in entry_points(group=PACKAGE))
+    return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+
+
+def part_type(name: str) -> PartType | None:
+    """The part type of this name, None where there is none; its module is loaded when needed."""
+    if name not in _types and name in type_names():
+        for entry in entry_points(group=PACKAGE, name=name):
             found = entry.load()
             if isinstance(found, PartType):
                 register(found)
-        _loaded.append(True)
-    return dict(sorted(_types.items()))
+        if name not in _types:
+            import_module(f"{PACKAGE}.{name}")
+    return _types.get(name)
+
+
+def part_types() -> Mapping[str, PartType]:
+    """All part types by name; loads them all."""
+    return {name: found for name in type_names() if (found := part_type(name)) is not None}

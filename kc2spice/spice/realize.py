@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import BlockModel, block_model
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.spice.cards import distinct
@@ -17,6 +17,9 @@ from kc2spice.spice.cards import name as checked_name
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header, rom_line
 from kc2spice.spice.render import render
+
+if TYPE_CHECKING:
+    from kc2spice.rom.blocks import BlockModel
 
 MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
@@ -348,8 +351,19 @@ def _head(
     header: Header, name: str, title: str, pins: tuple[Pin, ...], params: tuple[Param, ...],
     order: int, certificate: object,
 ) -> str:  # fmt: skip
-    rom = "" if certificate is None else rom_line(order, certificate)  # type: ignore[arg-type]
-    return part_header(header, f"{name}: {title}", pins, params, rom=rom)
+    if certificate is None:
+        return part_header(header, f"{name}: {title}", pins, params)
+    top = certificate.band_hz[1]  # type: ignore[attr-defined]
+    return part_header(
+        header,
+        f"{name}: {title}",
+        pins,
+        params,
+        rom=rom_line(order, certificate),  # type: ignore[arg-type]
+        validity=f"small signals up to {top:g} Hz at the temperature of the data; no hysteresis, "
+        "depolarisation or heating",
+        rating="keep every layer's field within its material's limits; the model never ends",
+    )
 
 
 # ------------------------------------------------------------------------------------- blocks
@@ -395,6 +409,8 @@ def _blocks(rom: LinearModel, name: str, header: Header, title: str, dense: bool
     _check_names(pins, terminals, name)
     top = rom.certificate.band_hz[1] if rom.certificate else (rom.band or (0.0, 1.0))[1]
     farad = 1 / (2 * np.pi * top)
+    from kc2spice.rom.blocks import block_model  # loads what most models do not need
+
     model = _balanced(block_model(rom, dense=dense), 1 / farad)
     mass = rom.facts.get("mass_kg")
     wired = [_block_port(t, terminals, model, base, mass) for t in terminals]
@@ -469,7 +485,7 @@ def _balanced(model: BlockModel, omega: float) -> BlockModel:
         B[rows] /= scale[:, None]
         C[:, rows] *= scale
         blocks.append(block)
-    return BlockModel(tuple(blocks), B, C, model.D)
+    return replace(model, blocks=tuple(blocks), B=B, C=C)
 
 
 def _free(block: np.ndarray, omega: float) -> bool:

@@ -11,13 +11,20 @@ from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import libraries
 
 
-def build_models(scene: Scene, clock: Clock, *, trust: bool = False) -> Build:
+def build_models(
+    scene: Scene,
+    clock: Clock,
+    *,
+    trust: bool = False,
+    functions: Mapping[str, Any] | None = None,
+) -> Build:
     """Build or fetch the models of the parts that the scene names, and only those.
 
-    ``trust`` lets included netlists act on the machine.
+    ``trust`` lets included netlists act on the machine; ``functions`` are those of controllers, by
+    part.
     """
     models = {part.name: part.type.build(part, scene, clock) for part in scene.parts.values()}
-    return Build(scene, models, libraries(scene), trust)
+    return Build(scene, models, libraries(scene), trust, functions or {})
 
 
 def model_keys(scene: Scene) -> dict[str, Mapping[str, Any]]:

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from kc2spice.rom.compress import directions, krylov_model
+from kc2spice.rom.project import certify, project_again
+from kc2spice.rom.schur import condense
 from scipy.linalg import expm
 
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.rom.compress import directions, krylov_model
-from kc2spice.rom.project import certify, project_again
+from kc2spice.rom.candidates import balanced, candidates, gramians
 from kc2spice.rom.response import frequency_response, relative_error
-from kc2spice.rom.schur import condense
 from kc2spice.scene.schema import Kick
-from laboratory.candidates import SHIPPED, compare, table
-from laboratory.reductions import balanced, candidates, gramians
+from kc2spice.workflow.candidates import SHIPPED, compare, table
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 BAND = (0.0, 500e3)
@@ -88,9 +88,9 @@ def test_balancing_is_that_of_pymor(small, variant, reductor):
 
 
 def test_every_candidate_keeps_the_structure(small):
-    model, _, methods = small
+    model, _, ways = small
     static = model.B.T @ model.solve(model.B) + model.D
-    for name, make in methods.items():
+    for name, make in ways.items():
         for order in ORDERS:
             rom = certify(make(order), BAND, np.inf, name)
             assert rom.order == order
@@ -102,15 +102,15 @@ def test_every_candidate_keeps_the_structure(small):
 
 
 def test_all_orders_end_at_the_same_model(small):
-    """With all states of the large model, every method that starts from it is that model again."""
-    _, large, methods = small
+    """With all states of the large model, every way that starts from it is that model again."""
+    _, large, ways = small
     frequency = np.linspace(*BAND, 31)
     exact = frequency_response(large, frequency)
     ordered = directions(large, BAND, 2e-7)
     whole = project_again(large, ordered)
     assert relative_error(frequency_response(whole, frequency), exact) < 1e-9
     # The Gramians' roots end at the root of double precision, the balanced directions with them.
-    reached = methods["static vectors, balanced, position-velocity"](min(large.order, 30))
+    reached = ways["static vectors, balanced, position-velocity"](min(large.order, 30))
     assert relative_error(frequency_response(reached, frequency), exact) < 1e-2
 
 

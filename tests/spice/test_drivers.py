@@ -20,7 +20,7 @@ from kc2spice.parts.drivers import (
     linear_subcircuit,
     pwm_subcircuit,
 )
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck

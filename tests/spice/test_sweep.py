@@ -185,15 +185,15 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     process = subprocess.Popen(
         [*command, "--workers", "1", "--quiet"], start_new_session=True, env=own
     )
-    journal = out / "journal.csv"
+    rows = out / "rows.sqlite"
     deadline = time.monotonic() + 120
-    while not (journal.exists() and journal.read_bytes().count(b"\n") >= 2):
+    while not (rows.exists() and rows.read_bytes().count(b",ok\n") >= 2):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    recorded = journal.read_bytes().count(b"\n")
+    recorded = rows.read_bytes().count(b",ok\n")
     assert recorded < 6
     assert list(temporary.glob("kc2spice-sweep-*"))
     # The workers notice, end and leave nothing behind.

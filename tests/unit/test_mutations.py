@@ -167,7 +167,9 @@ def check_reduction(chunk, cli, tmp_path, texts, name):
 def attempt(cli, tmp_path, name):
     before = set(files(tmp_path))
     done = cli("reduce", name, "--order", "2", "--band", "0", "100", "--out", "out", "--quiet")
-    if done.exit_code:
+    if done.exit_code == 4:  # sound matrices of another model, which grows: said, and written
+        assert "chain: the model is unstable" in done.output
+    elif done.exit_code:
         refused(done, r"chain")
         assert set(files(tmp_path)) == before
     for path in set(files(tmp_path)) - before:

@@ -27,7 +27,8 @@ LOOP = {name: {} for name in ("kick", "contact", "sphere", "catch", "control")}
 
 def test_kick_and_catch_says_what_the_defaults_say():
     scene = load_scene("kick_and_catch")
-    bare = load_scene({"name": scene.name, "title": scene.title} | LOOP)
+    judged = {"metric": scene.bench.metric}
+    bare = load_scene({"name": scene.name, "title": scene.title, "bench": judged} | LOOP)
     assert scene.frame == bare.frame
     assert {n: p.keys for n, p in scene.parts.items()} == {n: p.keys for n, p in bare.parts.items()}
     assert scene.nets == bare.nets

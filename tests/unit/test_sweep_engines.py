@@ -20,9 +20,9 @@ def fresh(calls):
     """
     code = (
         "import math, os\n"
-        "from kc2spice.workflow.sweep.engines import Call, Lost, LocalEngine, completed\n"
+        "from kc2spice.workflow.sweep.engines import Call, WorkerDied, LocalEngine, completed\n"
         f"ended = completed(LocalEngine(2), iter({calls}))\n"
-        "print({c.name: 'lost' if isinstance(r, Lost) else r for c, r in ended})\n"
+        "print({c.name: 'died' if isinstance(r, WorkerDied) else r for c, r in ended})\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return ast.literal_eval(done.stdout)
@@ -31,7 +31,7 @@ def fresh(calls):
 def test_a_call_that_ends_its_worker_twice_is_given_up_and_no_other():
     plain = "[Call(n, math.sqrt, (float(n),)) for n in range(6)]"
     found = fresh(f"{plain} + [Call('killer', os._exit, (1,))] + [Call(9, math.sqrt, (81.0,))]")
-    assert found == {n: math.sqrt(n) for n in range(6)} | {"killer": "lost", 9: 9.0}
+    assert found == {n: math.sqrt(n) for n in range(6)} | {"killer": "died", 9: 9.0}
 
 
 def test_a_call_whose_worker_dies_once_is_run_again(tmp_path):

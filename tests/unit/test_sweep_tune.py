@@ -89,3 +89,29 @@ def test_a_scene_without_the_metric_is_refused(calls, tmp_path, monkeypatch):
 def test_bad_bounds_are_refused(text):
     with pytest.raises(UsageError):
         tune.bound(text)
+
+
+def test_a_constraint_keeps_the_search_on_its_side(calls, tmp_path, monkeypatch):
+    """The free optimum has kp at 1e5; a second metric that grows with kp holds it below 7e4."""
+    free = tune.run_point
+
+    def two_metrics(job, task):
+        asked = dict(text.split("=") for text in task.overrides)
+        effort = float(asked.get("control.kp", 5e4)) / 1e4
+        return Outcome(task.index, (*free(job, task).values, effort))
+
+    monkeypatch.setattr(tune, "run_point", two_metrics)
+    metrics = ("settling_time_s", "peak_height_m")
+    sets = ("kick.drive.voltage=90,110",)
+    study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=metrics))
+    found = tune.tune(
+        study, [tune.bound(text) for text in BOUNDS], metrics[0], 6, tmp_path, Threads(),
+        limits=[tune.limit("peak_height_m <= 7")],
+    )  # fmt: skip
+    assert 6e4 < found.best["control.kp"] <= 7e4
+
+
+@pytest.mark.parametrize("text", ["peak_height_m", "a<1", "a<=b", "<=1", "a<=1<=2", ""])
+def test_bad_constraints_are_refused(text):
+    with pytest.raises(UsageError, match="--require"):
+        tune.limit(text)

@@ -169,24 +169,24 @@ class Call:
     arguments: tuple[Any, ...]
 
 
-class Lost:
-    """Result of a call that ended its worker twice."""
+class WorkerDied:
+    """Result of a call whose worker process died twice."""
 
 
 def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
     """Results of ``calls`` on a pool that is opened for them and closed after them."""
-    crew = Crew(engine)
+    pool = WorkerPool(engine)
     try:
-        yield from crew.run(calls)
+        yield from pool.run(calls)
     finally:
         engine.close()
 
 
-class Crew:
+class WorkerPool:
     """The workers of an engine, opened once for any number of calls; the owner closes the engine.
 
     Where a worker dies, its pool is opened again and every call that was in flight is run once
-    more, alone: only the one that ends its worker again is given up, and its result is ``Lost``.
+    more, alone: only the one that ends its worker again is given up; its result is ``WorkerDied``.
     Exceptions of the functions themselves are raised.
     """
 
@@ -250,7 +250,7 @@ class Crew:
             if not _is_loss(error):
                 raise
             self._executor = self._engine.open()
-            return Lost()
+            return WorkerDied()
 
 
 def _is_loss(error: BaseException) -> bool:

@@ -132,8 +132,9 @@ def _drawn(random: Sequence[Random], latin: bool, seed: int) -> list[tuple[Value
     n, keys = random[0].n, len(random)
     share = generator.random((keys, n))
     if latin:
-        strata = generator.permuted(np.tile(np.arange(n), (keys, 1)), axis=1)
-        share = (strata + share) / n
+        from scipy.stats.qmc import LatinHypercube
+
+        share = LatinHypercube(keys, seed=generator).random(n).T
     share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # a normal quantile of 0 would be infinite
     return [tuple(item.quantile(u).tolist()) for item, u in zip(random, share, strict=True)]
 

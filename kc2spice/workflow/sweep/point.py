@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import re
+import shutil
 import tempfile
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,16 +21,22 @@ from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.metrics import metrics
+from kc2spice.scene.keys import did_you_mean
 from kc2spice.scene.need import need
 from kc2spice.scene.schema import Scene
+from kc2spice.sim.ladder import Climb
 from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import Models, build_models, model_keys
+from kc2spice.workflow.models import Models, build_models, model_facts, model_keys
 from kc2spice.workflow.simulate import simulate
 from kc2spice.workflow.sweep.cost import METER, NOTHING, Cost
 from kc2spice.workflow.sweep.parameters import with_parameters
 from kc2spice.workflow.sweep.source import SceneText
 
+# Numbers of result.json besides its metrics, which may be columns too.
+BRANCHES = ("model.", "rom.", "steps.", "checks.", "energy_j.", "simulator_cpu_s")
+_SIGNAL = re.compile(r"exit code -\d+")  # somebody ended the simulator
+_ROOM = 5_000_000  # bytes that a run needs on the temporary disk
 _KEPT = 8  # models and decks that a worker holds at a time
 Metric = float | bool | None
 
@@ -64,6 +73,7 @@ class Outcome:
     values: tuple[Metric, ...] = ()
     failure: str | None = None
     cost: Cost = NOTHING
+    interrupted: bool = False
 
 
 def run_point(job: Job, task: Task) -> Outcome:
@@ -78,23 +88,80 @@ def run_point(job: Job, task: Task) -> Outcome:
 
 def _outcome(job: Job, task: Task) -> Outcome:
     try:
-        scene, deck = bench(job, task.overrides)
+        scene, deck = testbench(job, task.overrides)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             deck = with_parameters(deck, (*job.parameters, *task.parameters))
-            judged = _without_books(scene) if job.parameters or task.parameters else scene
+            judged = _without_checks(scene) if job.parameters or task.parameters else scene
             models = _STORE.models(scene)
             climbed = simulate(judged, models, deck, Path(directory), timeout=job.timeout)
-        found = metrics(climbed.waves, scene)
-        return Outcome(task.index, tuple(_plain(found[name]) for name in job.metrics))
+        found = _numbers(scene, models, climbed)
+        return Outcome(task.index, tuple(_cell(found, name) for name in job.metrics))
     except MissingToolError:
         raise
     except Kc2spiceError as error:
-        return Outcome(task.index, failure=_diagnosis(error))
+        text = _diagnosis(error)
+        return Outcome(task.index, failure=text, interrupted=_was_interrupted(text))
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        return Outcome(task.index, failure=f"{error}", interrupted=full or _disk_is_full())
     except Exception as error:
         return Outcome(task.index, failure=f"{type(error).__name__}: {error}")
 
 
-def _without_books(scene: Scene) -> Scene:
+def _was_interrupted(diagnosis: str) -> bool:
+    """Whether a run failed for what happened to the machine and not for what the point is."""
+    return bool(_SIGNAL.search(diagnosis)) or _disk_is_full()
+
+
+def _disk_is_full() -> bool:
+    """Whether the temporary directory has no room left for a run."""
+    try:
+        return shutil.disk_usage(tempfile.gettempdir()).free < _ROOM
+    except OSError:
+        return True
+
+
+def _numbers(scene: Scene, models: Models, climbed: Climb) -> dict[str, Metric]:
+    """Metrics by name, and every other number that ``result.json`` has by its dotted path."""
+    facts: dict[str, Any] = {
+        "model": model_facts(models),
+        "steps": {name: climbed.waves.stats.get(name) for name in ("accepted", "rejected")},
+        "checks": {check.name: check.value for check in climbed.truth.checks},
+        "energy_j": {name: book.entries for name, book in climbed.truth.books},
+        "simulator_cpu_s": climbed.waves.stats.get("cpu_s"),
+    }
+    if models.kick is not None:
+        resonators = models.kick.resonators
+        facts["rom"] = {
+            "order": resonators.order, "error_estimate": resonators.certificate.error_estimate,
+        }  # fmt: skip
+    return {**dict(_leaves("", facts)), **metrics(climbed.waves, scene)}
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Metric]]:
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from _leaves(f"{path}.{name}" if path else str(name), each)
+    elif value is None or isinstance(value, (bool, int, float, np.number)):
+        yield path, _plain(value)
+
+
+def _cell(found: Mapping[str, Any], name: str) -> Metric:
+    """Value of one column.
+
+    Raises
+    ------
+    UsageError : the result has no number of that name.
+    """
+    if name not in found:
+        raise UsageError(
+            "the result has no such number", where="--metric", got=name,
+            hint=did_you_mean(name, found),
+        )  # fmt: skip
+    return _plain(found[name])
+
+
+def _without_checks(scene: Scene) -> Scene:
     """``scene`` without the checks that go by numbers which parameters of subcircuits change."""
     off = {"energy": "off", "penetration": "off", "saturation": "off"}
     return scene.model_copy(update={"checks": scene.checks.model_copy(update=off)})
@@ -112,7 +179,8 @@ def run_reference(job: Job, task: Task) -> Outcome:
         found = metrics(waves, scene)
     except Kc2spiceError as error:
         return Outcome(task.index, failure=_diagnosis(error))
-    return Outcome(task.index, tuple(_plain(found[name]) for name in job.metrics))
+    # What only a netlist's run has, its steps for one, is missing here.
+    return Outcome(task.index, tuple(_plain(found.get(name)) for name in job.metrics))
 
 
 def prepare(job: Job, part: str, points: Sequence[tuple[str, ...]]) -> None:
@@ -176,7 +244,7 @@ _STORE = _Store()
 
 
 @lru_cache(maxsize=_KEPT)
-def bench(job: Job, overrides: tuple[str, ...]) -> tuple[Scene, Deck]:
+def testbench(job: Job, overrides: tuple[str, ...]) -> tuple[Scene, Deck]:
     """Scene and deck; points that differ in subcircuit parameters alone share both."""
     scene = job.scene.load((*job.fixed, *overrides))
     return scene, make_deck(scene, _STORE.models(scene))

@@ -14,7 +14,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
 from kc2spice.workflow.sweep.cost import METER, NOTHING, Cost
-from kc2spice.workflow.sweep.engines import Call, Engine, Lost, completed
+from kc2spice.workflow.sweep.engines import Call, Engine, WorkerDied, completed
 from kc2spice.workflow.sweep.point import Outcome, prepare, run_point
 from kc2spice.workflow.sweep.slurm import write_script
 from kc2spice.workflow.sweep.stages import shared_models, slow_blocks, task
@@ -27,9 +27,18 @@ from kc2spice.workflow.sweep.study import (
     read_plan,
     write_plan,
 )
-from kc2spice.workflow.sweep.table import Journal, columns, need_parquet, publish
+from kc2spice.workflow.sweep.table import (
+    BAD,
+    INTERRUPTED,
+    MISSING,
+    RowStore,
+    columns,
+    need_parquet,
+    publish,
+)
 
-JOURNAL = "journal.csv"
+ROWS = "rows.sqlite"
+DIED = "its worker process died, twice"
 NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
 
 
@@ -41,49 +50,58 @@ class Shard:
     count: int
 
 
-def sweep(study: Study, out: Path, engine: Engine, progress: Progress = silent) -> dict[str, Any]:
+def sweep(
+    study: Study, out: Path, engine: Engine, progress: Progress = silent, *,
+    retry_failed: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Run all points that ``out`` does not hold yet; return the contract's summary.
 
-    Rows go to ``out/journal.csv`` as they come; the table, its figures and ``sweep.html`` appear
+    Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear
     when all are there. A sweep that was killed goes on where it was when it is asked for again.
+    Points that failed for what happened to the machine are run again then, with ``retry_failed``
+    all that failed; their rows are kept for that.
 
     Raises
     ------
     UsageError : ``out`` holds another sweep, or another process writes there.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    claim(study, out)
-    table = _table(study, out)
-    if table.exists():
-        resumed, spent = study.plan.size, NO_TIME
-    else:
-        check_parameters(study)
-        journal = Journal(out / JOURNAL, study.plan.size)
-        try:
-            resumed = int(journal.done.sum())
-            spent = _fill(study, journal, engine, progress, None)
-        finally:
-            journal.close()
-        publish([journal.path], table, study.header, study.kinds)
-        journal.path.unlink()
+    acquire(study, out)
+    table, path = _table(study, out), out / ROWS
+    if table.exists() and not path.exists():
+        return {**_conclude(study, out, progress), "resumed": study.plan.size, **NO_TIME}
+    check_parameters(study)
+    rows = RowStore(path, study.plan.size)
+    try:
+        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
+        resumed = int((rows.state != MISSING).sum())
+        spent = _fill(study, rows, engine, progress, None)
+        failed = rows.failed
+    finally:
+        rows.close()
+    publish([path], table, study.header, study.kinds)
+    if not failed:
+        path.unlink()
     return {**_conclude(study, out, progress), "resumed": resumed, **spent}
 
 
 def sweep_shard(
-    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent
-) -> dict[str, Any]:
+    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent, *,
+    retry_failed: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Run one part of the sweep that is planned in ``directory``; its rows wait to be collected."""
     study = planned(directory)
     if not 0 <= shard.number < shard.count:
         raise UsageError("no such shard", got=shard.number, expected=f"0 … {shard.count - 1}")
-    path = directory / SHARDS / f"{shard.number:06d}.csv"
-    journal = Journal(path, study.plan.size)
+    path = directory / SHARDS / f"{shard.number:06d}.sqlite"
+    rows = RowStore(path, study.plan.size)
     try:
-        resumed = int(journal.done.sum())
-        spent = _fill(study, journal, engine, progress, shard)
-        points, failed = int(journal.done.sum()), journal.failed
+        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
+        resumed = int((rows.state != MISSING).sum())
+        spent = _fill(study, rows, engine, progress, shard)
+        points, failed = int((rows.state != MISSING).sum()), rows.failed
     finally:
-        journal.close()
+        rows.close()
     return {
         "points": points, "failed": failed, "resumed": resumed, "table": str(path.absolute()),
         **spent,
@@ -99,12 +117,13 @@ def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
     """
     study = planned(directory)
     table = _table(study, directory)
-    journals = sorted((directory / SHARDS).glob("*.csv"))
+    stores = sorted((directory / SHARDS).glob("*.sqlite"))
     if not table.exists():
-        found = [Journal(path, study.plan.size) for path in journals]
-        for journal in found:
-            journal.close()
-        there = np.any([journal.done for journal in found], axis=0).sum() if found else 0
+        found = [RowStore(path, study.plan.size) for path in stores]
+        for rows in found:
+            rows.close()
+        recorded = [rows.state != MISSING for rows in found]
+        there = np.any(recorded, axis=0).sum() if found else 0
         missing = study.plan.size - int(there)
         if missing:
             raise SimulationError(
@@ -112,11 +131,11 @@ def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
                 expected=f"{study.plan.size} points",
                 hint="submit the array again: only what is missing is run",
             )  # fmt: skip
-        publish(journals, table, study.header, study.kinds)
+        publish(stores, table, study.header, study.kinds)
     return {**_conclude(study, directory, progress), "resumed": 0, "wall_s": 0.0}
 
 
-def outlook(study: Study, out: Path) -> dict[str, Any]:
+def dry_run_summary(study: Study, out: Path) -> dict[str, Any]:
     """What :func:`sweep` would do in ``out``; nothing is run or written."""
     return {
         "scene": study.base.name,
@@ -130,9 +149,9 @@ def outlook(study: Study, out: Path) -> dict[str, Any]:
 
 def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
     """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
-    claim(study, directory)
+    acquire(study, directory)
     script = write_script(study, directory, min(shards, study.plan.size))
-    return {**outlook(study, directory), "script": str(script.absolute()),
+    return {**dry_run_summary(study, directory), "script": str(script.absolute()),
             "files": [PLAN, script.name]}  # fmt: skip
 
 
@@ -151,7 +170,7 @@ def planned(directory: Path) -> Study:
     return study
 
 
-def claim(study: Study, out: Path, purpose: object = None) -> None:
+def acquire(study: Study, out: Path, purpose: object = None) -> None:
     """Make ``out`` the directory of this sweep, done for ``purpose``.
 
     Raises
@@ -171,7 +190,7 @@ def claim(study: Study, out: Path, purpose: object = None) -> None:
             "holds another sweep", where=str(out), got=f"plan {digest}",
             expected=f"plan {own}", hint="choose another --out, or remove the old one",
         )  # fmt: skip
-    for name in (JOURNAL, _table(study, out).name):
+    for name in (ROWS, _table(study, out).name):
         if (out / name).exists():
             raise UsageError("would be overwritten", where=str(out / name),
                              hint="choose another --out, or remove it")  # fmt: skip
@@ -187,29 +206,42 @@ def _table(study: Study, out: Path) -> Path:
 
 
 def _fill(
-    study: Study, journal: Journal, engine: Engine, progress: Progress, shard: Shard | None
+    study: Study, rows: RowStore, engine: Engine, progress: Progress, shard: Shard | None
 ) -> dict[str, float | None]:
-    """Run the points that the journal lacks; return ``wall_s`` and what it cost."""
+    """Run the points that are missing; return ``wall_s`` and what it cost.
+
+    A point that is interrupted by what happens to the machine is tried once more at the end.
+    """
     start = time.monotonic()
     METER.since_last()
-    mine = _share(study, shard)
-    missing = sum(not journal.done[index] for index in _share(study, shard))
+    missing = sum(rows.state[index] == MISSING for index in _share(study, shard))
     if not missing:
         return NO_TIME
     spent = NOTHING
-    meter = _Meter(progress, missing, start)
-    for call, result in completed(engine, _calls(study, journal, mine, missing, engine)):
-        if not isinstance(call.name, int):
-            progress("models", None, f"models of the {call.name}")
-            meter.restart()
-            continue
-        outcome = result
-        if isinstance(result, Lost):
-            outcome = Outcome(call.name, failure="its worker process died, twice")
-        cells = outcome.values or (None,) * len(study.job.metrics)
-        journal.record(call.name, (*study.plan.values(call.name), *cells), outcome.failure)
-        spent += outcome.cost
-        meter.count(journal.failed)
+    meter = _Meter(progress, int(missing), start)
+    for attempt in (1, 2):
+        waiting = _calls(study, rows, _share(study, shard), engine, shared=attempt == 1)
+        for call, result in completed(engine, waiting):
+            if not isinstance(call.name, int):
+                progress("models", None, f"models of the {call.name}")
+                meter.restart()
+                continue
+            outcome = result
+            if isinstance(result, WorkerDied):
+                outcome = Outcome(call.name, failure=DIED, interrupted=True)
+            cells = outcome.values or (None,) * len(study.job.metrics)
+            rows.record(
+                call.name, (*study.plan.values(call.name), *cells), outcome.failure,
+                interrupted=outcome.interrupted,
+            )  # fmt: skip
+            spent += outcome.cost
+            meter.count(rows.failed)
+        if not (rows.state == INTERRUPTED).any():
+            break
+        if attempt == 1:
+            again = np.flatnonzero(rows.state == INTERRUPTED).size
+            progress("again", None, f"{again} points that were interrupted")
+            rows.forget(INTERRUPTED)
     wall, parent = time.monotonic() - start, Cost(own=METER.since_last().own)
     return {"wall_s": wall, **(spent + parent).summary(engine.workers, wall)}
 
@@ -224,14 +256,15 @@ def _share(study: Study, shard: Shard | None) -> Iterator[int]:
 
 
 def _calls(
-    study: Study, journal: Journal, points: Iterator[int], missing: int, engine: Engine
+    study: Study, rows: RowStore, points: Iterator[int], engine: Engine, *, shared: bool
 ) -> Iterator[Call | None]:
-    if missing > 1 and engine.workers > 1:
+    """Models that several points share, then the missing points."""
+    if shared and (rows.state == MISSING).sum() > 1 and engine.workers > 1:
         for part, group in shared_models(study.plan, study.stages):
             yield Call(part, prepare, (study.job, part, group))
         yield None
     for index in points:
-        if not journal.done[index]:
+        if rows.state[index] == MISSING:
             yield Call(index, run_point, (study.job, task(study.plan, index)))
 
 

@@ -19,7 +19,7 @@ from kc2spice.scene.schema import Scene
 from kc2spice.spice.included import included_netlists
 from kc2spice.workflow.sweep.parameters import with_parameters
 from kc2spice.workflow.sweep.plan import Plan, make_plan
-from kc2spice.workflow.sweep.point import Job, bench, scalar_metrics
+from kc2spice.workflow.sweep.point import BRANCHES, Job, scalar_metrics, testbench
 from kc2spice.workflow.sweep.ranges import PARAMETER, parameter, parse
 from kc2spice.workflow.sweep.source import SceneText
 from kc2spice.workflow.sweep.stages import Stages, stages
@@ -108,10 +108,11 @@ def make_study(request: Request) -> Study:
     available = scalar_metrics(base)
     wanted = tuple(dict.fromkeys(request.metrics)) or tuple(available)
     for name in wanted:
-        if name not in available:
+        if name not in available and not name.startswith(BRANCHES):
             raise UsageError(
                 "this scene has no such metric", where="--metric", got=name,
-                expected=", ".join(available), hint=did_you_mean(name, available),
+                expected=", ".join((*available, *(f"{branch}…" for branch in BRANCHES))),
+                hint=did_you_mean(name, available),
             )  # fmt: skip
     if not wanted:
         raise UsageError(
@@ -121,7 +122,7 @@ def make_study(request: Request) -> Study:
         )  # fmt: skip
     job = Job(request.scene, fixed, parts, wanted, request.timeout)
     kinds = {key: type(plan.values(0)[i]) for i, key in enumerate(plan.keys)}
-    kinds |= {name: available[name] for name in wanted} | {"status": str}
+    kinds |= {name: available.get(name, float) for name in wanted} | {"status": str}
     study = Study(request, base, job, plan, kinds)
     _ = study.stages  # tries the ends of all ranges
     return study
@@ -137,7 +138,7 @@ def check_parameters(study: Study) -> None:
     first = task(study.plan, 0)
     changed = (*study.job.parameters, *first.parameters)
     if changed:
-        with_parameters(bench(study.job, first.overrides)[1], changed)
+        with_parameters(testbench(study.job, first.overrides)[1], changed)
 
 
 def write_plan(study: Study, directory: Path, digest: str) -> None:

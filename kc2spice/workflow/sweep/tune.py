@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,19 +13,20 @@ from scipy.optimize import differential_evolution, minimize
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.engines import Call, Crew, Engine, Lost
+from kc2spice.workflow.sweep.engines import Call, Engine, WorkerDied, WorkerPool
 from kc2spice.workflow.sweep.point import Outcome, Task, run_point
 from kc2spice.workflow.sweep.ranges import find_key, number
 from kc2spice.workflow.sweep.stages import task
 from kc2spice.workflow.sweep.study import Study
-from kc2spice.workflow.sweep.table import Journal
+from kc2spice.workflow.sweep.table import MISSING, RowStore
 
 MISSED = 3.0  # ratio of a run that has no such metric: it was not caught, or it failed
 MEAN = 0.1  # weight of the mean ratio beside the worst one
 CANDIDATES = 16  # of one generation
+_LIMIT = r"([^<>=]+)(<=|>=)([^<>=]+)"
 SIMPLEX = 0.05  # first edge of the final search, a share of each value
 REFINEMENTS = 60  # candidates of the final search
-JOURNAL = "journal.csv"
+ROWS = "rows.sqlite"
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,24 @@ class Bound:
     key: str
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A metric that must be at most (``<=``) or at least (``>=``) ``value``, in SI."""
+
+    metric: str
+    sign: str
+    value: float
+
+    def holds(self, value: float | bool | None) -> bool:
+        """Whether a run keeps it; one without the metric does not."""
+        if value is None:
+            return False
+        return value <= self.value if self.sign == "<=" else value >= self.value
+
+    def __str__(self) -> str:
+        return f"{self.metric}{self.sign}{self.value:g}"
 
 
 @dataclass(frozen=True)
@@ -65,13 +84,30 @@ def bound(text: str) -> Bound:
     return Bound(name, low, high)
 
 
+def limit(text: str) -> Limit:
+    """``METRIC<=X`` or ``METRIC>=X`` of ``--require``.
+
+    Raises
+    ------
+    UsageError : anything else.
+    """
+    found = re.fullmatch(_LIMIT, text, re.DOTALL)
+    name, sign, value = (part.strip() for part in found.groups()) if found else ("", "", "")
+    try:
+        return Limit(name, sign, float(value))
+    except ValueError:
+        raise UsageError("not a constraint", where="--require", got=text,
+                         expected="METRIC<=X or METRIC>=X, in SI") from None  # fmt: skip
+
+
 def tune(
     study: Study, bounds: Sequence[Bound], metric: str, generations: int, directory: Path,
-    engine: Engine, progress: Progress = silent,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
 ) -> Tuned:  # fmt: skip
     """Minimise ``metric`` over all points of ``study``, its conditions, the worst of them first.
 
-    With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
+    A candidate that breaks one of the ``limits`` under a condition counts as one without the metric
+    there. With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
 
         max_k r_k + MEAN mean_k r_k
 
@@ -85,7 +121,7 @@ def tune(
     """
     conditions = [task(study.plan, index) for index in range(study.plan.size)]
     directory.mkdir(parents=True, exist_ok=True)
-    runs = _Runs(study, bounds, metric, conditions, directory / JOURNAL, engine)
+    runs = _Runs(study, bounds, metric, conditions, directory / ROWS, engine, limits)
     try:
         before = runs.evaluate([{}])[0]
         if not np.isfinite(before).all():
@@ -127,18 +163,19 @@ class _Runs:
 
     def __init__(
         self, study: Study, bounds: Sequence[Bound], metric: str, conditions: Sequence[Task],
-        path: Path, engine: Engine,
+        path: Path, engine: Engine, limits: Sequence[Limit] = (),
     ) -> None:  # fmt: skip
         self.count = 0
         self._study, self._conditions, self._engine = study, conditions, engine
         self._keys = [b.key for b in bounds]
         self._column = study.job.metrics.index(metric)
+        self._limits = {study.job.metrics.index(each.metric): each for each in limits}
         self._known: dict[tuple[str, ...], float] = {}
-        self._journal = Journal(path, 10_000_000)
-        self._crew: Crew | None = None
-        self._rows = int(self._journal.done.sum())
-        for row in csv.reader(path.open(encoding="utf-8", newline="")):
-            self._known[tuple(row[1:-2])] = float(row[-2] or "nan")
+        self._store = RowStore(path, 10_000_000)
+        self._pool: WorkerPool | None = None
+        self._rows = int((self._store.state != MISSING).sum())
+        for *name, value, _ in self._store.rows():
+            self._known[tuple(name)] = float(value or "nan")
 
     def evaluate(self, candidates: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
         """The metric (conditions,) of each candidate, nan where it has none."""
@@ -149,17 +186,17 @@ class _Runs:
         }
         missing = {name: place for place, name in wanted.items() if name not in self._known}
         if missing:
-            self._crew = self._crew or Crew(self._engine)
-            for call, result in self._crew.run(self._calls(candidates, missing)):
+            self._pool = self._pool or WorkerPool(self._engine)
+            for call, result in self._pool.run(self._calls(candidates, missing)):
                 self._record(call.name, result)
         self.count += len(wanted)
         found = np.array([self._known[name] for name in wanted.values()])
         return list(found.reshape(len(candidates), -1))
 
     def close(self) -> None:
-        """End workers and journal."""
+        """End the workers and let go of the rows."""
         self._engine.close()
-        self._journal.close()
+        self._store.close()
 
     def _name(self, candidate: Mapping[str, float], condition: Task) -> tuple[str, ...]:
         values = [repr(candidate[key]) if candidate else "" for key in self._keys]
@@ -175,9 +212,17 @@ class _Runs:
             point = Task(condition.index, overrides, condition.parameters)
             yield Call(name, run_point, (self._study.job, point))
 
-    def _record(self, name: tuple[str, ...], result: Outcome | Lost) -> None:
-        failure = "its worker process died, twice" if isinstance(result, Lost) else result.failure
-        value = None if isinstance(result, Lost) or failure else result.values[self._column]
+    def _record(self, name: tuple[str, ...], result: Outcome | WorkerDied) -> None:
+        if isinstance(result, WorkerDied) or result.interrupted:
+            self._known[name] = float("nan")  # not recorded: a later search runs it again
+            return
+        broken = [
+            str(each) for column, each in self._limits.items()
+            if any(name[: len(self._keys)])  # the scene as it is is what it is
+            and not result.failure and not each.holds(result.values[column])
+        ]  # fmt: skip
+        failure = f"not {', '.join(broken)}" if broken else result.failure
+        value = None if failure else result.values[self._column]
         self._known[name] = float("nan") if value is None else float(value)
-        self._journal.record(self._rows, (*name, value), failure)
+        self._store.record(self._rows, (*name, value), failure)
         self._rows += 1

@@ -15,17 +15,17 @@ from kc2spice.core.progress import Progress, silent
 from kc2spice.scene.keys import scene_keys
 from kc2spice.workflow.sweep.engines import Call, Engine, completed
 from kc2spice.workflow.sweep.point import Outcome, Task, run_reference
-from kc2spice.workflow.sweep.run import claim
+from kc2spice.workflow.sweep.run import acquire
 from kc2spice.workflow.sweep.stages import task
 from kc2spice.workflow.sweep.study import Study
-from kc2spice.workflow.sweep.tune import Bound, Tuned, tune
+from kc2spice.workflow.sweep.tune import Bound, Limit, Tuned, tune
 
 TABLE = "tuned.csv"
 
 
 def run_tuning(
     study: Study, bounds: Sequence[Bound], metric: str, generations: int, out: Path,
-    engine: Engine, progress: Progress = silent,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Tune ``bounds`` for the least ``metric`` over the points of ``study``; write into ``out``.
 
@@ -36,15 +36,16 @@ def run_tuning(
     ------
     UsageError : nothing to tune, an unknown metric, ``out`` holds something else.
     """
-    if metric not in study.job.metrics:
-        raise UsageError("this scene has no such metric", where="--minimise", got=metric,
-                         expected=", ".join(study.job.metrics))  # fmt: skip
+    for name, option in ((metric, "--minimise"), *((each.metric, "--require") for each in limits)):
+        if name not in study.job.metrics:
+            raise UsageError("this scene has no such metric", where=option, got=name,
+                             expected=", ".join(study.job.metrics))  # fmt: skip
     swept = [b.key for b in bounds if b.key in study.plan.keys]
     if swept or not bounds:
         raise UsageError("cannot be tuned", where="--tune", got=", ".join(swept) or None,
                          expected="keys that --set does not sweep")  # fmt: skip
-    claim(study, out, [*map(asdict, bounds), metric, generations])
-    tuned = tune(study, bounds, metric, generations, out, engine, progress)
+    acquire(study, out, [*map(asdict, bounds), metric, generations, *map(str, limits)])
+    tuned = tune(study, bounds, metric, generations, out, engine, progress, limits=limits)
     proof = _proof(study, tuned, metric, engine, progress)
     _write(study, tuned, proof, metric, out / TABLE)
     files = [TABLE, *_figure(study, tuned, proof, metric, out)]

@@ -8,8 +8,8 @@ from typing import Any
 
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import Section, quantity
 from kc2spice.report.distance import compare
+from kc2spice.report.html import Section, quantity
 from kc2spice.report.verdict import StepPoint
 from kc2spice.scene.schema import Scene
 from kc2spice.sim.ngspice import run_deck
