@@ -28,6 +28,7 @@ from kc2spice.scene.parttype import (
     Surface,
     register,
 )
+from kc2spice.scene.plausible import within
 from kc2spice.scene.settings import Rom
 
 # What builds is imported where it builds: most runs find their models in the cache.
@@ -113,6 +114,19 @@ class PiezoStack(LinearBody):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from _problems(part, scene)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
+        yield from within(f"{name}.side", keys.side, "m", 1e-4, 0.1, made)
+        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, made)
+        layer = keys.height / keys.layers
+        tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
+        yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
+        if keys.drive is not None and keys.driver is None:
+            field = abs(keys.drive.voltage) / layer
+            why = f"{keys.drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
+            yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         radii = ring_radii(part.keys)
