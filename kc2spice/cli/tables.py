@@ -11,6 +11,7 @@ from kc2spice.cli.console import print_facts, print_table
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
     from kc2spice.scene.keys import Key
+    from kc2spice.scene.partdocs import PartDoc
     from kc2spice.scene.plan import Plan
 
 
@@ -143,6 +144,19 @@ def show_keys(keys: Iterable[Key]) -> None:
         for key in keys
     ]
     print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+
+
+def show_parts(docs: Iterable[PartDoc]) -> None:
+    """What ``scenes --parts`` lists."""
+    for doc in docs:
+        rows = [("pin", pin.name, pin.kind, f"default {pin.default}" if pin.default else "")
+                for pin in doc.pins]  # fmt: skip
+        rows += [
+            ("key", key.name, key.unit or " | ".join(key.choices),
+             "" if key.default is None else f"default {key.default}")
+            for key in doc.keys
+        ]  # fmt: skip
+        print_table(f"{doc.name}: {doc.title}", rows)
 
 
 def show_findings(findings: Iterable[Finding]) -> None:

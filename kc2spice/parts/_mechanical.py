@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kc2spice.core import laws
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
@@ -25,7 +26,8 @@ class Link(Mechanical):
     unit: str
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
+        ground = None if scene.named(part.name, "b") else "gnd"
+        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", ground))
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.force": self.through(part, build)}
@@ -33,6 +35,16 @@ class Link(Mechanical):
     def through(self, part: Part, build: Build) -> Vector:
         """The force that it passes from ``a`` to ``b``."""
         raise NotImplementedError
+
+    def link(self, part: Part) -> laws.Law:
+        raise NotImplementedError
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        pins = (("a", f"{n}.a"), ("b", f"{n}.b"))
+        return laws.Equations(
+            (self.link(part),), pins, {f"{n}.force": laws.reading(f"{n}.a.through")}
+        )
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         found = waves.data.get(f"{part.name}.force")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from kc2spice.core import laws
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
 from kc2spice.spice.cards import number
@@ -16,12 +17,14 @@ class TwoTerminal(PartType):
     alone in an ac analysis.
     """
 
+    two_pole: type
     letter: str
     key: str
     unit: str
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", "gnd"))
+        ground = None if scene.named(part.name, "b") else "gnd"
+        return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", ground))
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
@@ -38,6 +41,15 @@ class TwoTerminal(PartType):
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
         found = self.through(part, build)
         return Vector(found.expression, -found.factor if pin == "a" else found.factor, "A")
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        results = {
+            f"{n}.v": laws.difference(f"{n}.a", f"{n}.b"),
+            f"{n}.i": laws.reading(f"{n}.a.through"),
+        }
+        pins = (("a", f"{n}.a"), ("b", f"{n}.b"))
+        return laws.Equations((self.two_pole(n, getattr(part.keys, self.key)),), pins, results)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         value = getattr(part.keys, self.key)

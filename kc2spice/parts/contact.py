@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
@@ -163,6 +164,16 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, scene = part.name, build.scene
+        ports = kept_ports(part, scene)
+        law = laws.Contact(n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene))
+        place = "bottom" if self._velocity(part, scene) else "b"
+        pins = (*((port, f"{n}.{port}") for port in ports), (place, f"{n}.b"))
+        results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
+        every = tuple((1.0, f"{n}.{r}.through") for r in ports)
+        return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count = len(kept_ports(part, scene))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import MechanicalDamping, Section
 from kc2spice.parts._mechanical import Link
 from kc2spice.parts._twoterminal import meter, metered
@@ -20,6 +21,17 @@ class DamperKeys(Section):
 
 class Damper(Link):
     name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
+    example = """
+[damper]
+part = "damper"
+damping = "0.02 N s/m"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
@@ -27,6 +39,9 @@ class Damper(Link):
 
     def through(self, part: Part, build: Build) -> Vector:
         return Vector(meter(part).expression, 1.0, "N")
+
+    def link(self, part: Part) -> laws.Law:
+        return laws.Damper(part.name, part.keys.damping)
 
 
 register(Damper())

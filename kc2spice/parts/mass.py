@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Mass, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._mechanical import Mechanical
@@ -30,6 +31,17 @@ class MassKeys(Section):
 
 class PointMass(Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    example = """
+[mass]
+part = "mass"
+mass = "1 mg"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
@@ -60,6 +72,18 @@ class PointMass(Mechanical):
             f"{part.name}.v": Vector(f"v(x{part.name.lower()}.v)", 1.0, "m/s"),
             f"{part.name}.force": Vector(f"i(v.x{part.name.lower()}.vmass)", 1.0, "N"),
         }
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        if build.net(part, "base") != "0":
+            return None
+        n = part.name
+        gravity = build.scene.gravity if part.keys.weight else 0.0
+        results = {
+            f"{n}.x": laws.reading(f"{n}.a"),
+            f"{n}.v": laws.reading(f"{n}.a.rate"),
+            f"{n}.force": laws.reading(f"{n}.a.through"),
+        }
+        return laws.Equations((laws.Mass(n, part.keys.mass, gravity),), (("a", f"{n}.a"),), results)
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         inertia = waves.data.get(f"{part.name}.force")

@@ -9,9 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import sphere
 from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -234,6 +236,20 @@ class Pid(PartType):
             wanted = f"v({build.net(part, 'command')})"
             found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
         return found
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """The ideal law; what the amplifiers add to it is an error of the netlist."""
+        keys, n, scene = part.keys, part.name, build.scene
+        own = [name for name, _ in scene.joined(n, "enable")] == [f"{n}_enable"]
+        if _remote(part, scene) or not own or build.net(part, "ref") != "0":
+            return None
+        on = tuple(t for t, state in keys.switching if state)
+        law = laws.Pid(
+            n, keys.kp, keys.ki, keys.kd, keys.rolloff, keys.current_limit, keys.setpoint,
+            sphere.offset(part, "y", scene), on, tuple(keys.disable_at),
+        )  # fmt: skip
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
+        return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         ball = _ball(part, build.scene)

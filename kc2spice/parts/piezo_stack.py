@@ -213,6 +213,9 @@ class PiezoStack(LinearBody):
             effect += f" to R{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
 
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """Known from a mesh study (:meth:`errors`), so that explain need not compute one."""
+
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
         usual = Chip().mesh

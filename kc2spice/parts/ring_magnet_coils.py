@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
@@ -27,6 +28,7 @@ from kc2spice.fem.magnetics.table import (
     force,
     inductances,
 )
+from kc2spice.parts import sphere as spheres
 from kc2spice.parts.contact import fall, landing, moved_by
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.scene.judge import Check
@@ -397,6 +399,25 @@ class RingMagnetCoils(PartType):
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
         return force(build.model(part), y, lower, upper)
 
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        n, scene, table = part.name, build.scene, build.model(part)
+        prefix, offset = label(part), spheres.offset(part, "y", scene)
+        currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
+        if real(part, scene):
+            law = laws.CoilForce(n, force_table(table), np.asarray(table.resistance),
+                                 np.asarray(table.inductance[0]), offset)  # fmt: skip
+            ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
+            results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
+            results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
+            return laws.Equations((law,), tuple((a, f"{n}.{b}") for a, b in ends), results)
+        feeds = scene.joined(n, "drive")
+        if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
+            return None
+        force_law = laws.PositionForce(n, force_table(table), (-1.0, 1.0), offset)
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
+        results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
+        return laws.Equations((force_law,), pins if feeds else pins[:1], results)
+
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if f"{label(part)}.voltage" not in waves:
             return {}
@@ -506,6 +527,13 @@ def force_map(part: Part, build: Build) -> Figure:
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
+
+
+def force_table(table: EMTable) -> laws.ForceTable:
+    """The table as the integrator takes it."""
+    return laws.ForceTable(
+        table.y, np.column_stack([getattr(table, name) for name in COEFFICIENTS]), 2
+    )
 
 
 def label(part: Part) -> str:

@@ -59,6 +59,8 @@ def load_scene(
         each other, pins that do not fit.
     """
     if isinstance(name_or_path, Scene):
+        if not overrides:
+            return name_or_path
         source = _Source("scene", name_or_path.name, "", name_or_path.home)
         data = _copied(name_or_path.tables)
     elif isinstance(name_or_path, Mapping):
@@ -83,13 +85,13 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
-    tables = _copied(data)
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
     for name, kind in types.items():
         if "part" not in data[name]:
             data[name] = {**kind.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
         _drop_budgeted(data, source)
+    tables = _copied(data)  # what the budget sets is left open in them
     data, budgeted = fill(data, types)
     frame = {key: data[key] for key in data if key not in types}
     try:
@@ -196,7 +198,7 @@ def _part(
         checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), kind.schema, source) from None
-    return Part(name, kind, checked, dict(pins))
+    return Part(name, kind, checked, dict(pins), at)
 
 
 def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:

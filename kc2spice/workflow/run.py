@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -31,7 +31,7 @@ from kc2spice.spice.lint import lint
 from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts
+from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
 from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
@@ -88,14 +88,17 @@ def complete(
     *,
     trust: bool = False,
     deck: Path | None = None,
+    functions: Mapping[str, Any] | None = None,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+
+    ``functions`` are those of controllers, by part.
 
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    build = build_models(scene, clock, trust=trust)
+    build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         chosen = make_deck(build) if deck is None else edited_deck(build, deck)
         lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
@@ -123,7 +126,7 @@ def write_run_files(
         drawn = draw(done.figures)
         record = run_record(done)
         files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
-        files += _arrays(done.build, work)
+        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
         pictures = drawn()
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
@@ -149,6 +152,12 @@ def _arrays(build: Build, directory: Path) -> list[str]:
             np.savez_compressed(directory / name, **arrays)
             names.append(name)
     return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
 
 
 def export(
@@ -205,18 +214,10 @@ def run_record(done: Completed) -> dict[str, Any]:
         },
         "model": model_facts(build),
     }
-    reduced = {
-        part.name: rom
-        for part in build.scene.parts.values()
-        if (rom := part.type.rom(part, build)) is not None
-    }
-    if reduced:
-        record["rom"] = dict(next(iter(reduced.values())))
-        if estimated(build.scene):
-            own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
-            record["rom"]["contact_error"] = next(own, None)
-        if len(reduced) > 1:
-            record["roms"] = reduced
+    record |= rom_facts(build)
+    if "rom" in record and estimated(build.scene):
+        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        record["rom"]["contact_error"] = next(own, None)
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
