@@ -70,6 +70,10 @@ class LinearBody(PartType):
         plain = type(part.keys).__mro__[1]
         return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
 
+    def headline(self, part: Part) -> str:
+        """First line of its library: what it is and what it assumes."""
+        return self.title
+
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
         return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
@@ -174,7 +178,7 @@ class LinearBody(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        return (subcircuit(build.model(part), name, header, title=self.title),)
+        return (subcircuit(build.model(part), name, header, title=self.headline(part)),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}

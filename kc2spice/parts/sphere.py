@@ -26,6 +26,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
+from kc2spice.scene.plausible import within
 from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
@@ -73,6 +74,13 @@ class Sphere(PartType):
                 expected=f"one between {part.name} and {', '.join(bodies)}",
                 hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
             )  # fmt: skip
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        small = "grains below stick by adhesion, balls above are no part of a MEMS device"
+        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 50e-3, small)
+        solid = "no solid is lighter than an aerogel or heavier than osmium"
+        yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)

@@ -193,11 +193,26 @@ def _part(
             expected='pins = { PIN = "part.pin" } or "gnd"',
         )  # fmt: skip
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
+    keys = _completed(keys, kind.schema)
     try:
         checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), kind.schema, source) from None
     return Part(name, kind, checked, dict(pins), at)
+
+
+def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
+    """``table`` whose tables have what the schema's default for them says and they do not.
+
+    ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
+    """
+    found = dict(table)
+    for name, field_ in schema.model_fields.items():
+        usual = field_.default
+        if isinstance(usual, BaseModel) and isinstance(found.get(name), Mapping):
+            said = {key: getattr(usual, key) for key in usual.model_fields_set}
+            found[name] = said | _completed(found[name], type(usual))
+    return found
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,13 @@ class PartType:
         """What is wrong with it in this scene, ``where`` a dotted key."""
         return ()
 
+    def implausible(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+        """Keys that can be computed but hardly exist, with the physical reason; often a wrong unit.
+
+        ``checks.plausible`` turns them into warnings or off.
+        """
+        return ()
+
     def analysis(self, part: Part, scene: Scene) -> Analysis | None:
         """The analysis that this part asks for, if the scene has none."""
         return None
