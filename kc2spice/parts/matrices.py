@@ -14,7 +14,7 @@ from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
@@ -50,6 +50,9 @@ class Matrices(LinearBody):
         if refine != 1:
             raise UsageError("matrices cannot be refined", where=part.name, got=refine)
         return self._model(part, scene)
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """The mesh is that of the other tool."""
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         stamps = str(self.full_key(part, scene)["files"])

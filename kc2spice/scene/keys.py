@@ -13,6 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from kc2spice.scene.model import Frame, Probe, Scene
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.short import SHORT
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,6 @@ class Key:
     doc: str
     whole: bool = False
     mixed: bool = False
-
-
-def short_names() -> dict[str, str]:
-    """Names of tables that need no ``part`` key, and the type that they mean."""
-    return {short: kind.name for kind in part_types().values() for short in kind.short_for}
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -84,9 +80,9 @@ def scene_keys() -> Iterator[Key]:
     A part's keys stand under the name that needs no ``part`` key, else under the type's name.
     """
     yield from model_keys(Frame)
-    for kind in part_types().values():
-        for name in kind.short_for or (kind.name,):
-            yield from model_keys(kind.schema, f"{name}.")
+    short = {kind: name for name, kind in SHORT.items()}
+    for name, kind in part_types().items():
+        yield from model_keys(kind.schema, f"{short.get(name, name)}.")
 
 
 def keys_of(scene: Scene) -> dict[str, Key]:

@@ -157,6 +157,11 @@ class Scene:
             )
         return self.parts[name]
 
+    def named(self, part: str, pin: str) -> bool:
+        """Whether the ``pins`` of another part name this one, so that no default joins it."""
+        target = f"{part}.{pin}"
+        return any(target in other.pins.values() for other in self.parts.values())
+
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.nets[part, pin]
