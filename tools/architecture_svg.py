@@ -19,7 +19,7 @@ SOURCES = (
     (1, "stack, disc, bimorph, mesh, matrices"),
     (3, "contact, magnets, drivers, your netlist"),
 )
-WIDTH, HEIGHT, STEP, TOP = 118, 74, 168, 62
+WIDTH, HEIGHT, STEP, TOP = 132, 74, 186, 62
 
 
 def main() -> None:

@@ -81,8 +81,8 @@ def scenes_page() -> str:
     text = (ROOT / "kc2spice" / "scenes" / "buzzer_7bb_20_6.toml").read_text("utf-8")
     return "\n".join([
         "# Scenes and keys\n",
-        "A scene is a TOML file: parts by name, pins that are joined, an analysis, probes. A number "
-        "is SI, a string carries its unit (`\"25 us\"`). The whole of one:\n",
+        "A scene is a TOML file: parts by name, pins that are joined, an analysis, probes. A "
+        "number is SI, a string carries its unit (`\"25 us\"`). The whole of one:\n",
         f"```toml\n{text.strip()}\n```\n",
         "## Built-in scenes\n",
         _table(("scene", "what", "analysis", "parts"), rows),

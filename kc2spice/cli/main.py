@@ -18,7 +18,14 @@ from kc2spice.cli.bench import bench
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
-from kc2spice.cli.tables import show_findings, show_keys, show_parts, show_plan, show_result, show_verdicts
+from kc2spice.cli.tables import (
+    show_findings,
+    show_keys,
+    show_parts,
+    show_plan,
+    show_result,
+    show_verdicts,
+)
 from kc2spice.core.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
