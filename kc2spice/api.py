@@ -67,9 +67,8 @@ def register_part(part_type: PartType) -> PartType:
     ------
     UsageError : it has no name or no schema.
     """
-    from kc2spice.scene.parttype import part_types, register
+    from kc2spice.scene.parttype import register
 
-    part_types()  # loads the built-in types, which a type of the same name replaces
     return register(part_type)
 
 
@@ -88,7 +87,7 @@ def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearMode
     UsageError : as :func:`load_scene`, or a model's file cannot be read.
     """
     from kc2spice.core.progress import Clock
-    from kc2spice.parts.linear_body import LinearBody
+    from kc2spice.parts._linear_body import LinearBody
 
     loaded = load_scene(scene)
     return {

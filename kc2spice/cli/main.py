@@ -239,7 +239,7 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         from kc2spice.scene.plan import plan
 
         loaded = load_scene(scene, set_ or [])
-        found = plan(loaded)
+        found = plan(loaded, estimate=True)
         if as_json:
             print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
             return

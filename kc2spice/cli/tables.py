@@ -27,12 +27,21 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
+        if "contact_error" in rom:
+            rows.append(("error of the launch", contact_error(rom["contact_error"])))
         print_table("reduced model", rows)
     print_facts("metrics", result.get("metrics", {}))
     _show_checks(result.get("checks", ()))
     _show_attempts(result.get("simulator", {}).get("attempts", ()))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def contact_error(value: float | None) -> str:
+    """What the reduction does where bodies meet; its certificate is that of the response."""
+    if value is None:
+        return "not estimated; checks.reduction = 'warn' compares with a richer model"
+    return f"{value:.2g}"
 
 
 def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
