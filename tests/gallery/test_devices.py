@@ -141,7 +141,9 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
     rough = 3 * 70e9 * 0.66e-3 * tip / (2 * (50.8e-3) ** 2)
     assert stress == pytest.approx(rough, rel=0.35)
     assert stress < limit
-    assert metrics["field_layers_2_pzt_5a_v_m"] < metrics["field_limit_layers_2_pzt_5a_v_m"] == 0.7e6
+    assert (
+        metrics["field_layers_2_pzt_5a_v_m"] < metrics["field_limit_layers_2_pzt_5a_v_m"] == 0.7e6
+    )
     names = {check["name"] for check in record["checks"]}
     assert "principal stress in layers[0] (PZT-5A) of beam" in names
     assert {"beam_fields.vtu", "beam_deformed.png", "beam_stress.png"} <= set(record["files"])
@@ -258,7 +260,9 @@ def test_explain_states_the_mesh_error_of_a_body():
     row = next(row for row in rows if row.stage == "mesh of disc")
     assert row.settings == "resonance short"
     assert 0 < row.expected < 0.01
-    assert not any(row.stage == "mesh of disc" for row in plan(load_scene("buzzer_7bb_20_6", [])).errors)
+    assert not any(
+        row.stage == "mesh of disc" for row in plan(load_scene("buzzer_7bb_20_6", [])).errors
+    )
 
 
 def test_explain_says_where_a_mesh_error_takes_too_long(monkeypatch):
