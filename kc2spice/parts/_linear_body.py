@@ -126,11 +126,12 @@ class LinearBody(PartType):
     def usual(self, scene: Scene) -> Rom:
         """Where nothing is said: a tolerance over the band that the analysis sees.
 
-        That is up to the highest frequency of ``ac``, and for a transient what ten of its largest
+        That is the range of ``ac`` and a fifth more, and for a transient what ten of its largest
         steps to a period resolve.
         """
         if scene.analysis.type == "ac":
-            return Rom(tolerance=1e-5, band=(0.0, 1.2 * float(scene.analysis.stop or 1.0)))
+            low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
+            return Rom(tolerance=1e-5, band=(0.8 * low, 1.2 * high))
         return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
