@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
@@ -27,7 +28,6 @@ class CurrentCases(PartType):
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
-    short_for = ("em_force",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -81,6 +81,26 @@ class CurrentCases(PartType):
             "current_pairs_a": [list(case) for case in cases(part)],
             "force_n": [force.tolist() for force in forces],
         }
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """The height is a source's; a force on it is the reaction to what the coils exert."""
+        from kc2spice.parts.ring_magnet_coils import force_table
+
+        n, coils = part.name, _coils(build.scene)
+        table, still = force_table(build.model(coils)), laws.Line.constant
+        found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
+        nets = [(f"{n}.out", *(f"{coils.name}{k}.y" for k in range(len(cases(part)))))]
+        results = {f"{_sphere(build.scene)}.y": laws.reading(f"{n}.out")}
+        for k, pair in enumerate(cases(part)):
+            own = f"{coils.name}{k}"
+            found.append(laws.PositionForce(own, table, (1.0, 1.0)))
+            for coil, current in enumerate(pair, 1):
+                found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
+                nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
+            results[f"{coils.name}.force.{k}"] = laws.reading(f"{own}.force")
+        return laws.Equations(
+            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, tuple(nets)
+        )
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")

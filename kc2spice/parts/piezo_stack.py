@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -71,7 +71,6 @@ class PiezoStack(LinearBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
-    short_for = ("kick",)
     source = "FE (piezoelectric, linear)"
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
@@ -190,6 +189,9 @@ class PiezoStack(LinearBody):
             effect = f"{part.name}: ports at R{kept}"
             effect += f" to R{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """Known from a mesh study (:meth:`errors`), so that explain need not compute one."""
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"

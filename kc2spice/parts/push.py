@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms
@@ -27,7 +28,6 @@ class Push(PartType):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
-    short_for = ("imprint",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -91,6 +91,12 @@ class Push(PartType):
             "imprint_m": waves[f"{part.name}.depth"].tolist(),
             "force_n": force.tolist(),
         }
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        source = laws.Source(n, "displacement", laws.Line.constant(0.0))
+        results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
+        return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
@@ -24,7 +25,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -51,7 +52,6 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    short_for = ("sphere",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):
@@ -140,6 +140,22 @@ class Sphere(PartType):
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """Its coordinate is the height of its lowest point over touching."""
+        n, scene = part.name, build.scene
+        if _moved(part, scene):
+            return laws.Equations()
+        thrown = start(part, scene)
+        held = scene.joined(n, "v") or scene.joined(n, "bottom")
+        speed, height = thrown if thrown else (0.0, None if held else 0.0)
+        law = laws.Mass(n, part.keys.mass, scene.gravity, height, speed)
+        results = {
+            f"{n}.y": laws.reading(f"{n}.a", constant=part.keys.radius),
+            f"{n}.v": laws.reading(f"{n}.a.rate"),
+        }
+        pins = tuple((pin, f"{n}.a") for pin in ("v", "bottom", "y"))
+        return laws.Equations((law,), pins, results)
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys
         detail = f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
@@ -167,6 +183,13 @@ def start(part: Part, scene: Scene) -> tuple[float, float] | None:
             return thrown
     keys = part.keys
     return (keys.velocity, keys.height) if keys.velocity or keys.height else None
+
+
+def offset(part: Part, pin: str, scene: Scene) -> float:
+    """What a pin that reads the height of a centre has on top of its law's coordinate [m]."""
+    heights = [n for n, other in scene.joined(part.name, pin) if other == "y"]
+    spheres = [scene.parts[n] for n in heights if scene.parts[n].type.name == Sphere.name]
+    return float(spheres[0].keys.radius) if spheres else 0.0
 
 
 def work_balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
@@ -231,8 +254,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
@@ -29,7 +30,6 @@ class Throw(PartType):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
-    short_for = ("impact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return ()
@@ -73,6 +73,10 @@ class Throw(PartType):
             "rebound_velocity_m_s": leave[1] if leave else None,
             "max_force_n": float(force.max() / sectors(build.scene)),
         }
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """None of its own: the sphere starts as it says."""
+        return laws.Equations()
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

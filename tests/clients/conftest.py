@@ -13,11 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.parts.experiments import scene_deck
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.header import Header
-from kc2spice.spice.included import included_netlists
-from kc2spice.spice.naming import with_design_names
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
 import device
@@ -44,13 +40,8 @@ def deck_of():
     """``deck_of(scene, **solver)``: a gallery scene around the made-up device, exported."""
 
     def make(name: str, **solver):
-        scene = load_scene(name)
-        scene = scene.model_copy(update={"solver": scene.solver.model_copy(update=solver)})
-        deck = scene_deck(
-            scene, Header(name, "0"), device.chip(), device.RADII, device.magnets(),
-            included_netlists(scene),
-        )  # fmt: skip
-        return with_design_names(deck)
+        scene = load_scene(name, {f"solver.{key}": value for key, value in solver.items()})
+        return device.deck_of(scene, device.chip(), device.magnets())
 
     return make
 

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kc2spice.bodies.convergence import MeshError, headline_error
+from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, window
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import chipbook
+from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import reference, subcircuit
@@ -29,7 +35,7 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
-GROUNDED = ("cathode",)  # second pins of electrical ports that are grounded unless joined
+PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
 class BodyKeys(Section):
@@ -66,13 +72,18 @@ class LinearBody(PartType):
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
-        return {"keys": part.keys.model_dump(mode="json", exclude={"rom"})}
+        return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
 
     # --- scene ----------------------------------------------------------------------------------
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        """The ports that the scene needs: electrical ones, and others that something names."""
+        """The ports that the scene needs: electrical ones, and others that something names.
+
+        All where the body is the only part: the scene is there to export it.
+        """
         every = self.ports(part, scene)
+        if len(scene.parts) == 1:
+            return every
         names = wanted(part, scene)
         unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
         for name in unknown:
@@ -91,6 +102,9 @@ class LinearBody(PartType):
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return tuple(_terminals(part, self.kept(part, scene), scene))
+
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return tuple(_terminals(part, self.ports(part, scene), scene))
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
@@ -141,7 +155,13 @@ class LinearBody(PartType):
             with clock.stage("reduce", f"reduction of {part.name}"):
                 chosen = full.select(kept)
                 order = None if target.order is None else min(target.order, chosen.order)
-                return reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+                small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+            modal = modal_form(small)  # whose later use needs no eigenvalues
+            return (
+                small
+                if modal is None
+                else replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            )
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
@@ -240,15 +260,35 @@ class LinearBody(PartType):
         if z is not None:
             yield impedance_figure(part.name, waves["frequency"].real, z)
 
-    def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
-        from kc2spice.core import laws
-
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
-        if model.first_order:
+        ports, n = model.ports, part.name
+        pins = {pin.name for pin in self.pins(part, build.scene)}
+        if build.net(part, next(p for p in ("base", "ground", "ref") if p in pins)) != "0":
             return None
-        pencil = model.pencil.dense()
-        K, E, M = pencil.coefficients
-        return laws.body(part.name, M, E, K, model.B, model.D, model.ports)
+        if all(port.kind in ("input", "output") for port in ports):
+            return _signal_law(n, model)
+        if model.first_order or not all(port.conservative for port in ports):
+            return None
+        modal = modal_form(model)
+        kinds = {"mechanical": "displacement", "rotational": "rotation"}
+        own = tuple(
+            laws.Port(p.name, kinds.get(p.kind, p.kind), "".join(p.terminals[1:])) for p in ports
+        )
+        if modal is not None:
+            law = laws.LinearBody(
+                n, np.ones(modal.order), modal.damp, modal.omega**2, modal.gain, modal.gain.T,
+                modal.D, own,
+            )  # fmt: skip
+        else:
+            K, E, M = model.pencil.dense().coefficients
+            law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
+        joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
+        joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        return laws.Equations((law,), tuple(joins), _readings(part, model))
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
+        return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         rom = self.settings(part, scene)
@@ -262,12 +302,69 @@ class LinearBody(PartType):
         detail = f"reduced to {target}, band {low:g} … {high:g} Hz; ports {ports}"
         return Modelled(part.name, self.source, detail)
 
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        found = self.mesh_error(part, scene)
+        if found is None:
+            return
+        fact = found.fact.rpartition("_")[0].replace("_", " ")
+        why = "against cells of half the size"
+        if found.error is None:
+            why = f"not estimated: takes about {found.seconds:.0f} s"
+        yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
+
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
+        """Error of the headline number on this mesh, None where there is no mesh."""
+
+        def estimate() -> MeshError | None:
+            return headline_error(lambda k: self.full(part, scene, Clock(silent), k), PATIENCE)
+
+        key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
+        found, _ = cached(
+            "mesh_error", key, estimate, classes=(MeshError,),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.bodies"),
+        )  # fmt: skip
+        return found
+
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         kept = self.kept(part, scene)
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             yield LeftOut(what, "nothing of the scene needs them", "none")
+
+
+def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
+    """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
+    found: dict[str, laws.Reading] = {}
+    n = part.name
+    electrical = [port for port in model.ports if port.kind == "electrical"]
+    for port in model.ports:
+        if port.kind == "electrical":
+            prefix = n if port is electrical[0] else f"{n}.{port.name}"
+            found[f"{prefix}.voltage"] = laws.difference(
+                f"{n}.{port.name}", f"{n}.{port.terminals[1]}"
+            )
+            found[f"{prefix}.current"] = laws.reading(f"{n}.{port.name}.through")
+        elif port.kind in ANSWERS:
+            found[f"{n}.{ANSWERS[port.kind][2]}.{port.name}"] = laws.reading(f"{n}.{port.name}")
+    return found
+
+
+def _signal_law(name: str, model: LinearModel) -> laws.Equations:
+    """Signals in, signals out, in first order: ``x = [q, q']`` where the model has inertia."""
+    *rest, last = model.pencil.dense().coefficients
+    B, C = model.B, model.C
+    if model.first_order:
+        E, A = last, -rest[0]
+    else:
+        one, none = np.eye(model.order), np.zeros((model.order, model.order))
+        E = np.block([[one, none], [none, last]])
+        A = np.block([[none, one], [-rest[0], -rest[1]]])
+        B, C = np.vstack([0.0 * B, B]), np.hstack([C, 0.0 * C])
+    law = laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
+    pins = tuple((port.terminals[0], f"{name}.{port.name}") for port in model.ports)
+    results = {f"{name}.{port.name}": laws.reading(f"{name}.{port.name}") for port in model.ports}
+    return laws.Equations((law,), pins, results)
 
 
 def wanted(part: Part, scene: Scene) -> set[str]:
@@ -292,13 +389,19 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
-def file_stamp(path: Any) -> str:
-    """What tells one state of a file from another: its size and time of change."""
+def file_stamp(path: Path) -> str:
+    """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
         found = path.stat()
+        return _content(path, found.st_size, found.st_mtime_ns)
     except OSError:
         return "absent"
-    return f"{found.st_size} {found.st_mtime_ns}"
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def modal_form(model: LinearModel) -> Resonators | None:
@@ -372,11 +475,14 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
     electrical = [p for p in ports if p.kind == "electrical"]
     moved = [p for p in ports if p.kind in ANSWERS]
     signals = [p for p in ports if p.kind in ("input", "output")]
+    shared: set[str] = set()
     for port in electrical:
         plus, minus = port.terminals
         yield Terminal(plus, port.across, port.flow)
-        floating = minus in wanted(part, scene) - set(part.pins)
-        yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        if minus not in shared:
+            floating = minus in wanted(part, scene) - set(part.pins)
+            yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        shared.add(minus)
     for port in moved:
         yield Terminal(port.terminals[0], port.across, port.flow)
     for port in signals:

@@ -1,4 +1,4 @@
-"""Mass, spring and damper at displacement pins."""
+"""The part ``mass``: a point mass at a displacement pin."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.quantities import Mass, MechanicalDamping, Section, Stiffness
+from kc2spice.core import laws
+from kc2spice.core.quantities import Mass, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts._mechanical import Mechanical
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.scene.parttype import Build, Surface, Vector, register
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -27,26 +29,19 @@ class MassKeys(Section):
     weight: bool = Field(False, description="whether gravity pulls it")
 
 
-class SpringKeys(Section):
-    """``F = k (x_a - x_b)``."""
-
-    stiffness: Stiffness = Field(gt=0)
-
-
-class DamperKeys(Section):
-    """``F = c (x_a' - x_b')``."""
-
-    damping: MechanicalDamping = Field(gt=0)
-
-
-class _Mechanical(PartType):
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        (key, value), *_ = part.keys
-        return Modelled(part.name, "closed form", f"{key} {value:g}")
-
-
-class PointMass(_Mechanical):
+class PointMass(Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    example = """
+[mass]
+part = "mass"
+mass = "1 mg"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
@@ -58,7 +53,7 @@ class PointMass(_Mechanical):
         name = build.libraries[part.name]
         gravity = build.scene.gravity if part.keys.weight else 0.0
         params = (
-            Param("mass", part.keys.mass, "kg", "mass"),
+            positive("mass", part.keys.mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
         )
         text = render(
@@ -78,6 +73,18 @@ class PointMass(_Mechanical):
             f"{part.name}.force": Vector(f"i(v.x{part.name.lower()}.vmass)", 1.0, "N"),
         }
 
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        if build.net(part, "base") != "0":
+            return None
+        n = part.name
+        gravity = build.scene.gravity if part.keys.weight else 0.0
+        results = {
+            f"{n}.x": laws.reading(f"{n}.a"),
+            f"{n}.v": laws.reading(f"{n}.a.rate"),
+            f"{n}.force": laws.reading(f"{n}.a.through"),
+        }
+        return laws.Equations((laws.Mass(n, part.keys.mass, gravity),), (("a", f"{n}.a"),), results)
+
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         inertia = waves.data.get(f"{part.name}.force")
         if inertia is None or pin != "a":
@@ -95,48 +102,4 @@ class PointMass(_Mechanical):
         }
 
 
-class _Link(_Mechanical):
-    """Two displacement pins and one law between them."""
-
-    template: str
-    key: str
-    unit: str
-
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "um", "N", required=True), Terminal("b", "um", "N", "gnd"))
-
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.force": Vector(self.meter(part), 1.0, "N")}
-
-    def meter(self, part: Part) -> str:
-        raise NotImplementedError
-
-    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        found = waves.data.get(f"{part.name}.force")
-        return None if found is None else (-found if pin == "a" else found)
-
-
-class Spring(_Link):
-    name, title, schema = "spring", "linear spring between two displacement pins", SpringKeys
-
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"R{part.name} {a} {b} {1e6 / part.keys.stiffness!r}",)
-
-    def meter(self, part: Part) -> str:
-        return f"@r{part.name.lower()}[i]"
-
-
-class Damper(_Link):
-    name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
-
-    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        a, b = build.net(part, "a"), build.net(part, "b")
-        return (f"C{part.name} {a} {b} {part.keys.damping * 1e-6!r}",)
-
-    def meter(self, part: Part) -> str:
-        return f"@c{part.name.lower()}[i]"
-
-
-for _type in (PointMass, Spring, Damper):
-    register(_type())
+register(PointMass())

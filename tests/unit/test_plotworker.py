@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.report.easel import Easel
+from kc2spice.report.plotworker import PlotWorker
 
 
 def double(value):
@@ -40,39 +40,39 @@ def alive(pid):
 
 
 def test_it_draws_elsewhere_and_in_order():
-    with Easel() as easel:
-        futures = [easel.draw(double, k) for k in range(5)]
-        pid = easel.draw(identity).result(60)
+    with PlotWorker() as worker:
+        futures = [worker.draw(double, k) for k in range(5)]
+        pid = worker.draw(identity).result(60)
         assert pid != os.getpid()
         assert [f.result(60) for f in futures] == [0, 2, 4, 6, 8]
         big = bytes(10_000_000)  # more than a pipe holds
-        assert len(easel.draw(double, big).result(60)) == 2 * len(big)
+        assert len(worker.draw(double, big).result(60)) == 2 * len(big)
     assert not alive(pid)
 
 
 def test_errors_arrive_as_they_were_and_the_next_picture_is_drawn():
-    with Easel() as easel:
-        full, refused = easel.draw(fail, 28), easel.draw(refuse)
+    with PlotWorker() as worker:
+        full, refused = worker.draw(fail, 28), worker.draw(refuse)
         with pytest.raises(OSError, match="No space left") as caught:
             full.result(60)
         assert caught.value.errno == 28
         with pytest.raises(SimulationError) as said:
             refused.result(60)
         assert (said.value.where, said.value.hint) == ("here", "none")
-        assert easel.draw(double, 4).result(60) == 8
+        assert worker.draw(double, 4).result(60) == 8
 
 
 def test_a_killed_process_is_an_error_and_not_a_wait():
-    with Easel() as easel:
-        os.kill(easel.draw(identity).result(60), signal.SIGKILL)
+    with PlotWorker() as worker:
+        os.kill(worker.draw(identity).result(60), signal.SIGKILL)
         with pytest.raises(SimulationError, match="ended before its pictures"):
-            easel.draw(double, 1).result(60)
+            worker.draw(double, 1).result(60)
 
 
 def test_nobody_waits_for_pictures_of_a_failed_run():
     begin = time.monotonic()
-    with pytest.raises(RuntimeError), Easel() as easel:
-        easel.draw(sleep)
+    with pytest.raises(RuntimeError), PlotWorker() as worker:
+        worker.draw(sleep)
         raise RuntimeError
     assert time.monotonic() - begin < 60.0
 
@@ -81,8 +81,8 @@ def test_it_ends_with_the_process_that_asked(tmp_path):
     """As after a kill: the other end is closed, nothing else is said."""
     pid = os.fork()
     if pid == 0:
-        with Easel() as easel:
-            tmp_path.joinpath("pid").write_text(str(easel.draw(identity).result(60)))
+        with PlotWorker() as worker:
+            tmp_path.joinpath("pid").write_text(str(worker.draw(identity).result(60)))
             os.kill(os.getpid(), signal.SIGKILL)
     os.waitpid(pid, 0)
     drawing = int(tmp_path.joinpath("pid").read_text())

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from kc2spice.workflow.sweep.engines import Call, LocalEngine, completed
+from kc2spice.workflow.sweep.pool import Call, LocalEngine, completed
 
 
 def results(calls, workers=2):
@@ -20,7 +20,7 @@ def fresh(calls):
     """
     code = (
         "import math, os\n"
-        "from kc2spice.workflow.sweep.engines import Call, WorkerDied, LocalEngine, completed\n"
+        "from kc2spice.workflow.sweep.pool import Call, WorkerDied, LocalEngine, completed\n"
         f"ended = completed(LocalEngine(2), iter({calls}))\n"
         "print({c.name: 'died' if isinstance(r, WorkerDied) else r for c, r in ended})\n"
     )
