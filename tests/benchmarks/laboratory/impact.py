@@ -56,7 +56,8 @@ def impact(setup: Setup) -> Outcome:
         for name, time, target, what in (
             ("low_rank", full.low_rank, LOW_RANK,
              "with the same trick: one factorisation, contact as low-rank update"),
-            ("refactor", full.refactorising, REFACTOR, "the usual code, factorised in every iteration"),
+            ("refactor", full.refactorising, REFACTOR,
+             "the usual code, factorised in every iteration"),
         )
     )  # fmt: skip
     points = (*plane.points, *full.points())

@@ -62,7 +62,8 @@ def imprint(setup: Setup) -> Outcome:
         Ratio(
             f"imprint_{name}", time.median / rom_time.median, rom_error, target,
             f"full model, {what}, over the reduced model in numpy, both without the making of "
-            f"their matrices; the netlist in ngspice takes {deck_time.median:.3g} s at {deck_error:.1e}", errors={"force": rom_error},
+            f"their matrices; the netlist in ngspice takes {deck_time.median:.3g} s at "
+            f"{deck_error:.1e}", errors={"force": rom_error},
         )
         for name, time, target, what in (
             ("low_rank", low_rank, LOW_RANK,
