@@ -523,16 +523,6 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 # --- the subcircuit -------------------------------------------------------------------------------
 
 
-def contact_force(
-    displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
-) -> np.ndarray:
-    """Force [N] of every ring on the sphere, ``eps max(0, u - bottom - gap)``, rings last.
-
-    ``displacement`` (..., rings) and ``bottom`` (...) in m, ``eps`` in N/m of the whole ring.
-    """
-    return eps * np.maximum(0.0, displacement - np.asarray(bottom)[..., None] - gaps)
-
-
 def contact_subcircuit(
     header: Header,
     rings: tuple[str, ...],
@@ -543,7 +533,7 @@ def contact_subcircuit(
     under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
-    """The law of :func:`contact_force` between ring pins and the other side.
+    """``force = eps max(0, u - bottom - gap)`` between ring pins and the other side.
 
     ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
     the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
