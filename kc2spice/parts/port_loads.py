@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.gates import FullSolution, Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -114,6 +115,47 @@ class PortLoads(PartType):
             "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
         }  # fmt: skip
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+        low = {"rom_vs_fom": gates.harmonic_low}
+        yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        """All ports to all ports. A certified basis of high order replaces the full model, unless
+        ``whole`` asks for a direct solution at every frequency."""
+        from kc2spice.rom.surrogate import surrogate
+
+        body, analysis = body_of(part, build.scene), build.scene.analysis
+        full = body.type.full_model(body, build, clock)
+        if full is None:
+            return None
+        frequency = np.linspace(analysis.start, float(analysis.stop or 0.0), analysis.points)
+        started = time.perf_counter()
+        if whole:
+            with clock.stage("full model", f"{frequency.size} direct solutions"):
+                response = full.transfer(frequency)
+            spent, notes = time.perf_counter() - started, ()
+        else:
+            with clock.stage("full model", "surrogate basis against direct solutions"):
+                small = surrogate(full, (0.0, float(frequency[-1])))
+            response = small.model.transfer(frequency)
+            spent = small.seconds * frequency.size
+            notes = (
+                f"{small.model.order} states replace the full model, within {small.error:.1e} of "
+                f"{small.solved} direct solutions, which its time is taken from",
+            )
+        names = list(full.inputs)
+        if body.keys.electrical == "open":
+            response = charged(response, names.index("anode"))
+        data = {"frequency": frequency}
+        for o, output in enumerate(names):
+            data |= {f"{source}>{output}": response[:, o, i] for i, source in enumerate(names)}
+        peak = np.abs(response[:, 0, 0]).argmax()
+        metrics = {"peak_hz": float(frequency[peak]), "full_wall_s": spent}
+        return FullSolution(
+            Waveforms(data, {}), build, spent, baselines={"refactor": spent}, metrics=metrics,
+            notes=notes,
+        )  # fmt: skip
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
@@ -153,6 +195,22 @@ class PortLoads(PartType):
         keys = part.keys
         detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
         return Modelled(part.name, "unit loads", detail)
+
+
+def charged(response: np.ndarray, anode: int) -> np.ndarray:
+    """The response driven by the anode's charge instead of its voltage (paper eq. 8, 9).
+
+    ``[u; Q] = H [f; V]``, so ``[I -H_uV; 0 H_QV] [u; V] = [H_uf 0; -H_Qf 1] [f; Q]``.
+    """
+    result = np.empty_like(response)
+    others = [k for k in range(response.shape[1]) if k != anode]
+    for k, H in enumerate(response):
+        left, right = np.eye(len(H), dtype=complex), np.zeros_like(H)
+        left[others, anode], left[anode, anode] = -H[others, anode], H[anode, anode]
+        right[np.ix_(others, others)] = H[np.ix_(others, others)]
+        right[anode, others], right[anode, anode] = -H[anode, others], 1.0
+        result[k] = np.linalg.solve(left, right)
+    return result
 
 
 def body_of(part: Part, scene: Scene) -> Part:

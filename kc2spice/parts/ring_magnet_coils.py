@@ -476,6 +476,11 @@ class RingMagnetCoils(PartType):
         )
 
 
+def field_keys(part: Part) -> Catch:
+    """What the field depends on, remanence and shift included."""
+    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
 def force_table(table: EMTable) -> laws.ForceTable:
     """The table as the integrator takes it."""
     return laws.ForceTable(
