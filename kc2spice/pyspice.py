@@ -1,4 +1,4 @@
-"""PySpice and InSpice: parts of ours as subcircuits of theirs; see also ``kc2spice.sim.loop``.
+"""PySpice and InSpice: parts of ours as subcircuits of theirs.
 
 PySpice has not been kept up since 2021, InSpice is its live fork (Python 3.12 and later). Both are
 clients here: decks of ours run without them.
@@ -11,10 +11,7 @@ import logging
 from typing import Any, Literal
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.sim.loop import DigitalPid, Loop, flattened, run_shared
 from kc2spice.spice.circuit import Subcircuit
-
-__all__ = ["DigitalPid", "Loop", "flattened", "run_shared", "subcircuit"]
 
 Package = Literal["PySpice", "InSpice"]
 

@@ -23,8 +23,8 @@ those below to stretch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -37,12 +37,15 @@ from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_share
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
+from kc2spice.core.schema import validated
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import LinearModel, Port
 
 Mass: TypeAlias = Annotated[float, si("kg")]
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
+GRADING = 1.6
+HERE = Path()
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -56,9 +59,9 @@ class Layer(Section):
 class Bimorph(Section):
     """Keys of ``part = "bimorph"``; see the module.
 
-    ``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends) or *free*. ``tip_mass``
-    is spread over the end face. ``points`` are further ports on the centre line of the top, by
-    distance from the clamp.
+    ``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported* (on
+    knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points`` are
+    further ports on the centre line of the top, by distance from the clamp.
     """
 
     length: Length = Field(gt=0)
@@ -66,10 +69,10 @@ class Bimorph(Section):
     layers: tuple[Layer, ...] = Field(min_length=1)
     wiring: Literal["series", "parallel"] | None = None
     tip_mass: Mass = Field(0.0, ge=0)
-    support: Literal["cantilever", "clamped", "free"] = "cantilever"
-    points: dict[Annotated[str, StringConstraints(pattern=r"[A-Za-z]\w{0,30}")], Length] = Field(
-        default_factory=dict
-    )
+    support: Literal["cantilever", "clamped", "simply_supported", "free"] = "cantilever"
+    points: dict[
+        Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
+    ] = Field(default_factory=dict)
     damping: Damping = Damping()
 
     @model_validator(mode="after")
@@ -92,32 +95,51 @@ class _Wires:
     poling: dict[int, float]  # of each piezoelectric layer, +1 is up
 
 
-def build(keys: Bimorph, home: Path, *, refine: int = 1) -> LinearModel:
+def build(
+    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
+) -> LinearModel:
     """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine).model
+    return device(keys, home, refine=refine, where=where).model
 
 
-def device(keys: Bimorph, home: Path, *, refine: int = 1) -> Device:
-    """Mesh the layers and assemble; ``refine`` divides all edges of the mesh.
+def device(
+    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
+) -> Device:
+    """Mesh the layers and assemble; ``refine`` divides edges in the plane, and every second one
+    through the thickness, where a quadratic element holds all that plates do.
 
     Raises
     ------
     UsageError : a material that does not exist, wiring without a piezoelectric layer.
     """
+    keys = validated(Bimorph, keys, where)
     materials = [
-        material(layer.material, f"layers[{number}].material")
+        material(layer.material, f"{where}.layers[{number}].material")
         for number, layer in enumerate(keys.layers)
     ]
     heights = np.concatenate([[0.0], np.cumsum([layer.thickness for layer in keys.layers])])
     wires = _wires(keys, materials, heights)
-    poled = [m.poled((0, 0, wires.poling.get(k, 1.0))) for k, m in enumerate(materials)]
-    cuts = [np.linspace(*pair, refine + 1)[:-1] for pair in pairwise(heights)]
+    poled = [
+        replace(m.poled((0, 0, wires.poling.get(k, 1.0))), name=f"layers[{k}] ({m.name})")
+        for k, m in enumerate(materials)
+    ]
+    cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
     z = np.append(np.concatenate(cuts), heights[-1])
-    x = np.union1d(np.linspace(0, keys.length, LENGTHWISE * refine + 1), list(keys.points.values()))
+    x = np.union1d(_lengthwise(keys, refine), list(keys.points.values()))
     mesh = MeshHex.init_tensor(x, np.linspace(0, keys.width, ACROSS * refine + 1), z)
     middle = mesh.p[2, mesh.t].mean(axis=0)
     solid = Solid(mesh, tuple(poled), np.searchsorted(heights, middle) - 1)
     return make_device(solid, _setup(keys, solid, wires))
+
+
+def _lengthwise(keys: Bimorph, refine: int) -> np.ndarray:
+    """Cuts along the beam, finer towards clamps."""
+    s = np.linspace(0, 1, LENGTHWISE * refine + 1)
+    if keys.support == "cantilever":
+        s = s**GRADING
+    elif keys.support == "clamped":
+        s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING)
+    return np.asarray(keys.length * s)
 
 
 def _wires(keys: Bimorph, materials: Sequence[Material], heights: np.ndarray) -> _Wires:
@@ -151,7 +173,12 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
     x, y, z = solid.basis(1).doflocs
     near = 1e-9 * keys.length
     fixed = np.zeros((x.size, 3), bool)
-    if keys.support != "free":
+    if keys.support == "simply_supported":
+        edges = (z < near) & ((x < near) | (x > keys.length - near))
+        fixed[edges, 2] = True
+        fixed[edges & (x < near), 0] = True
+        fixed[edges & (y < near), 1] = True  # one corner of each edge: the width may change
+    elif keys.support != "free":
         fixed[x < near] = True
     if keys.support == "clamped":
         fixed[x > keys.length - near] = True

@@ -5,7 +5,7 @@ Groups of the file name materials, supports, electrodes and ports::
     [bracket]
     part = "body"
     mesh = "bracket.step"
-    unit = "mm"                   # of the file
+    unit = "mm"                   # of .msh and .brep files; STEP files state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
     poling = { patch = [0, 0, 1] }
@@ -22,6 +22,9 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -40,6 +43,7 @@ from kc2spice.bodies.device import (
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section
+from kc2spice.core.schema import validated
 from kc2spice.core.units import quantity
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, read_mesh
@@ -48,8 +52,9 @@ from kc2spice.rom.linear import LinearModel, Port
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
-Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"[A-Za-z][A-Za-z0-9_]{0,30}")]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+HERE = Path()
 _REFERENCES = ("cathode", "gnd", "ground")
 _KINDS = ("elements", "faces", "curves", "points")
 
@@ -83,7 +88,7 @@ class FixedKeys(Section):
     """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
 
     group: str
-    axes: Annotated[str, StringConstraints(pattern="[xyz]{1,3}")] = "xyz"
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = "xyz"
 
 
 class PortKeys(Section):
@@ -177,12 +182,16 @@ def ports(keys: Body) -> tuple[Port, ...]:
     return tuple(found)
 
 
-def build(keys: Body, home: Path, *, refine: int = 1) -> LinearModel:
+def build(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> LinearModel:
     """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine).model
+    return device(keys, home, refine=refine, where=where).model
 
 
-def device(keys: Body, home: Path, *, refine: int = 1) -> Device:
+def device(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> Device:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
     ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are
@@ -194,17 +203,29 @@ def device(keys: Body, home: Path, *, refine: int = 1) -> Device:
         dimension, or used twice; elements without material; an electrode on a material that is
         not piezoelectric.
     """
-    found = read_mesh(
-        home / keys.mesh,
-        unit=quantity(f"1 {keys.unit}", "m", where="unit"),
-        size=None if keys.size is None else keys.size / refine,
-        picks={name: group.pick() for name, group in keys.groups.items()},
-        dimension=2 if keys.axisymmetric else 3,
-        splits=0 if keys.size else int(np.ceil(np.log2(refine))),
-    )
-    groups = _Groups(found, keys)
-    solid = _solid(keys, groups)
-    return make_device(solid, _setup(keys, groups, solid))
+    keys = validated(Body, keys, where)
+    with _part(where):
+        found = read_mesh(
+            home / keys.mesh,
+            unit=quantity(f"1 {keys.unit}", "m", where="unit"),
+            size=None if keys.size is None else keys.size / refine,
+            picks={name: group.pick() for name, group in keys.groups.items()},
+            dimension=2 if keys.axisymmetric else 3,
+            splits=0 if keys.size else int(np.ceil(np.log2(refine))),
+        )
+        groups = _Groups(found, keys)
+        solid = _solid(keys, groups)
+        return make_device(solid, _setup(keys, groups, solid))
+
+
+@contextmanager
+def _part(where: str) -> Iterator[None]:
+    """Errors within say which part they are about."""
+    try:
+        yield
+    except UsageError as error:
+        error.where = where if error.where is None else f"{where}: {error.where}"
+        raise
 
 
 class _Groups:
@@ -247,7 +268,8 @@ def _solid(keys: Body, groups: _Groups) -> Solid:
             other = list(keys.materials)[int(owner[cells].max())]
             raise UsageError("elements with two materials", where=where, got=f"also in {other}")
         owner[cells] = number
-        materials.append(material(given, where).poled(keys.poling.get(name, (0, 0, 1))))
+        made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         raise UsageError(
             "elements without material", where="materials", got=f"{np.sum(owner < 0)} elements",

@@ -62,11 +62,13 @@ def _resonance(
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     static = np.array([solve(model.B[:, k]) for k in ports])
-    size = np.sqrt(np.sum(static * (M @ static.T).T, axis=1))
-    start = (static / size[:, None]).sum(axis=0)
+    start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES):
         values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start)
-        share = np.abs(static @ (M @ modes)) / size[:, None]
+        rigid = modes[:, values <= 10 * shift]
+        elastic = static - (static @ (M @ rigid)) @ rigid.T
+        size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
+        share = np.abs(elastic @ (M @ modes)) / size[:, None]
         found = values[(share.max(axis=0) > COUPLED) & (values > 10 * shift)]
         if found.size:
             return float(np.sqrt(found.min()) / (2 * np.pi))

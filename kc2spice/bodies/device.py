@@ -129,11 +129,15 @@ def make_device(solid: Solid, setup: Setup) -> Device:
 
 def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
     """Rayleigh damping, or of each material's elastic stiffness by its quality."""
-    omega = 2 * np.pi * (damping.at or model.facts.get("resonance_short_hz", 0.0))
-    if not omega:
+    facts = model.facts
+    first = damping.at or facts.get("resonance_short_hz", facts.get("resonance_hz"))
+    if first is None and (damping.zeta or damping.per_material):
         raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
     if not damping.per_material:
-        return replace(model, E=None, rayleigh=(damping.alpha, 2 * damping.zeta / omega))
+        beta = damping.beta(first) if damping.zeta and first else 0.0
+        return replace(model, E=None, rayleigh=(damping.alpha, beta))
+    assert first is not None
+    omega = 2 * np.pi * first
     E = damping.alpha * model.M
     for number, material in enumerate(solid.materials):
         if material.quality is None:
@@ -159,10 +163,10 @@ def node_shares(solid: Solid, *, facets: np.ndarray | None = None,
         basis = Basis(solid.mesh, element(solid.mesh), elements=elements, intorder=4)
     weights = basis.dx
     if solid.axisymmetric:
-        weights = weights * basis.global_coordinates().value[0]
+        weights = weights * np.asarray(basis.global_coordinates())[0]
     shares = np.zeros(basis.N)
     for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
-        np.add.at(shares, nodes, (function[0].value * weights).sum(axis=1))
+        np.add.at(shares, nodes, (np.asarray(function[0]) * weights).sum(axis=1))
     return np.asarray(shares / weights.sum())
 
 

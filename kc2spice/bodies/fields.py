@@ -131,7 +131,7 @@ def extremes(motion: Motion, instants: int = INSTANTS) -> list[Extreme]:
     probe = Probe(motion.device, gauss=True)
     chosen = _instants(motion, instants)
     solid = motion.device.solid
-    places = probe.basis.global_coordinates().value.reshape(solid.mesh.dim(), -1)
+    places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     u, phi = probe.nodal(motion.basis, np.zeros((motion.voltages.shape[1], motion.basis.shape[1])))
     T, E = probe.stress(u, phi)
     _, drive = probe.nodal(

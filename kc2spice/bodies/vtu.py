@@ -33,7 +33,7 @@ def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -
     probe = Probe(device, gauss=False)
     fields = probe(z, voltages)
     mesh = device.solid.mesh
-    where = probe.basis.global_coordinates().value.reshape(mesh.dim(), -1).T
+    where = np.asarray(probe.basis.global_coordinates()).reshape(mesh.dim(), -1).T
     if mesh.dim() == 2:
         where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
     kind, order = _vtk(mesh)

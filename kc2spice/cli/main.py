@@ -18,7 +18,14 @@ from kc2spice.cli.bench import bench
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
-from kc2spice.cli.tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.cli.tables import (
+    show_findings,
+    show_keys,
+    show_parts,
+    show_plan,
+    show_result,
+    show_verdicts,
+)
 from kc2spice.core.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
@@ -94,6 +101,14 @@ def run(
     scene: SceneName,
     out: Out = None,
     set_: Set = None,
+    deck: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Run this netlist, edited by hand, instead of SCENE's own; same metrics, checks "
+            "and plots.",
+        ),
+    ] = None,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -107,7 +122,7 @@ def run(
         from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
-            result = study.run(study_scene, directory, progress, trust=trust)
+            result = study.run(study_scene, directory, progress, trust=trust, deck=deck)
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
@@ -227,7 +242,7 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         from kc2spice.scene.plan import plan
 
         loaded = load_scene(scene, set_ or [])
-        found = plan(loaded)
+        found = plan(loaded, estimate=True)
         if as_json:
             print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
             return
@@ -240,15 +255,29 @@ def scenes(
     keys: Annotated[
         bool, typer.Option("--keys", help="List every key that a scene may have instead.")
     ] = False,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="List part types with their pins and keys instead.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List the built-in scenes, or all scene keys."""
+    """List the built-in scenes, all scene keys, or all part types."""
     with reported_errors():
         from dataclasses import asdict
 
         from kc2spice.scene.keys import scene_keys
         from kc2spice.scene.load import gallery, load_scene
 
+        if keys and parts:
+            raise UsageError("give either --keys or --parts", where="scenes")
+        if parts:
+            from kc2spice.scene.partdocs import part_docs
+
+            docs = list(part_docs())
+            if as_json:
+                print(json.dumps([asdict(doc) for doc in docs]))
+            else:
+                show_parts(docs)
+            return
         if keys and as_json:
             print(json.dumps([asdict(key) for key in scene_keys()]))
             return

@@ -20,7 +20,7 @@ from kc2spice.cli.console import (
 from kc2spice.core.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
-    from kc2spice.workflow.sweep.engines import Engine
+    from kc2spice.workflow.sweep.pool import Engine
     from kc2spice.workflow.sweep.study import Request, Study
 
 _EVERY = 10.0  # s between two lines of progress where stderr is no terminal
@@ -54,7 +54,11 @@ def sweep(
     seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
     metric: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Column of the table, repeatable; default: all."),
+        typer.Option(
+            metavar="NAME",
+            help="Column of the table, repeatable; default: all metrics. Any number of result.json "
+            "by its path: model.kick.resonance_short_hz, checks.NAME, rom.order.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -73,6 +77,12 @@ def sweep(
     ] = None,
     minimise: Annotated[
         str | None, typer.Option(metavar="METRIC", help="What --tune makes small.")
+    ] = None,
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="METRIC<=X", help="What --tune must keep, also METRIC>=X, in SI. Repeatable."
+        ),
     ] = None,
     generations: Annotated[int, typer.Option(min=1, help="Of the search of --tune.")] = 12,
     workers: Annotated[
@@ -98,6 +108,13 @@ def sweep(
         Path | None,
         typer.Option(metavar="DIR", help="Put the rows of all parts in DIR into one table."),
     ] = None,
+    retry_failed: Annotated[
+        bool,
+        typer.Option(
+            "--retry-failed",
+            help="Run all points again that failed; without it those whose run was interrupted.",
+        ),
+    ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would be run and stop.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, all else on stderr.")
@@ -120,8 +137,12 @@ def sweep(
             if collect is not None:
                 result = run.collect(collect, shown)
             elif shard is not None:
-                result = run.sweep_shard(_needed(out, "--out"), _shard(shard), engine, shown)
+                result = run.sweep_shard(
+                    _needed(out, "--out"), _shard(shard), engine, shown, retry_failed=retry_failed
+                )
             else:
+                if tune:
+                    metric = _goals(metric, minimise, require)
                 study = make_study(
                     _request(scene, set_, zipped, latin, seed, metric, timeout, table_format)
                 )
@@ -129,14 +150,14 @@ def sweep(
                     print(study.describe(), file=sys.stderr)
                 out = out or Path(f"{study.base.name}_sweep")
                 if dry_run:
-                    result = run.outlook(study, out)
+                    result = run.dry_run_summary(study, out)
                 elif slurm is not None:
                     result = run.write_array(study, slurm, shards)
                 elif tune:
-                    search = (tune, _needed(minimise, "--minimise"), generations)
+                    search = (tune, _needed(minimise, "--minimise"), generations, require or [])
                     result = _interruptible(study, out, engine, shown, search)
                 else:
-                    result = _interruptible(study, out, engine, shown)
+                    result = _interruptible(study, out, engine, shown, retry_failed=retry_failed)
         if as_json:
             print(json.dumps(result))
         elif not quiet:
@@ -146,15 +167,23 @@ def sweep(
                                   hint="the column status says why")  # fmt: skip
 
 
+def _goals(metrics: list[str] | None, minimise: str | None, require: list[str] | None) -> list[str]:
+    """Columns that a tuning needs."""
+    from kc2spice.workflow.sweep.tune import limit
+
+    limits = [limit(text).metric for text in require or []]
+    return [*(metrics or []), _needed(minimise, "--minimise"), *limits]
+
+
 def _request(
     scene: str | None, sets: list[str] | None, zipped: bool, latin: bool, seed: int,
     metrics: list[str] | None, timeout: float, table_format: str,
 ) -> Request:  # fmt: skip
-    from kc2spice.workflow.sweep.definition import request_of
+    from kc2spice.workflow.sweep.study import request_of
 
     return request_of(
-        _needed(scene, "SCENE"), tuple(sets or ()), zipped, latin, seed, tuple(metrics or ()),
-        timeout, table_format,
+        _needed(scene, "SCENE"), sets=tuple(sets or ()), zipped=zipped, latin=latin, seed=seed,
+        metrics=tuple(metrics or ()), timeout=timeout, format=table_format,
     )  # fmt: skip
 
 
@@ -174,7 +203,7 @@ def _shard(text: str) -> Any:
 
 
 def _engine(dask: str | None, workers: int | None) -> Engine:
-    from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine, cores
+    from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine, cores
 
     count = workers or cores()
     return LocalEngine(count) if dask is None else DaskEngine(dask, count)
@@ -182,16 +211,19 @@ def _engine(dask: str | None, workers: int | None) -> Engine:
 
 def _interruptible(
     study: Study, out: Path, engine: Engine, progress: ProgressCallback,
-    search: tuple[list[str], str, int] | None = None,
+    search: tuple[list[str], str, int, list[str]] | None = None, *, retry_failed: bool = False,
 ) -> Any:  # fmt: skip
-    from kc2spice.workflow.sweep import run, tune, tuned
+    from kc2spice.workflow.sweep import run, tune
 
     try:
         if search is not None:
-            texts, metric, generations = search
-            bounds = [tune.bound(text) for text in texts]
-            return tuned.run_tuning(study, bounds, metric, generations, out, engine, progress)
-        return run.sweep(study, out, engine, progress)
+            texts, metric, generations, required = search
+            bounds = [tune.bound(text, study.keys) for text in texts]
+            return tune.run_tuning(
+                study, bounds, metric, generations, out, engine, progress,
+                limits=[tune.limit(text) for text in required],
+            )  # fmt: skip
+        return run.sweep(study, out, engine, progress, retry_failed=retry_failed)
     except KeyboardInterrupt:
         print(f"kc2spice: interrupted; the points run so far are kept in {out}, the same command "
               "runs the rest", file=sys.stderr)  # fmt: skip

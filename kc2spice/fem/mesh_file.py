@@ -20,6 +20,8 @@ from kc2spice.fem.gmsh_session import gmsh_session
 
 SUFFIXES = {".msh": b"$MeshFormat", ".step": b"ISO-10303", ".stp": b"ISO-10303",
             ".brep": b"DBRep_DrawableShape"}  # fmt: skip
+STEP = (".step", ".stp")
+MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))  # order of gmsh's mid-edge nodes
 _TRI_EDGES = ((0, 1), (1, 2), (2, 0))
 _DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
@@ -33,8 +35,8 @@ class Pick:
     """
 
     dimension: int
-    at: Sequence[Sequence[float]] = ()
-    box: Sequence[Sequence[float]] | None = None
+    at: np.ndarray | Sequence[Sequence[float]] = ()
+    box: np.ndarray | Sequence[Sequence[float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,9 @@ def read_mesh(
         without size, or a pick that selects nothing.
     """
     _require_kind(path)
+    if path.suffix.lower() in STEP and unit != MILLIMETRE:
+        raise UsageError("a STEP file states its own unit", where="unit", got=f"{unit:g} m",
+                         expected="no unit, or mm")  # fmt: skip
     cad = path.suffix.lower() != ".msh"
     if cad == (size is None):
         raise UsageError(
@@ -87,6 +92,7 @@ def read_mesh(
     with gmsh_session(path.stem) as gmsh:
         try:
             gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+            gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
             gmsh.merge(str(path))
             if cad:
                 assert size is not None
@@ -161,11 +167,11 @@ def _label(gmsh: ModuleType, entity: tuple[int, int]) -> str:
 
 def _pick(gmsh: ModuleType, name: str, pick: Pick) -> list[int]:
     everything = gmsh.model.getBoundingBox(-1, -1)
-    near = TOUCHING * np.linalg.norm(np.subtract(everything[3:], everything[:3]))
+    near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     found: list[int] = []
     for point in pick.at:
         hits = [tag for d, tag in gmsh.model.getEntities(pick.dimension)
-                if _contains(gmsh, d, tag, point, near)]  # fmt: skip
+                if _contains(gmsh, d, tag, np.asarray(point), near)]  # fmt: skip
         if not hits:
             raise UsageError(
                 f"no {_DIMENSION[pick.dimension][:-1]} contains this point",

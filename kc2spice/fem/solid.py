@@ -99,9 +99,9 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
     local = [function[0] for function in basis.basis]
     d = solid.components
     axes = np.arange(3) if d == 3 else _FLAT
-    radius = basis.global_coordinates().value[0]
+    radius = np.asarray(basis.global_coordinates())[0]
     for q in range(basis.X.shape[-1]):
-        value = np.stack([np.broadcast_to(f.value, basis.dx.shape)[:, q] for f in local], -1)
+        value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)
         slope = np.stack([f.grad[:, :, q] for f in local], -1)
         B = np.zeros((*value.shape[:1], 6, value.shape[1], d))
         G = np.zeros((*value.shape[:1], 3, value.shape[1]))
@@ -110,8 +110,9 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
             for i, x in enumerate(axes):
                 B[:, _VOIGT[x, y], :, i] += slope[j]
         if solid.axisymmetric:
-            r = np.maximum(radius[:, q], 1e-12 * np.ptp(solid.mesh.p))[:, None]
-            B[:, 1, :, 0] = value / r
+            r = radius[:, q, None]
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # there u_r / r is the derivative
+            B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
         yield value, B.reshape(len(B), 6, -1), G
 
 
@@ -126,10 +127,10 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
         basis = solid.basis(elements=cells)
         weights = basis.dx
         if solid.axisymmetric:
-            weights = 2 * np.pi * weights * basis.global_coordinates().value[0]
+            weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         nodes = basis.element_dofs.T
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
-        m = k = c = p = 0.0
+        m, k, c, p = (np.zeros(()) for _ in range(4))
         for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))

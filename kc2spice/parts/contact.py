@@ -11,6 +11,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
@@ -27,7 +28,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -36,6 +37,7 @@ OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
 EVENTS = 4e-3
+ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 FEW = 20  # events that are not too many for any reltol
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 
@@ -56,7 +58,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    short_for = ("contact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
@@ -95,9 +96,12 @@ class Contact(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
+        a, b = sides(part, build.scene)
+        added = np.full(len(ports), part.keys.gap)
+        under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, gaps(part, build.scene), stiffness(part, build.scene),
+                header, ports, added, stiffness(part, build.scene), under=under,
                 rigid=self._velocity(part, build.scene), name=build.libraries[part.name],
             ),
         )  # fmt: skip
@@ -125,7 +129,8 @@ class Contact(PartType):
         v = waves.data.get(f"{other}.v")
         if "time" not in waves or v is None or thrown(part, build.scene):
             return {}
-        launch = separation(waves["time"], waves[f"{part.name}.force"], v)
+        force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
+        launch = separation(waves["time"], force, v, busy)
         return {
             "launch_velocity_m_s": launch[1] if launch else None,
             "launch_time_s": launch[0] if launch else None,
@@ -133,6 +138,7 @@ class Contact(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         if "time" in waves:
+            yield from _start(part, build, waves)
             yield from _penetration(part, build, waves)
             yield from _events(part, build, waves)
         yield from _open_ports(part, build, waves)
@@ -150,12 +156,30 @@ class Contact(PartType):
             }
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        force = waves.data.get(f"{part.name}.force")
+        if force is None:
+            return
+        ports = kept_ports(part, build.scene)
+        scale, (x, factor) = next(iter(waves.data.values())), ("time in µs", 1e6)
+        if "imprint.depth" in waves:
+            scale, (x, factor) = waves["imprint.depth"], ("depth in µm", 1e6)
+        inside = _loaded(force) if "time" in waves else slice(None)
+        curves = [
+            Curve(port, factor * scale[inside], waves[f"{part.name}.force.{port}"][inside])
+            for port in ports
+            if waves[f"{part.name}.force.{port}"].max() > 0
+        ]
+        curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
+        (one, _), (other, _) = _names(part, build.scene)
+        panel = Panel(x, "contact force in N", tuple(curves))
+        caption = f"Force between {one} and {other}, whole device, at each port that closes."
+        yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene = part.name, build.scene
         ports = kept_ports(part, scene)
-        law = laws.Contact(
-            n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene)
-        )
+        law = laws.Contact(n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene))
         place = "bottom" if self._velocity(part, scene) else "b"
         pins = (*((port, f"{n}.{port}") for port in ports), (place, f"{n}.b"))
         results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
@@ -247,7 +271,8 @@ def _side(
                 f"{part.name} needs to know what touches", where=where,
                 got=", ".join(name for name, _ in offers) or f"no part that is {kind}",
                 expected=f'{key} = "PART" or "PART.PORT"',
-                hint=None if offers else "without it the sphere falls through the chip",
+                hint=None if offers else f"add [{'sphere' if round_ else 'kick'}]; an empty "
+                "table takes the defaults",
             )  # fmt: skip
         return offers[0]
     targets = (chosen,) if isinstance(chosen, str) else chosen
@@ -308,17 +333,43 @@ def thrown(part: Part, scene: Scene) -> bool:
 # --- what the waveforms say -----------------------------------------------------------------------
 
 
-def separation(t: np.ndarray, force: np.ndarray, v: np.ndarray) -> tuple[float, float] | None:
-    """Time [s] and velocity [m/s] at the end of the first contact that a flight follows, or None.
+def separation(
+    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf
+) -> tuple[float, float] | None:
+    """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
 
-    A flight lasts 20 us or until the data end.
+    A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
+    later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
+    drive stops moving, the launch is the first with at least half of the largest speed. Without
+    one it is the first of all; by default the drive is not known and all of them count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
+    flights = []
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])
         if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
-            return _edge(t, v, force, int(last))
-    return None
+            flights.append(_edge(t, v, force, int(last)))
+    if not flights:
+        return None
+    kicked = [each for each in flights if each[0] <= busy + _FLIGHT] or flights[:1]
+    fastest = max(speed for _, speed in kicked)
+    return next(each for each in kicked if each[1] >= min(fastest, fastest / 2))
+
+
+def busy_until(scene: Scene) -> float:
+    """Time [s] at which the last source stops changing, but for those that only enable something.
+
+    Infinite where one never does or there is none.
+    """
+    ends = [math.inf]
+    for source in scene.of("source"):
+        wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
+        if all(scene.parts[name].type.name == "pid" for name, _ in joined):
+            continue
+        corners = wave.corners(scene.stop)
+        ends.append(math.inf if wave.kind == "sine" else float(max(corners, default=0.0)))
+    known = [end for end in ends[1:] if end > 0]
+    return max(known, default=ends[0])
 
 
 def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:
@@ -333,6 +384,16 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
     later = min(int(np.searchsorted(t, t[free] + 100e-9)), t.size - 1)
     slope = (v[later] - v[free]) / (t[later] - t[free]) if later > free else 0.0
     return float(time), float(v[free] + slope * (time - t[free]))
+
+
+def _loaded(force: np.ndarray) -> slice:
+    """From the first contact to the last of the first tenth of all that have a load."""
+    loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
+    if loaded.size == 0:
+        return slice(None)
+    gaps = np.flatnonzero(np.diff(loaded) > 200)
+    last = loaded[gaps[0]] if gaps.size else loaded[-1]
+    return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
@@ -377,6 +438,24 @@ def _kinetic(other: str, build: Build, waves: Waveforms) -> float:
     mass = getattr(build.scene.parts[other].keys, "mass", 0.0)
     v = waves.data.get(f"{other}.v")
     return 0.0 if v is None else mass * float((v**2).max()) / 2
+
+
+def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
+    (one, _), (other, b) = _names(part, build.scene)
+    place, force = _place(part, build, waves), waves.data.get(f"{part.name}.force")
+    free = moved_by(other, build.scene) == other and not thrown(part, build.scene)
+    if b.radius is None or place is None or force is None or not free:
+        return
+    yield Check(
+        f"{other} starts at rest on {one}",
+        0.0 if force[0] > 0 else float(place[0]) + part.keys.gap,
+        ALOFT,
+        "m above it",
+        f"forces on {other} balance there before anything moves: change them (magnets: polarity, "
+        f"remanence or position), or give {other}.height and velocity at t = 0",
+        build.scene.checks.start,
+    )
 
 
 def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -461,19 +540,28 @@ def contact_subcircuit(
     eps: float,
     *,
     rigid: bool = True,
+    under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
     """The law of :func:`contact_force` between ring pins and the other side.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. The other side is a
+    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
+    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is a
     ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
     """
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
+    radii = () if under is None else under[1][: len(rings)]
+    sphere = [] if under is None else [
+        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
+    ]  # fmt: skip
+    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring"),
+        positive("eps", eps, "N/m", "contact penalty of a whole ring"),
+        *sphere,
         *(
-            Param(f"gap_{ring}", float(gap), "m", f"gap at {ring} when both sides are at rest")
+            Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
     )
@@ -484,6 +572,7 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        squares=[float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
     )

@@ -32,7 +32,6 @@ class CurrentCases(PartType):
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
-    short_for = ("em_force",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:

@@ -12,7 +12,7 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
@@ -37,16 +37,25 @@ class Matrices(LinearBody):
         return self._model(part, scene).ports
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
-        folder = (scene.home / part.keys.file).parent
-        stem = Path(part.keys.file).name.split(".")[0]
-        files = sorted(folder.glob(f"{stem}*")) if folder.is_dir() else []
-        stamps = {path.name: file_stamp(path) for path in files if path.is_file()}
+        stamps = {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
         return {**super().full_key(part, scene), "files": stamps}
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """All that share the stem of ``file``, whichever of them the reader takes."""
+        file = Path(part.keys.file)
+        folder = (scene.home / file).parent
+        found = folder.glob(f"{file.name.split('.')[0]}*") if folder.is_dir() else ()
+        names = {str(file.with_name(path.name)) for path in found if path.is_file()}
+        sidecar = () if part.keys.sidecar is None else (part.keys.sidecar,)
+        return tuple(sorted({*names, *sidecar}))
 
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
         if refine != 1:
             raise UsageError("matrices cannot be refined", where=part.name, got=refine)
         return self._model(part, scene)
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """The mesh is that of the other tool."""
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         keys = part.keys

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,9 @@ class Netlist(PartType):
     def uses_netlists(self, part: Part) -> bool:
         return True
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (part.keys.file,)
+
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         found = []
         for name in _pins(part, scene):
@@ -69,6 +72,21 @@ class Netlist(PartType):
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         detail = f".subckt {part.keys.subckt} of {part.keys.file}"
         return Modelled(part.name, "yours", detail)
+
+
+def first_netlist(where: str, data: Mapping[str, Any]) -> str:
+    """The first file of a scene's ``include``, for drivers that name none.
+
+    Raises
+    ------
+    UsageError : the scene includes none.
+    """
+    include = data.get("include")
+    if not isinstance(include, (list, tuple)) or not include:
+        raise UsageError(
+            "needs a netlist", where=where, expected='include = ["FILE"], a file beside the scene'
+        )
+    return str(include[0])
 
 
 def _pins(part: Part, scene: Scene) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from math import pi
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,17 +14,23 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import sphere
-from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
+SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+HEADROOM = 1.2  # of a supply over what it must give
+# Largest deviation of the flight from that under an ideal PID, of its 1.5 mm, with the usual gains
+# and limits of 0.1 to 1 A; the launch differs by 6e-6 at most.
+OPAMPS, HIGHEST = 6.5e-5, 1.0
 EDGE = 1e-8  # s, of the enabling signal
 SETTLING_BAND = 0.05  # of the step from rest to set point
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
@@ -76,33 +82,59 @@ def _gains(control: Control) -> tuple[Param, ...]:
             expected="no gain below zero and at least one above",
         )
     params = (
-        Param("kp", control.kp, "A/m", "proportional gain, above zero"),
-        Param("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
-        Param("kd", control.kd, "A.s/m", "derivative gain, above zero"),
-        Param("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
+        positive("kp", control.kp, "A/m", "proportional gain, above zero"),
+        positive("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
+        positive("kd", control.kd, "A.s/m", "derivative gain, above zero"),
+        positive("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
     )
     present = {"kp": control.kp, "ki": control.ki, "kd": control.kd, "rolloff": control.kd}
     return tuple(param for param in params if present[param.name])
 
 
+def sense_resistance(control: Control, *, output: bool = True) -> float:
+    """Volts of the command for each ampere of coil current.
+
+    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
+    100 Ohm, so that no limit is beyond the rails; to a driver it says 100 V for each ampere.
+    """
+    return min(SENSE, COMMAND / control.current_limit) if output else SENSE
+
+
+def compliance(control: Control, load: float) -> float:
+    """Supply [V] of an output stage that drives the current limit through ``load`` [Ohm] of coils.
+
+    In steps of 100 V, at least 400 V: what is left over slews the current.
+    """
+    needed = HEADROOM * control.current_limit * (load + sense_resistance(control))
+    return max(SUPPLY, 100.0 * math.ceil(needed / 100.0))
+
+
 def pid_subcircuit(
-    header: Header, control: Control, *, output: bool = True, name: str = "pid"
+    header: Header,
+    control: Control,
+    *,
+    output: bool = True,
+    load: float = 0.0,
+    name: str = "pid",
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants.
+    ``load`` [Ohm] is what the coils are between them. Without its ``output`` stage it ends at
+    ``command``, 100 V for each ampere that it wants.
     """
+    sense = sense_resistance(control, output=output)
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
     )
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
-    supply = Param("compliance", 400.0, "V", "supply of the output stage")
+    supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
+    rail = max(15.0, HEADROOM * sense * control.current_limit)
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         *_gains(control),
-        Param("current_limit", control.current_limit, "A", "largest coil current"),
+        positive("current_limit", control.current_limit, "A", "largest coil current"),
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        Param("rail", 15.0, "V", "supply of the signal amplifiers"),
+        positive("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
     gains = [param.name for param in params]
@@ -115,9 +147,9 @@ def pid_subcircuit(
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
-        sense=SENSE,
+        sense=sense,
         bandwidth=BANDWIDTH,
-        pi=pi,
+        pi=math.pi,
         output=output,
     )
     part = Subcircuit(name, pins, params, text)
@@ -128,7 +160,6 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height, of operational amplifiers"
     schema = Control
-    short_for = ("control",)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -194,8 +225,10 @@ class Pid(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
+        table = build.model(_coils(part, build.scene))
+        load = float(table.resistance.sum())
         name = build.libraries[part.name]
-        return (pid_subcircuit(header, part.keys, output=local, name=name),)
+        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
@@ -233,6 +266,11 @@ class Pid(PartType):
             "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
         }
 
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterator[tuple[float, float, str]]:
+        if _ball(part, scene) is moved:
+            step = abs(part.keys.setpoint - moved.keys.radius)
+            yield part.keys.setpoint, SETTLING_BAND * step, "set point, ±5 % of the step"
+
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
         if current is None or "time" not in waves:
@@ -252,13 +290,16 @@ class Pid(PartType):
         return Modelled(part.name, "circuit", detail)
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        known = part.keys.current_limit == Control().current_limit
+        keys, usual = part.keys, Control()
+        gains = ("kp", "ki", "kd", "rolloff")
+        known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
+        known = known and usual.current_limit <= keys.current_limit <= HIGHEST
         yield ErrorRow(
             "controller",
             None,
-            3.5e-5 if known else None,
+            OPAMPS if known else None,
             "op-amps with finite gain",
-            "not part of the budget: what real op-amps do to the position, against an ideal PID",
+            "not part of the budget: what real op-amps do to the trajectory, against an ideal PID",
         )
 
 

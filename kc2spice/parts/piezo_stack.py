@@ -11,11 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, Time, Voltage
+from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
@@ -47,11 +48,13 @@ class Drive(Section):
     width: Time = Field(25e-6, gt=0)
     edge: Time = Field(0.1e-6, gt=0)
     start: Time = Field(0.5e-3, ge=0)
+    period: Time | None = Field(None, gt=0, description="of a train of pulses")
+    count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
 
     @property
     def waveform(self) -> Waveform:
         """The pulse as a function of time."""
-        return pulse(0.0, self.voltage, self.start, self.width, self.edge)
+        return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
 class Stack(Chip):
@@ -69,7 +72,6 @@ class PiezoStack(LinearBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
-    short_for = ("kick",)
     source = "FE (piezoelectric, linear)"
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,18 +87,19 @@ class PiezoStack(LinearBody):
             return {}
         found: dict[str, Mapping[str, Any]] = {}
         target = f"{part.name}.anode"
-        if keys.driver:
-            (kind, table), *others = keys.driver.items()
-            if others:
+        if keys.driver is not None:
+            if len(keys.driver) != 1:
                 raise UsageError(
                     "needs one driver", where=f"{part.name}.driver", got=", ".join(keys.driver),
-                    expected="one table",
+                    expected="one table of half_bridge, amplifier, charge, user",
                 )  # fmt: skip
-            name, command = f"{part.name}_driver", "command"
-            found[name] = {**_driver(part, kind, table, data), "part": _driver_type(part, kind)}
-            target = f"{name}.{command}"
+            ((kind, table),) = keys.driver.items()
+            name, chosen = f"{part.name}_driver", _driver_type(part, kind)
+            at = (part.name, "driver", kind)
+            found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
+            target = f"{name}.command"
         d = keys.drive
-        wave = {"high": d.voltage, "width": d.width, "edge": d.edge, "start": d.start}
+        wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
 
@@ -147,7 +150,7 @@ class PiezoStack(LinearBody):
     def full_solution(
         self, part: Part, build: Build, clock: Any, whole: bool
     ) -> FullSolution | None:
-        from kc2spice.parts.chip_full import solve
+        from kc2spice.parts._chip_full import solve
 
         def assembled() -> PiezoSystem:
             with clock.stage("assemble", "piezoelectric matrices"):
@@ -198,6 +201,9 @@ class PiezoStack(LinearBody):
             effect = f"{part.name}: ports at R{kept}"
             effect += f" to R{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """Known from a mesh study (:meth:`errors`), so that explain need not compute one."""
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
@@ -296,13 +302,9 @@ def _driver(
     if kind == "charge":
         pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
     if kind == "user":
-        return {"file": _first(data), **table, "pins": {**pins, "ref": "gnd"}}
+        file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
+        return {**table, "file": file, "pins": {**pins, "ref": "gnd"}}
     return {**table, "pins": pins}
-
-
-def _first(data: Mapping[str, Any]) -> str:
-    include = data.get("include", ())
-    return str(include[0]) if isinstance(include, (list, tuple)) and include else ""
 
 
 def _driver_type(part: Part, kind: str) -> str:

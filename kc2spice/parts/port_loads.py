@@ -12,6 +12,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.gates import FullSolution, Gate
@@ -35,7 +36,6 @@ class PortLoads(PartType):
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
-    short_for = ("harmonic",)
     analysis_type = "ac"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -156,6 +156,15 @@ class PortLoads(PartType):
             Waveforms(data, {}), build, spent, baselines={"refactor": spent}, metrics=metrics,
             notes=notes,
         )  # fmt: skip
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        f = waves["frequency"].real / 1e3
+        loads = list(dict.fromkeys(n.partition(">")[0] for n in waves.data if ">" in n))
+        curves = tuple(Curve(f"{load}", f, np.abs(waves[f"{load}>{load}"])) for load in loads)
+        mechanical = tuple(curve for curve in curves if curve.label != "anode")
+        panels = [Panel("frequency in kHz", "|response| in m/N", mechanical, log_y=True)]
+        caption = "Response of every port to a unit load on itself."
+        yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so

@@ -29,7 +29,6 @@ class Push(PartType):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
-    short_for = ("imprint",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -108,9 +107,7 @@ class Push(PartType):
         n = part.name
         source = laws.Source(n, "displacement", laws.Line.constant(0.0))
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
-        return laws.Equations(
-            (source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)}
-        )
+        return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

@@ -18,6 +18,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import (
@@ -29,6 +30,7 @@ from kc2spice.fem.magnetics.table import (
 )
 from kc2spice.parts import sphere as spheres
 from kc2spice.parts.contact import fall, landing, moved_by
+from kc2spice.parts.netlist import first_netlist
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -42,7 +44,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -172,8 +174,8 @@ def catch_subcircuit(
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:
     """The resistances of both coils, which a deck may change."""
     return (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
     )
 
 
@@ -273,15 +275,14 @@ class RingMagnetCoils(PartType):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
-    short_for = ("catch",)
     lookup_key = "points"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        if not part.keys.driver:
+        if part.keys.driver is None:
             return {}
-        (kind, table), *others = part.keys.driver.items()
+        kind, table = next(iter(part.keys.driver.items()), ("", {}))
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
-        if others or kind not in {*known, *known.values()}:
+        if len(part.keys.driver) != 1 or kind not in {*known, *known.values()}:
             raise UsageError(
                 "needs one driver", where=f"{part.name}.driver", got=", ".join(part.keys.driver),
                 expected="one of " + ", ".join(known),
@@ -289,10 +290,11 @@ class RingMagnetCoils(PartType):
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
         file = {}
         if kind in ("user", "netlist"):
-            include = data.get("include", ())
-            file = {"file": str(include[0]) if include else ""}
+            where = f"{part.name}.driver.{kind}"
+            file = {"file": table.get("file") or first_netlist(where, data)}
             pins["ref"] = "gnd"
-        chosen = {**file, **table, "part": known.get(kind, kind), "pins": pins}
+        at = (part.name, "driver", kind)
+        chosen = {**table, **file, "part": known.get(kind, kind), "pins": pins, "at": at}
         return {f"{part.name}_driver": chosen}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
@@ -435,6 +437,23 @@ class RingMagnetCoils(PartType):
         file = "em_table.npz" if len(build.scene.of(self.name)) == 1 else f"{part.name}_table.npz"
         return {file: {name: getattr(table, name) for name in names}}
 
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        prefix = label(part)
+        names = [f"{prefix}.{coil}.current" for coil in ("upper", "lower")]
+        if "time" in waves and all(name in waves for name in names):
+            t = 1e3 * waves["time"]
+            curves = [Curve(f"{n.split('.')[1]} coil", t, 1e3 * waves[n]) for n in names]
+            if f"{prefix}.wanted" in waves:
+                curves.append(Curve("wanted", t, 1e3 * waves[f"{prefix}.wanted"], ":"))
+            panels = [Panel("", "coil current in mA", tuple(curves))]
+            if f"{prefix}.voltage" in waves:
+                volts = Curve("", t, waves[f"{prefix}.voltage"])
+                panels.append(Panel("", "both coils in V", (volts,)))
+            panels[-1] = replace(panels[-1], x="time in ms")
+            caption = f"Currents in the coils of {part.name}."
+            yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
+        yield force_map(part, build)
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         detail = f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if real(part, scene):
@@ -479,6 +498,24 @@ class RingMagnetCoils(PartType):
 def field_keys(part: Part) -> Catch:
     """What the field depends on, remanence and shift included."""
     return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
+def force_map(part: Part, build: Build) -> Figure:
+    """Force over height for pairs of coil currents: lowest, none, highest."""
+    table = build.model(part)
+    limit = largest_current(part, build.scene) or 0.1
+    fine = np.linspace(table.y[0], table.y[-1], 401)
+    curves = tuple(
+        Curve(
+            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}", 1e3 * fine,
+            1e3 * force(table, fine, lower, upper),
+        )
+        for lower in (-limit, 0.0, limit)
+        for upper in (-limit, 0.0, limit)
+    )  # fmt: skip
+    panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
+    caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
+    return Figure(f"{part.name}_force", "Force map", caption, (panel,))
 
 
 def force_table(table: EMTable) -> laws.ForceTable:
@@ -534,14 +571,17 @@ def _driven(part: Part, scene: Scene) -> bool:
 
 
 def largest_current(part: Part, scene: Scene) -> float:
-    """Largest coil current [A] that a controller of the scene asks for; 0 without one."""
+    """Largest coil current [A] that a controller of the scene asks for.
+
+    1 A where something drives the coils that tells no limit, 0 where nothing does.
+    """
     limits = [
         limit
         for other in scene.parts.values()
         if (limit := getattr(other.keys, "current_limit", None)) is not None
         and other.type.name == "pid"
     ]
-    return float(max(limits, default=0.0))
+    return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
 
 
 def beyond(table: EMTable, y: np.ndarray) -> float:

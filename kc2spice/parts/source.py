@@ -103,6 +103,9 @@ class Source(PartType):
         _, unit, flow, _, _ = KINDS[part.keys.kind]
         return (Terminal("out", unit, flow, required=True), Terminal("ret", unit, flow, "gnd"))
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return () if part.keys.file is None else (part.keys.file,)
+
     def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
         return (("out", "ret"),) if KINDS[part.keys.kind][4] == "V" else ()
 
@@ -160,13 +163,17 @@ class Source(PartType):
         yield Check(
             f"{part.name} drives as defined", float(np.abs(found - wanted).max()) / swing,
             DEVIATION, "of its swing", "the netlist's source is not the scene's: please report it",
+            wiring=True,
         )  # fmt: skip
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         shape = part.keys.waveform(build.scene.home)
         law = laws.Source(
-            n, keys.kind, smooth_pieces(shape, build.scene.stop), complex(quantity(keys.ac, keys.unit))
+            n,
+            keys.kind,
+            smooth_pieces(shape, build.scene.stop),
+            complex(quantity(keys.ac, keys.unit)),
         )
         signal = keys.kind == "acceleration"
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))

@@ -10,6 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.gates import Gate
@@ -24,7 +26,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -51,7 +53,6 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    short_for = ("sphere",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):
@@ -62,6 +63,16 @@ class Sphere(PartType):
             Terminal("y", "um", "-", signal_out=True),
             Terminal("base", "um", "N", "gnd"),
         )
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        others = (other for other in scene.parts.values() if other is not part)
+        bodies = [other.name for other in others if other.type.reduced]
+        if bodies and not scene.of("contact") and scene.analysis.type == "transient":
+            yield UsageError(
+                "nothing touches the sphere", where="contact", got="no part of type contact",
+                expected=f"one between {part.name} and {', '.join(bodies)}",
+                hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
+            )  # fmt: skip
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
@@ -116,6 +127,24 @@ class Sphere(PartType):
         if build.scene.analysis.type == "transient" and not start(part, build.scene):
             limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
             yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        y = waves.data.get(f"{part.name}.y")
+        if y is None or "time" not in waves:
+            return
+        goals = [
+            (1e3 * goal, 1e3 * band, label)
+            for other in build.scene.parts.values()
+            for goal, band, label in other.type.goals(other, build.scene, part)
+        ]
+        panel = Panel(
+            "time in ms", "height of the centre in mm",
+            (Curve(part.name, 1e3 * waves["time"], 1e3 * y),),
+            levels=tuple((goal, label) for goal, _, label in goals),
+            bands=tuple((goal - band, goal + band, "") for goal, band, _ in goals),
+        )  # fmt: skip
+        caption = f"Vertical position of {part.name}."
+        yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
@@ -231,8 +260,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

@@ -31,7 +31,6 @@ class Throw(PartType):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
-    short_for = ("impact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return ()

@@ -16,7 +16,9 @@ from kc2spice.report.plots import (
     legend_above,
     legend_beside,
     name_axes,
+    open_sheet,
     sheet,
+    style,
 )
 
 MANY = 4  # labels above the axes; more stand beside them
@@ -25,6 +27,17 @@ MANY = 4  # labels above the axes; more stand beside them
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
     """Draw every figure into ``directory``."""
     return [draw(directory, figure) for figure in figures]
+
+
+def notebook_figure(figure: Figure) -> Any:
+    """The matplotlib figure of ``figure``, which notebooks show by themselves."""
+    count = len(figure.panels)
+    with style():
+        sheet = open_sheet((7.0, 4.0 if count == 1 else 2.6 * count))
+        rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
+        for (axes,), panel in zip(rows, figure.panels, strict=True):
+            _fill(axes, panel)
+    return sheet
 
 
 def draw(directory: Path, figure: Figure) -> Picture:
@@ -59,6 +72,8 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_xlim(*panel.span)
     elif panel.curves:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
     name_axes(axes, panel.x, panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
     if labels > MANY:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,13 @@ class Picture:
     caption: str
 
 
+def style() -> Any:
+    """Context in which figures have the look of this project."""
+    import matplotlib
+
+    return matplotlib.rc_context(_STYLE)
+
+
 def load() -> None:
     """Load what draws, which takes longer than a figure."""
     import matplotlib.figure  # noqa: F401
@@ -67,11 +75,10 @@ def sheet(
 
     ``size`` is in inches at 150 dots per inch. ``options`` go to ``Figure.subplots``.
     """
-    import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    with matplotlib.rc_context(_STYLE):
+    with style():
         layout = ConstrainedLayoutEngine()
         figure = Figure(figsize=size, layout=layout)
         axes = figure.subplots(rows, columns, **options)
@@ -83,6 +90,21 @@ def sheet(
             path, format="png", metadata={"Software": "kc2spice"},
             pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
         )  # fmt: skip
+
+
+def open_sheet(size: tuple[float, float]) -> Any:
+    """An empty figure of ``size`` in inches that shows itself in a notebook."""
+    from matplotlib.figure import Figure
+
+    class Shown(Figure):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    return Shown(figsize=size, layout="constrained")
 
 
 def name_axes(axes: Any, x: str, y: str, title: str = "") -> None:

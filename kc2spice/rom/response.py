@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
 
+from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Pencil
 
 # Errors of entries this far below their own peak are measured against this part of the peak.
@@ -22,25 +24,33 @@ FLANK = 1e-4
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 4
+PEAKS, PEAK_ROUNDS = 12, 3
+
+
+FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
+REPRODUCED = 1e-11
+Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """A dense pencil with its decoupled coordinates, where it has such.
+    """A dense pencil with coordinates in which it is diagonal, where it has such.
 
-    ``modes`` is None, or ``(T, coefficients)``: the congruence with T turns every coefficient of
-    the symmetric pencil into the diagonal given as one array (n,).
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``decoupled`` says that T is a real congruence (``L = T'``).
     """
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
         self.modes = _decoupled(pencil)
+        self.decoupled = self.modes is not None
+        if self.modes is None and FEW < pencil.size <= MANY:
+            self.modes = _eigenvectors(pencil)
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
         if self.modes is None:
             return self.pencil.states(s)
-        T = self.modes[0]
-        return np.asarray(T @ self._modal(s))
+        return np.asarray(self.modes[0] @ self._modal(s))
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
@@ -50,26 +60,29 @@ class Response:
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
         """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
+        s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
         terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
         return np.asarray(size <= CANCELLED * terms)
 
     def _modal(self, s: np.ndarray) -> np.ndarray:
-        T, diagonals = self.modes  # type: ignore[misc]
+        _, L, diagonals = self.modes  # type: ignore[misc]
         s = np.asarray(s, dtype=complex)[:, None]
         return (1 / sum(s**k * d for k, d in enumerate(diagonals)))[:, :, None] * (
-            T.T @ self.pencil.B
+            L @ self.pencil.B
         )
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
-        if self.modes is None or self.pencil.degree == 1:
-            found = self.pencil.poles() if self.modes is None else np.empty(0)
+        if not self.decoupled or self.pencil.degree == 1:
+            found = np.empty(0)
+            if not self.decoupled:
+                found = self.pencil.poles() if self.modes is None else -self.modes[2][0]
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
-        k, e, m = self.modes[1]
+        k, e, m = self.modes[2]  # type: ignore[index]
         oscillating = (k > 0) & (m > 0) & (e**2 < 4 * k * m)
         k, e, m = k[oscillating], e[oscillating], m[oscillating]
         omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
@@ -82,7 +95,33 @@ class Response:
         return frequency[inside], ratio[inside]
 
 
-def _decoupled(pencil: Pencil) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+def _eigenvectors(pencil: Pencil) -> Modes | None:
+    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
+    n, inertia = pencil.size, pencil.coefficients[-1]
+    try:
+        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
+        A, drive = -inner[:, :n], inner[:, n:]
+        if pencil.degree == 2:
+            A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
+            drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
+        values, X = np.linalg.eig(A)
+        modes = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
+    except np.linalg.LinAlgError:
+        return None
+    found = Response.__new__(Response)
+    found.pencil, found.modes, found.decoupled = pencil, modes, False
+    size = np.abs(values)
+    top = float(np.median(size)) or 1.0
+    s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * top
+    try:
+        exact = pencil.states(s)
+    except SimulationError:
+        return None
+    error = np.abs(found.states(s) - exact).max(axis=1) / np.abs(exact).max(axis=1)
+    return modes if np.isfinite(error).all() and error.max() < REPRODUCED else None
+
+
+def _decoupled(pencil: Pencil) -> Modes | None:
     """Solved as ``M phi = mu K phi`` where K is definite: it is the better conditioned of the two."""
     if not pencil.symmetric or not pencil.size:
         return None
@@ -97,14 +136,14 @@ def _decoupled(pencil: Pencil) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | No
             return None
         ends = k, np.ones(pencil.size)
     if pencil.degree == 1:
-        return T, ends
+        return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
     scale = np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     scale += 1e-3 * COUPLING * np.abs(damping).max(initial=0.0)
     if (np.abs(damping - np.diag(diagonal)) > COUPLING * scale).any():
         return None
-    return T, (ends[0], diagonal, ends[1])
+    return T, T.T, (ends[0], diagonal, ends[1])
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
@@ -171,6 +210,40 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
         order = np.argsort(frequency)
         frequency, size = frequency[order], size[order]
     return frequency
+
+
+def largest_error(
+    found: Response, exact: Response, frequency: np.ndarray, band: tuple[float, float]
+) -> float:
+    """:func:`relative_error` over the band: at ``frequency`` [Hz], then closer and closer around
+    where it is largest. Entries of ``exact`` that are zero but for rounding do not count."""
+    s = 2j * np.pi * frequency
+    reference = exact.transfer(s)
+    counted = ~exact.cancelled(s)
+    floor = FLOOR * np.abs(reference).max(axis=0)
+
+    def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
+        difference = np.abs(found.transfer(2j * np.pi * points) - H)
+        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+        return np.asarray((difference / base * counted).max(axis=(1, 2)))
+
+    at, ratio = exact.within((0.9 * band[0], 1.1 * band[1]))
+    error = sizes(frequency, reference)
+    for _ in range(PEAK_ROUNDS):
+        inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
+        top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
+        low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
+        spans = [
+            np.linspace(frequency[i], frequency[j], ZOOM) for i, j in zip(low, high, strict=True)
+        ]
+        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+        if not new.size:
+            break
+        error = np.r_[error, sizes(new, exact.transfer(2j * np.pi * new))]
+        frequency = np.r_[frequency, new]
+        order = np.argsort(frequency)
+        frequency, error = frequency[order], error[order]
+    return float(error.max())
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:

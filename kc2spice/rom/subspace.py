@@ -35,7 +35,7 @@ from kc2spice.rom.response import (
     relative_size,
 )  # fmt: skip
 
-WHOLE_DECOUPLED, WHOLE = 1300, 160  # unknowns up to which nothing is sampled
+WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
 START, GAIN = 4, 3.0  # Krylov blocks before convergence is judged; less gain calls for a new point
@@ -96,7 +96,9 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
 def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
     """All of a small model; None where its response would take too long to evaluate."""
     response = Response(full)
-    if response.modes is None and full.size > WHOLE:
+    if not response.decoupled and (
+        full.size > WHOLE or (response.modes is None and full.size > 150)
+    ):
         return None
     sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
     eps = np.finfo(float).eps

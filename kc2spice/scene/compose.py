@@ -43,13 +43,18 @@ def composed(scene: Scene) -> Scene:
     _required(found, terminals, union)
     _outputs(found, terminals)
     _source_loops(found)
+    _grounded(found)
     return found
 
 
 def _joins(
     part: Part, scene: Scene, terminals: Mapping[Pin, Terminal]
 ) -> Iterator[tuple[str, str, str]]:
-    """Pin, target and the key that says so: the scene's own, then links, then defaults."""
+    """Pin, target and the key that says so: the scene's own, then links, then defaults.
+
+    A pin that any part of the scene names is where the scene says, not at its default as well.
+    """
+    named = {target for other in scene.parts.values() for target in other.pins.values()}
     own = {pin for name, pin in terminals if name == part.name}
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
@@ -66,7 +71,7 @@ def _joins(
     yield from ((pin, target, part.name) for pin, target in links.items())
     for pin in sorted(own - {*links, *part.pins}):
         default = terminals[part.name, pin].default
-        if default is not None:
+        if default is not None and f"{part.name}.{pin}" not in named:
             yield pin, default, part.name
 
 
@@ -173,6 +178,25 @@ def _source_loops(scene: Scene) -> None:
                     hint="put a resistor (or a spring) in between, or drop one source",
                 )
             union.join(a, b)
+
+
+def _grounded(scene: Scene) -> None:
+    """Every part is joined to ground, over others if need be: else its potentials are open."""
+    first = {part: (part, pin) for part, pin in reversed(scene.nets)}
+    union = _Union([_GROUND, *scene.nets])
+    at: dict[str, Pin] = {"0": _GROUND}
+    for pin, net in scene.nets.items():
+        union.join(pin, at.setdefault(net, pin))
+        union.join(pin, first[pin[0]])
+    for part, pin in scene.nets:
+        if union.find((part, pin)) != union.find(_GROUND):
+            free = [f"{n}.{p}" for n, p in scene.nets if union.find((n, p)) != union.find(_GROUND)]
+            raise UsageError(
+                "nothing of this circuit is on ground",
+                where=part,
+                got=", ".join(free),
+                expected='one of these pins at "gnd"',
+            )
 
 
 class _Union:

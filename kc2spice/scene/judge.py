@@ -13,7 +13,8 @@ class Check:
     """One check: ``value`` must not exceed ``limit``; ``advice`` is for the case that it does.
 
     ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
-    which tighter tolerances may cure.
+    which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
+    which a deck that somebody edited may differ on purpose.
     """
 
     name: str
@@ -23,6 +24,7 @@ class Check:
     advice: str
     action: Action = "fail"
     coarse: bool = False
+    wiring: bool = False
 
     @property
     def passed(self) -> bool:

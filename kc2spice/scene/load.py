@@ -20,9 +20,10 @@ from kc2spice.core.words import did_you_mean
 from kc2spice.scene.budget import BUDGET_KEYS, fill
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import composed
-from kc2spice.scene.keys import model_keys, short_names, submodel
+from kc2spice.scene.keys import model_keys, scene_keys, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
-from kc2spice.scene.parttype import PartType, part_types
+from kc2spice.scene.parttype import PartType, part_type, type_names
+from kc2spice.scene.short import SHORT
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
@@ -40,14 +41,14 @@ def gallery() -> dict[str, Traversable]:
 
 
 def load_scene(
-    name_or_path: str | Path | Mapping[str, Any],
+    name_or_path: Scene | str | Path | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Scene:
     """Read a scene, apply overrides in order, check it and join its parts.
 
     Parameters
     ----------
-    name_or_path : gallery name, path of a TOML file, or the tables themselves.
+    name_or_path : gallery name, path of a TOML file, the tables themselves, or a scene.
     overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
         or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
         values; numbers are SI.
@@ -57,7 +58,12 @@ def load_scene(
     UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
         each other, pins that do not fit.
     """
-    if isinstance(name_or_path, Mapping):
+    if isinstance(name_or_path, Scene):
+        if not overrides:
+            return name_or_path
+        source = _Source("scene", name_or_path.name, "", name_or_path.home)
+        data = _copied(name_or_path.tables)
+    elif isinstance(name_or_path, Mapping):
         source = _Source("scene", "scene", "", Path())
         data = _copied(name_or_path)
     else:
@@ -80,17 +86,18 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
-    for name, part_type in types.items():
+    for name, kind in types.items():
         if "part" not in data[name]:
-            data[name] = {**part_type.defaults(data[name], data), **data[name]}
+            data[name] = {**kind.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
         _drop_budgeted(data, source)
+    tables = _copied(data)  # what the budget sets is left open in them
     data, budgeted = fill(data, types)
     frame = {key: data[key] for key in data if key not in types}
     try:
         scene = Scene(Frame.model_validate(frame), {}, home=source.folder, budgeted=budgeted)
     except ValidationError as error:
-        raise _explain(error.errors()[0], (), Frame, source) from None
+        raise _explain(_first(error), (), Frame, source) from None
     parts = {name: _part(name, data[name], kind, source) for name, kind in types.items()}
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
@@ -99,8 +106,10 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
                     "this name is taken", where=source.where((name,)), got=name,
                     expected=f"another name: {part.name} brings a part of this one along",
                 )  # fmt: skip
-            parts[name] = _part(name, dict(table), part_types()[table["part"]], source)
-    scene = replace(scene, parts=parts)
+            own, at = dict(table), tuple(table.get("at", (name,)))
+            own.pop("at", None)
+            parts[name] = _part(name, own, _type(name, own, source), source, at)
+    scene = replace(scene, parts=parts, tables=tables)
     if scene.frame.analysis == Frame.model_fields["analysis"].default:
         asked = [part.type.analysis(part, scene) for part in parts.values()]
         chosen = [each for each in asked if each is not None]
@@ -123,8 +132,14 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
+        if not isinstance(table, Mapping) and name in SHORT:
+            raise UsageError(
+                "not a table", where=source.where((name,)), got=_shown(table),
+                expected=f"a table, [{name}]",
+            )  # fmt: skip
         if not isinstance(table, Mapping):
             near = did_you_mean(name, Frame.model_fields)
+            near = near or did_you_mean(name, [key.name for key in scene_keys()])
             raise UsageError(
                 "unknown key", where=source.where((name,)), hint=near,
                 expected="one of " + ", ".join(Frame.model_fields) + ", or a table with part = TYPE",
@@ -144,25 +159,33 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
 
 
 def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
-    types, short = part_types(), short_names()
-    chosen = table.get("part", short.get(name))
+    chosen = table.get("part", SHORT.get(name))
     if chosen is None:
-        near = did_you_mean(name, [*Frame.model_fields, *short])
+        near = did_you_mean(name, [*Frame.model_fields, *SHORT])
         raise UsageError(
             "this table is no part of the grammar and says no part type",
             where=source.where((name,)),
-            expected="part = one of " + ", ".join(types),
+            expected="part = one of " + ", ".join(type_names()),
             hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
         )
-    if not isinstance(chosen, str) or chosen not in types:
+    found = part_type(chosen) if isinstance(chosen, str) else None
+    if found is None:
         raise UsageError(
-            "unknown part type", where=source.where((name, "part")), got=repr(chosen),
-            expected="one of " + ", ".join(types), hint=did_you_mean(str(chosen), types),
+            "unknown part type", where=source.where((name, "part")), got=_shown(chosen),
+            expected="one of " + ", ".join(type_names()),
+            hint=did_you_mean(str(chosen), type_names()),
         )  # fmt: skip
-    return types[chosen]
+    return found
 
 
-def _part(name: str, table: Mapping[str, Any], part_type: PartType, source: _Source) -> Part:
+def _part(
+    name: str,
+    table: Mapping[str, Any],
+    kind: PartType,
+    source: _Source,
+    at: KeyPath = (),
+) -> Part:
+    """A part of its table; ``at`` is where the file has it, if not under its name."""
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise UsageError(
@@ -171,10 +194,10 @@ def _part(name: str, table: Mapping[str, Any], part_type: PartType, source: _Sou
         )  # fmt: skip
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
     try:
-        checked = part_type.schema.model_validate(keys, context={"home": source.folder})
+        checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
-        raise _explain(error.errors()[0], (name,), part_type.schema, source) from None
-    return Part(name, part_type, checked, dict(pins))
+        raise _explain(_first(error), at or (name,), kind.schema, source) from None
+    return Part(name, kind, checked, dict(pins), at)
 
 
 @dataclass(frozen=True)
@@ -271,6 +294,12 @@ def _toml_value(text: str) -> Any:
     except ValueError:
         return text
     return table["value"] if set(table) == {"value"} else text
+
+
+def _first(error: ValidationError) -> ErrorDetails:
+    """The finding to tell: an unknown key before one that is missing, which it may stand for."""
+    found = error.errors()
+    return next((each for each in found if each["type"] == "extra_forbidden"), found[0])
 
 
 def _explain(

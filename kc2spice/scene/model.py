@@ -48,12 +48,17 @@ class Terminal:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a scene: its checked keys and the pins that the scene joins by name."""
+    """One part of a scene: its checked keys and the pins that the scene joins by name.
+
+    ``at`` is where the file has the keys of a part that another one brings along, which is under
+    that part's keys; empty for a part with a table of its own.
+    """
 
     name: str
     type: PartType
     keys: Any
     pins: Mapping[str, str] = field(default_factory=dict)
+    at: tuple[str | int, ...] = ()
 
     def __repr__(self) -> str:
         joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())
@@ -107,7 +112,8 @@ class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
     ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground); ``budgeted`` are
-    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file.
+    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file, ``tables``
+    what it says with all overrides.
     """
 
     frame: Frame
@@ -115,6 +121,7 @@ class Scene:
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     budgeted: frozenset[str] = frozenset()
     home: Path = Path()
+    tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""
@@ -149,6 +156,11 @@ class Scene:
                 "no such part", where=where, got=repr(name), expected=", ".join(self.parts)
             )
         return self.parts[name]
+
+    def named(self, part: str, pin: str) -> bool:
+        """Whether the ``pins`` of another part name this one, so that no default joins it."""
+        target = f"{part}.{pin}"
+        return any(target in other.pins.values() for other in self.parts.values())
 
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""

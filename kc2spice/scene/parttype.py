@@ -1,19 +1,21 @@
 """What a part type is: one class with hooks, registered under its name.
 
-A module defines a subclass of :class:`PartType` and calls :func:`register` with an instance.
+A module, named after the type, defines a subclass of :class:`PartType` and calls :func:`register`
+with an instance.
 Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
-``kc2spice.parts`` are loaded by themselves, those of other packages through the entry point group
-``kc2spice.parts``.
+``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
+``kc2spice.parts``; each is loaded when a scene needs it.
 """
 
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kc2spice.core.errors import UsageError
@@ -103,17 +105,34 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class Sampled:
+    """A function outside of the simulator that sets ``source`` (a card's name in lower case).
+
+    ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
+    it returns is held from ``delay`` [s] later on.
+    """
+
+    source: str
+    period: float
+    delay: float
+    call: Callable[[float, Mapping[str, float]], float]
+
+
+@dataclass(frozen=True)
 class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
-    of its subcircuit.
+    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
+    somebody changed parameters there: they are asked for no checks and no energy balance.
     """
 
     scene: Scene
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    unjudged: frozenset[str] = frozenset()
+    functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""
@@ -133,8 +152,8 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
-    #: names of tables that mean this type where a scene has no ``part`` key in them
-    short_for: ClassVar[tuple[str, ...]] = ()
+    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    example: ClassVar[str] = ""
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -149,12 +168,19 @@ class PartType:
         return {}
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-        """Tables of further parts that this one stands for; ``data`` is the whole scene."""
+        """Tables of further parts that this one stands for; ``data`` is the whole scene.
+
+        Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
+        """
         return {}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
         raise NotImplementedError
+
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins and those that it would have if the scene asked for them."""
+        return self.pins(part, scene)
 
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
@@ -163,6 +189,10 @@ class PartType:
     def uses_netlists(self, part: Part) -> bool:
         """Whether it names a subcircuit out of the scene's ``include`` files."""
         return False
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Names of the files beside the scene that it reads."""
+        return ()
 
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
@@ -206,6 +236,13 @@ class PartType:
         """What its model depends on; parts with equal keys share a model. None: no model."""
         return None
 
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
+        """What the costly first stage of its model depends on, where that is less: finite elements.
+
+        Parts and sweeps with equal keys share that stage.
+        """
+        return self.model_key(part, scene)
+
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
         """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""
         return None
@@ -239,8 +276,16 @@ class PartType:
         """Simulator options that it needs, with the reason."""
         return {}
 
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterable[tuple[float, float, str]]:
+        """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
+        return ()
+
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
+        return None
+
+    def sampled(self, part: Part, build: Build) -> Sampled | None:
+        """The function that runs beside the simulator for it."""
         return None
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
@@ -289,6 +334,10 @@ class PartType:
         """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
         return {}
 
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
+        """Further files of a run; writes them into ``folder`` and gives their names."""
+        return ()
+
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None
@@ -333,9 +382,12 @@ class PartType:
         """Errors of its model."""
         return ()
 
+    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
+        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
+        return ()
+
 
 _types: dict[str, PartType] = {}
-_loaded: list[bool] = []
 
 
 def register(part_type: PartType) -> PartType:
@@ -352,15 +404,29 @@ def register(part_type: PartType) -> PartType:
     return part_type
 
 
-def part_types() -> Mapping[str, PartType]:
-    """All known part types by name."""
-    if not _loaded:
-        package = import_module(PACKAGE)
-        for module in pkgutil.iter_modules(package.__path__):
-            import_module(f"{PACKAGE}.{module.name}")
-        for entry in entry_points(group=PACKAGE):
+def type_names() -> tuple[str, ...]:
+    """Names of all part types, without loading any of them.
+
+    A module of ``kc2spice.parts`` is named after its type; one that begins with ``_`` is shared by
+    several.
+    """
+    own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+    foreign = (entry.name for entry in entry_points(group=PACKAGE))
+    return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+
+
+def part_type(name: str) -> PartType | None:
+    """The part type of this name, None where there is none; its module is loaded when needed."""
+    if name not in _types and name in type_names():
+        for entry in entry_points(group=PACKAGE, name=name):
             found = entry.load()
             if isinstance(found, PartType):
                 register(found)
-        _loaded.append(True)
-    return dict(sorted(_types.items()))
+        if name not in _types:
+            import_module(f"{PACKAGE}.{name}")
+    return _types.get(name)
+
+
+def part_types() -> Mapping[str, PartType]:
+    """All part types by name; loads them all."""
+    return {name: found for name in type_names() if (found := part_type(name)) is not None}

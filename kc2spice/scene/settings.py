@@ -59,6 +59,10 @@ class Checks(Section):
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
     penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
     saturation: Action = Field("warn", description="share of the time at the current limit")
+    reduction: Action = Field(
+        "off", description="launch or rebound against a model with twice the states, a second run"
+    )
+    start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
 
 
 class Bench(Section):

@@ -73,6 +73,7 @@ def run_with_retries(
     *,
     retries: int,
     judge: Callable[[Waveforms], Verdict] = lambda waves: Verdict(),
+    engine: Callable[[Deck], Waveforms] | None = None,
     progress: Callable[[float], None] | None = None,
     timeout: float | None = None,
 ) -> Outcome:
@@ -80,7 +81,8 @@ def run_with_retries(
 
     The cause of each failure picks the setting; what earlier ones changed stays changed. Every
     retry is announced by a warning. ``judge`` checks a finished run; violated energy balances count
-    as failures of too coarse steps. ``timeout`` [s] is that of each attempt.
+    as failures of too coarse steps. ``engine`` runs the deck instead of the simulator's own
+    process. ``timeout`` [s] is that of each attempt.
 
     Raises
     ------
@@ -95,7 +97,10 @@ def run_with_retries(
         start = time.perf_counter()
         cause: Cause | None
         try:
-            waves = run_deck(tried, directory, progress, timeout)
+            if engine is None:
+                waves = run_deck(tried, directory, progress, timeout)
+            else:
+                waves = engine(tried)
         except FailedRunError as failed:
             error: SimulationError = failed
             failure, cause = failed.failure, failed.failure.kind

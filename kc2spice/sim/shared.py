@@ -76,7 +76,10 @@ class Library:
 
     def __init__(self) -> None:
         self._lines: list[str] = []
-        self._forget()
+        self._sampler: Sampler | None = None
+        self._source: Source | None = None
+        self._limit: Limit | None = None
+        self.broken: Exception | None = None
         self.dead = False
         self._library = _private_copy()
         self._library.ngSpice_AllVecs.restype = POINTER(c_char_p)
@@ -131,7 +134,7 @@ class Library:
         plot = self._library.ngSpice_CurPlot()
         found: dict[str, np.ndarray] = {}
         names = self._library.ngSpice_AllVecs(plot)
-        listed = []
+        listed: list[bytes] = []
         while names and names[len(listed)]:  # the list is ngspice's own and changes: read it first
             listed.append(names[len(listed)])
         for name in listed:
@@ -149,10 +152,7 @@ class Library:
     # -- what ngspice calls ------------------------------------------------------------------
 
     def _forget(self) -> None:
-        self._sampler: Sampler | None = None
-        self._source: Source | None = None
-        self._limit: Limit | None = None
-        self.broken: Exception | None = None
+        self._sampler = self._source = self._limit = self.broken = None
 
     def _on_text(self, text: bytes, ident: int, user: object) -> int:
         line = text.decode(errors="replace")

@@ -178,10 +178,8 @@ def _initial(part: Element, through: str, across: str, names: Names) -> list[str
     if "ic" not in part.params:
         return []
     start = names.value(part.params["ic"])
-    return [
-        'if ((analysis("ic") || analysis("tran")) && $abstime <= 0.0)',
-        f"  {through} <+ {number(HOLD)}*({across} - {start});",
-    ]
+    search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
+    return [f"{through} <+ ({search} ? {number(HOLD)} : 0.0)*({across} - {start});"]
 
 
 def _steady(part: Element) -> str:

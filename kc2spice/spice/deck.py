@@ -65,7 +65,7 @@ def dc(source: str, first: float, last: float, points: int) -> Command:
     return Command("dc", (source, number(first), number(last), number(step)))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Deck:
     """A testbench with its libraries.
 
@@ -88,6 +88,12 @@ class Deck:
     initial: Mapping[str, float] = field(default_factory=dict)
     text: str | None = None
     more: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        files = ", ".join(self.files)
+        return (
+            f"<Deck {self.name}: {self.command.card}; {files}; results {', '.join(self.vectors)}>"
+        )
 
     @property
     def main(self) -> str:

@@ -12,6 +12,10 @@ from kc2spice.scene.plan import Plan
 from kc2spice.spice.cards import comment, name, number, word
 from kc2spice.spice.circuit import Param, Pin
 
+SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
+VALIDITY = "at the temperature of its data; nothing here heats up, ages or breaks"
+RATING = "none is checked by the netlist"
+
 
 @dataclass(frozen=True)
 class Header:
@@ -62,12 +66,17 @@ def part_header(
     pins: tuple[Pin, ...],
     params: tuple[Param, ...] = (),
     rom: str = "",
+    validity: str = VALIDITY,
+    rating: str = RATING,
 ) -> str:
     """Everything above ``.subckt``: title, origin, ROM facts, one line per pin and parameter.
 
     ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
     """
+    mechanical = any(p.flow == "N" for p in pins)
     lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
+    lines += [f"* sign: {SIGN}\n"] if mechanical else []
+    lines += [f"* validity: {comment(validity)}\n* rating: {comment(rating)}\n"]
     lines += [
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
         for i, p in enumerate(pins, 1)

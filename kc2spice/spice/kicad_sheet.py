@@ -88,7 +88,12 @@ def project(deck: Deck) -> dict[str, str]:
     once = Counter(net for item in items for net in item.nets)
     items += [_probe(net, plain["PROBE"]) for net in once if once[net] == 1 and net not in GROUND]
     title = deck.files[deck.main].partition("\n")[0].lstrip("* ")[:56] or deck.name
-    commands = [s.text for s in top.commands if s.keyword not in _OURS]
+    sources = {e.name: _reference(e.statement.words[0]) for e in top.elements}
+    commands = [
+        " ".join(sources.get(w.lower(), w) for w in s.text.split())
+        for s in top.commands
+        if s.keyword not in _OURS
+    ]
     used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
     return {
         f"{deck.name}.kicad_sch": _sheet(deck.name, title, items, commands, plain),

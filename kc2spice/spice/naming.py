@@ -12,7 +12,7 @@ from kc2spice.spice.deck import Block, Deck
 from kc2spice.spice.statements import statements
 
 _NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_])")
-_ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|@)")
+_ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|sign:|validity:|rating:|@)")
 _HASH = re.compile(r"(?m)^\* scene: .*\bhash=(\S+)")
 _CARD = re.compile(r"(?im)^(?:x|\.subckt\b|\.ends\b).*(?:\n\+.*)*")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
@@ -14,8 +16,11 @@ from kc2spice.scene.plan import plan
 from kc2spice.spice.cards import number
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.spice.expression import Number, parse
 from kc2spice.spice.header import Header, plan_lines
 from kc2spice.spice.naming import with_design_names
+from kc2spice.spice.scan import third_party
+from kc2spice.spice.statements import statements
 
 
 def make_deck(build: Build) -> Deck:
@@ -29,7 +34,7 @@ def make_deck(build: Build) -> Deck:
     scene = build.scene
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
-    results = _results(build)
+    results = result_vectors(build)
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
@@ -46,13 +51,68 @@ def make_deck(build: Build) -> Deck:
     return with_design_names(deck)
 
 
+def edited_deck(build: Build, path: Path) -> Deck:
+    """A netlist of the scene that somebody edited, with the results of the scene's own deck.
+
+    What it includes from its own directory is written into its place; it is refused if it could
+    act on the machine, unless the build is trusted.
+
+    Raises
+    ------
+    UsageError : no such file, a line that could act on the machine, another analysis than the
+        scene's, vectors that the file no longer saves.
+    """
+    own = make_deck(build)
+    ((name, text),) = third_party(path, trust=build.trust).items()
+    cards = [s for s in statements(text, name, title=True) if s.text]
+    analyses = [s for s in cards if s.keyword in (".tran", ".ac", ".dc", ".op")]
+    if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
+        raise UsageError(
+            "not the scene's analysis", where=str(path),
+            got=" and ".join(s.text for s in analyses) or "none", expected=own.command.card,
+            hint="one analysis of the same kind; its numbers are free",
+        )  # fmt: skip
+    saved = {_plain(w) for s in cards if s.keyword == ".save" for w in s.words[1:]}
+    missing = [v for v in own.saved if _plain(v) not in saved]
+    if saved and "all" not in saved and missing:
+        raise UsageError(
+            "the scene's metrics need vectors that this deck does not save", where=str(path),
+            got=", ".join(missing), expected=".save " + " ".join(missing),
+            hint="add this line; a node that was renamed needs its old name",
+        )  # fmt: skip
+    (analysis,) = analyses
+    words = tuple(analysis.words[1:])
+    stop = None if own.stop is None else _seconds(words, analysis.where)
+    return replace(
+        own, text=text, parts=(), blocks=(), options=(), initial={}, stop=stop,
+        command=Command(own.command.kind, words),
+    )  # fmt: skip
+
+
+def _plain(vector: str) -> str:
+    """``v(a)`` as ``a``: a voltage is saved under either name."""
+    low = vector.lower().strip("\"'")
+    return low[2:-1] if low.startswith("v(") and "," not in low else low
+
+
+def _seconds(words: tuple[str, ...], where: str) -> float:
+    """End of the transient whose card has these words."""
+    tree = parse(words[1], where=where) if len(words) > 1 else None
+    if not isinstance(tree, Number):
+        raise UsageError("the end of the transient is no number", where=where, got=" ".join(words))
+    return float(tree.text)
+
+
 def libraries(scene: Scene) -> dict[str, str]:
-    """Name of every part's subcircuit; parts that would share a name get one of their own."""
-    names = {part.name: part.type.library(part, scene) for part in scene.parts.values()}
-    low = [name.lower() for name in names.values()]
+    """Name of every part's subcircuit; parts of two types that would share a name get their own."""
+    parts = scene.parts
+    names = {part.name: part.type.library(part, scene) for part in parts.values()}
+    owners: dict[str, set[str]] = {}
+    for part, name in names.items():
+        owners.setdefault(name.lower(), set()).add(parts[part].type.name)
     return {
         part: name
-        if low.count(name.lower()) == 1 or scene.parts[part].type.uses_netlists(scene.parts[part])
+        if len(owners[name.lower()]) == 1 or parts[part].type.uses_netlists(parts[part])
         else part
         for part, name in names.items()
     }
@@ -79,13 +139,19 @@ def replacements(build: Build) -> dict[str, tuple[str, ...]]:
     return {k: v for part in parts for k, v in part.type.instances(part, build).items()}
 
 
-def _results(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own."""
+def result_vectors(build: Build) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own.
+
+    Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
+    which is no response: they are no results there.
+    """
     replaced = replacements(build)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in replaced:
             found |= part.type.vectors(part, build)
+    if build.scene.analysis.type == "ac":
+        return {name: each for name, each in found.items() if "@" not in each.expression}
     return found
 
 

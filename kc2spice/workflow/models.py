@@ -11,13 +11,20 @@ from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import libraries
 
 
-def build_models(scene: Scene, clock: Clock, *, trust: bool = False) -> Build:
+def build_models(
+    scene: Scene,
+    clock: Clock,
+    *,
+    trust: bool = False,
+    functions: Mapping[str, Any] | None = None,
+) -> Build:
     """Build or fetch the models of the parts that the scene names, and only those.
 
-    ``trust`` lets included netlists act on the machine.
+    ``trust`` lets included netlists act on the machine; ``functions`` are those of controllers, by
+    part.
     """
     models = {part.name: part.type.build(part, scene, clock) for part in scene.parts.values()}
-    return Build(scene, models, libraries(scene), trust)
+    return Build(scene, models, libraries(scene), trust, functions or {})
 
 
 def model_keys(scene: Scene) -> dict[str, Mapping[str, Any]]:
@@ -31,3 +38,14 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     parts = build.scene.parts.values()
     facts = {part.name: dict(part.type.facts(part, build)) for part in parts}
     return {name: found for name, found in facts.items() if found}
+
+
+def rom_facts(build: Build) -> dict[str, Any]:
+    """``rom`` of ``result.json``, that of the first part with a reduced model; ``roms`` of all."""
+    parts = build.scene.parts.values()
+    found = {part.name: part.type.rom(part, build) for part in parts}
+    reduced = {name: rom for name, rom in found.items() if rom is not None}
+    if not reduced:
+        return {}
+    first = {"rom": next(iter(reduced.values()))}
+    return first | {"roms": reduced} if len(reduced) > 1 else first

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,8 +16,10 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
+from kc2spice.report.plots import Picture
 from kc2spice.report.plotworker import PlotWorker
 from kc2spice.report.run_page import write_run
+from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
@@ -26,53 +29,112 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.dialect import DIALECTS, dialect_files
 from kc2spice.spice.lint import lint
 from kc2spice.spice.symbol import symbol_files
-from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts
+from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
+from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
+@dataclass(frozen=True)
+class Completed:
+    """A finished simulation of a scene: models, simulator, waveforms and verdict, times."""
+
+    build: Build
+    simulator: Simulator
+    outcome: Outcome
+    clock: Clock
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """What the parts show of it."""
+        return run_figures(self.build, self.outcome.waves)
+
+
 def run(
-    scene: Scene, out: Path, progress: Progress = silent, *, trust: bool = False
+    scene: Scene,
+    out: Path,
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+    deck: Path | None = None,
 ) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
 
-    ``trust`` lets included netlists act on the machine.
+    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
+    somebody edited, to be run instead of the scene's own.
 
     Raises
     ------
+    UsageError : ``deck`` does not save what the scene's metrics need.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed``.
     """
-    simulator = find_ngspice()
-    clock = Clock(progress)
     # Loading what draws need not wait for the simulator, nor it for that.
     with PlotWorker() as plots, staged(out) as work:
-        build = build_models(scene, clock, trust=trust)
-        with clock.stage("export", "netlists"):
-            deck = _linted(build)
-            write_deck(deck, work)
-        simulating = clock.stage("simulate", f"{simulator.name} {simulator.version}")
-        kept = kept_on_failure(work, out, scene.name)
-        with simulating as share, kept:
-            outcome = simulate(build, deck, work, progress=share)
-        deck, waves = outcome.deck, outcome.waves
-        warn_of(outcome.verdict.checks)
-        with clock.stage("report", "metrics, plots and page"):
-            figures = run_figures(build, waves)
-            drawn = plots.draw(draw_all, work, figures)
-            record = _record(build, simulator, outcome, clock)
-            files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
-            files += _arrays(build, work)
-            pictures = drawn.result()
-            files += [picture.path.name for picture in pictures]
-        record["files"] = [*files, "report.html", "result.json"]
-        write_run(work / "report.html", record, scene, pictures)
-        write_record(record, work)
-        for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
-            spare.unlink(missing_ok=True)
+        with kept_on_failure(work, out, scene.name):
+            done = complete(scene, work, progress, trust=trust, deck=deck)
+        return write_run_files(
+            done, work, lambda figures: plots.draw(draw_all, work, figures).result
+        )
+
+
+def complete(
+    scene: Scene,
+    work: Path,
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+    deck: Path | None = None,
+    functions: Mapping[str, Any] | None = None,
+) -> Completed:
+    """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+
+    ``functions`` are those of controllers, by part.
+
+    Raises as :func:`run` does; warns of checks that fail without failing the run.
+    """
+    simulator = find_ngspice()
+    clock = Clock(progress)
+    build = build_models(scene, clock, trust=trust, functions=functions)
+    with clock.stage("export", "netlists"):
+        chosen = make_deck(build) if deck is None else edited_deck(build, deck)
+        lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
+        write_deck(chosen, work)
+    with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+        outcome = simulate(build, chosen, work, progress=share)
+    extra = reduction_check(build, outcome.waves, clock)
+    if extra is not None:
+        require((extra,), scene.name)
+        verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
+        outcome = replace(outcome, verdict=verdict)
+    warn_of(outcome.verdict.checks)
+    return Completed(build, simulator, outcome, clock)
+
+
+def write_run_files(
+    done: Completed, work: Path, draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]]
+) -> dict[str, Any]:
+    """Write all files of a run into ``work``, where the deck is already; return ``result.json``.
+
+    ``draw`` begins to draw figures and returns what waits for the pictures.
+    """
+    scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
+    with done.clock.stage("report", "metrics, plots and page"):
+        drawn = draw(done.figures)
+        record = run_record(done)
+        files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
+        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
+        pictures = drawn()
+        files += [picture.path.name for picture in pictures]
+    record["wall_s"] = done.clock.wall_s
+    record["files"] = [*files, "report.html", "result.json"]
+    write_run(work / "report.html", record, scene, pictures)
+    write_record(record, work)
+    for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
+        spare.unlink(missing_ok=True)
     return cast(dict[str, Any], plain(record))
 
 
@@ -90,6 +152,12 @@ def _arrays(build: Build, directory: Path) -> list[str]:
             np.savez_compressed(directory / name, **arrays)
             names.append(name)
     return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
 
 
 def export(
@@ -129,7 +197,9 @@ def _linted(build: Build) -> Deck:
     return deck
 
 
-def _record(build: Build, simulator: Simulator, outcome: Outcome, clock: Clock) -> dict[str, Any]:
+def run_record(done: Completed) -> dict[str, Any]:
+    """``result.json`` without the names of files."""
+    build, simulator, outcome = done.build, done.simulator, done.outcome
     waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
     record: dict[str, Any] = {
         "scene": build.scene.name,
@@ -144,15 +214,10 @@ def _record(build: Build, simulator: Simulator, outcome: Outcome, clock: Clock) 
         },
         "model": model_facts(build),
     }
-    reduced = {
-        part.name: rom
-        for part in build.scene.parts.values()
-        if (rom := part.type.rom(part, build)) is not None
-    }
-    if reduced:
-        record["rom"] = next(iter(reduced.values()))
-        if len(reduced) > 1:
-            record["roms"] = reduced
+    record |= rom_facts(build)
+    if "rom" in record and estimated(build.scene):
+        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        record["rom"]["contact_error"] = next(own, None)
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
@@ -161,6 +226,6 @@ def _record(build: Build, simulator: Simulator, outcome: Outcome, clock: Clock) 
         "checks": [check.record() for check in found.checks],
         "energy_j": {name: balance.entries for name, balance in found.balances},
         "plan": asdict(plan(build.scene)),
-        "wall_s": clock.wall_s,
+        "wall_s": done.clock.wall_s,
     }
     return record

@@ -7,6 +7,7 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
@@ -32,14 +33,31 @@ def simulate(
 ) -> Outcome:
     """Run ``deck`` with the scene's retries, its result judged by the scene's parts.
 
+    Where a deck edited by hand is not wired as the scene, that is a warning.
+
     Raises as :func:`run_with_retries` does.
     """
 
     def judge(waves: Waveforms) -> Verdict:
-        return verdict(waves, build)
+        found = verdict(waves, build)
+        if deck.text is None:
+            return found
+        checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
+        return Verdict(tuple(checks), found.balances)
+
+    sampled = [
+        found
+        for part in build.scene.parts.values()
+        if (found := part.type.sampled(part, build)) is not None
+    ]
+
+    def shared(tried: Deck) -> Waveforms:
+        from kc2spice.sim.loop import run_shared
+
+        return run_shared(tried, sampled, progress)
 
     return run_with_retries(
-        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, progress=progress,
+        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, engine=shared if sampled else None, progress=progress,
         timeout=timeout,
     )  # fmt: skip
 

@@ -6,11 +6,11 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_surface
+from kc2spice.fem.piezo.memory import factor_bytes
 from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.transient import Ball, transient
-from kc2spice.fem.piezo.memory import factor_bytes
-from kc2spice.rom.meshstudy import STOP, mesh_study
 from kc2spice.scene.schema import Contact, Impact, Kick, Sphere
+from kc2spice.workflow.verify.meshstudy import STOP, mesh_study
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

@@ -9,11 +9,10 @@ from scipy.linalg import expm
 from kc2spice import reference
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.linear import Port
 from kc2spice.reference.flight import FreeModes
 from kc2spice.reference.law import EXTRA, Mode, law
 from kc2spice.report.metrics import separation
-from kc2spice.rom.linear import Certificate
+from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.schema import Scene

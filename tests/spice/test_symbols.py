@@ -6,11 +6,11 @@ import re
 import numpy as np
 import pytest
 
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import amplifier_subcircuit
 from kc2spice.parts.bench import loop_deck
 from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.drivers import amplifier_subcircuit
 from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.drivers import Amplifier

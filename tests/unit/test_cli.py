@@ -53,8 +53,8 @@ def study(monkeypatch):
         return [out / "kick.lib"]
 
     fake.run, fake.export = run, export
-    monkeypatch.setitem(sys.modules, "kc2spice.workflow", fake)
-    monkeypatch.setattr("kc2spice.workflow", fake, raising=False)
+    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
+    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
     return fake
 
 
@@ -71,7 +71,7 @@ BUILDERS = {"scipy", "skfem", "gmsh", "matplotlib", "PySpice"}
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("study", BUILDERS)],
+    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("workflow.run", BUILDERS)],
     ids=["help", "run with cached models"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
@@ -85,7 +85,7 @@ def test_run_prints_tables(cli, study, tmp_path):
     done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=80")
     assert done.exit_code == 0
     scene, out = study.calls[0]
-    assert scene.kick.drive.voltage == 80
+    assert scene.parts["kick"].keys.drive.voltage == 80
     assert out.resolve() == tmp_path / "kick_and_catch"
     for word in ("138.6 mg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
         assert word in done.stdout
@@ -190,7 +190,7 @@ def test_explain(cli):
     assert "left out" in text
     assert "anode" in text
     found = json.loads(cli("explain", "impact", "--json").stdout)
-    assert [part["part"] for part in found["parts"]] == ["kick", "contact", "sphere"]
+    assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 
 def test_doctor_finds_what_is_missing(cli, monkeypatch, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.included import included_netlists
 from kc2spice.spice.lint import lint
 from kc2spice.spice.read import read_deck
@@ -178,7 +178,7 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
     files = third_party(main)
     assert list(files) == ["user.cir"]
     assert "\n* inner\n" in files["user.cir"]
-    lint(Deck("user", "user.cir", files, {}, None))
+    lint(Deck(name="user", text=files.pop("user.cir"), more=files))
     assert len(read_deck(main).files) == 3
 
 
@@ -260,10 +260,13 @@ def test_includes_that_multiply_are_refused(tmp_path):
 )  # fmt: skip
 def test_names_in_a_scene_cannot_lead_elsewhere(name):
     assert name_threat(name)
-    scene = load_scene("bring_your_own").model_copy(update={"include": (name,)})
-    with pytest.raises(UsageError, match="includes") as caught:
-        included_netlists(scene)
+    home = load_scene("bring_your_own").home
+    with pytest.raises(UsageError) as caught:
+        included_netlists((name,), home)
     assert caught.value.exit_code == 2
+    assert "includes" in str(caught.value)
+    with pytest.raises(UsageError):
+        load_scene("bring_your_own", {"include": [name]})
 
 
 def test_time_to_read_grows_with_the_size_alone(tmp_path):
@@ -280,7 +283,7 @@ def test_time_to_read_grows_with_the_size_alone(tmp_path):
         begin = time.process_time()
         with contextlib.suppress(UsageError):
             files = third_party(path)
-            lint(Deck("user", "user.lib", files, {}, None))
+            lint(Deck(name="user", text=files.pop("user.lib"), more=files))
         assert time.process_time() - begin < 5, name
 
 

@@ -1,9 +1,11 @@
 """Files of others, class by class: refused with exit code 2 in bounded time, nothing written."""
 
+import contextlib
 import itertools
 import json
 import os
 import shutil
+import sqlite3
 import tempfile
 import time
 import zipfile
@@ -26,9 +28,9 @@ from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.circuit import Pin
 from kc2spice.spice.header import Header, part_header
 from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.source import SceneText, scene_text
+from kc2spice.workflow.sweep.point import SceneText, scene_text
 from kc2spice.workflow.sweep.study import PLAN, Request, make_study, read_plan, write_plan
-from kc2spice.workflow.sweep.table import Journal
+from kc2spice.workflow.sweep.table import RowStore
 
 SOON = 5.0  # s
 CRAFTED = {
@@ -183,10 +185,10 @@ OWN = 'name = "x"\n[sphere]\n'
         {"scene__name": "line\nbreak", "scene__text": OWN},
         {"scene__name": 3},
         {"scene__text": 3},
-        {"scene__text": OWN, "scene__netlists": [["../parent.lib", "x"]]},
-        {"scene__text": OWN, "scene__netlists": [["/tmp/absolute.lib", "x"]]},
-        {"scene__text": OWN, "scene__netlists": [["a.lib", 3]]},
-        {"scene__netlists": 3},
+        {"scene__text": OWN, "scene__files": [["../parent.lib", "x"]]},
+        {"scene__text": OWN, "scene__files": [["/tmp/absolute.lib", "x"]]},
+        {"scene__text": OWN, "scene__files": [["a.lib", 3]]},
+        {"scene__files": 3},
         {"scene": []},
         {"format": "../../x"},
         {"format": ["csv"]},
@@ -224,7 +226,7 @@ def test_damaged_plans_are_refused(text, plan):
         read_plan(home)
 
 
-@pytest.mark.parametrize("link", ["shards", "shards/000000.csv", "sweep.csv.part", "sweep.html"])
+@pytest.mark.parametrize("link", ["shards", "shards/000000.sqlite", "sweep.csv.part", "sweep.html"])
 def test_links_in_a_sweep_lead_nowhere(link, plan, tmp_path):
     home = plan()
     victim = tmp_path / "victim"
@@ -237,20 +239,41 @@ def test_links_in_a_sweep_lead_nowhere(link, plan, tmp_path):
     assert victim.is_dir() or victim.read_text() == "precious"
 
 
-@pytest.mark.parametrize("row", ["", "x,1,ok", "-1,1,ok", "99,1,ok", "0,1,maybe", "\udcff,1,ok",
-                                 "²,1,ok", '"'])  # fmt: skip
+@pytest.mark.parametrize(
+    "row",
+    [
+        (-1, 0, "1,ok"), (99, 0, "1,ok"), (0, 0, "1,maybe"), (0, 0, None), (0, 0, ""),
+        (0, 7, "1,ok"), (0, 0, b"\xff,ok"), (0, 1, "1,ok"), (0, 0, "1,failed: x"), (0, "0", '"'),
+    ],
+)  # fmt: skip
 def test_damaged_rows_are_named(row, tmp_path):
-    path = tmp_path / "000000.csv"
-    path.write_bytes((row + "\n").encode(errors="surrogateescape"))
-    with pytest.raises(UsageError, match=r"000000\.csv") as caught:
-        Journal(path, 2)
+    path = tmp_path / "000000.sqlite"
+    RowStore(path, 2).close()
+    with contextlib.closing(sqlite3.connect(path)) as rows, rows:
+        rows.execute("insert into row values (?, ?, ?)", row)
+    with pytest.raises(UsageError, match=r"000000\.sqlite") as caught:
+        RowStore(path, 2)
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize("content", [b"0,1,ok\n", b"SQLite format 3\0" + b"\xff" * 500])
+def test_what_is_no_database_is_named(content, tmp_path):
+    (tmp_path / "000000.sqlite").write_bytes(content)
+    with pytest.raises(UsageError, match="is damaged"):
+        RowStore(tmp_path / "000000.sqlite", 2)
+
+
+def test_a_table_of_another_shape_is_named(tmp_path):
+    with contextlib.closing(sqlite3.connect(tmp_path / "a.sqlite")) as rows, rows:
+        rows.execute("create view row as select 'x' as point, 0 as state, 1 as line")
+    with pytest.raises(UsageError, match="is damaged"):
+        RowStore(tmp_path / "a.sqlite", 2)
+
+
 def test_a_pipe_is_no_shard(tmp_path):
-    os.mkfifo(tmp_path / "000000.csv")
+    os.mkfifo(tmp_path / "000000.sqlite")
     with pytest.raises(UsageError, match="is no file"):
-        Journal(tmp_path / "000000.csv", 2)
+        RowStore(tmp_path / "000000.sqlite", 2)
 
 
 def small_rom():

@@ -24,7 +24,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Progress, silent
 from kc2spice.report.bench_page import write_bench
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.bench.axes import (
     Axis,

@@ -13,11 +13,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.cost import METER, NOTHING, Cost
-from kc2spice.workflow.sweep.engines import Call, Engine, Lost, completed
-from kc2spice.workflow.sweep.point import Outcome, prepare, run_point
-from kc2spice.workflow.sweep.slurm import write_script
-from kc2spice.workflow.sweep.stages import shared_models, slow_blocks, task
+from kc2spice.workflow.sweep.point import Cost, Outcome, cpu_since_last, prepare, run_point, task
+from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, completed
 from kc2spice.workflow.sweep.study import (
     PLAN,
     SHARDS,
@@ -25,12 +22,41 @@ from kc2spice.workflow.sweep.study import (
     check_parameters,
     make_study,
     read_plan,
+    shared_models,
     write_plan,
 )
-from kc2spice.workflow.sweep.table import Journal, columns, need_parquet, publish
+from kc2spice.workflow.sweep.table import (
+    BAD,
+    INTERRUPTED,
+    MISSING,
+    RowStore,
+    columns,
+    need_parquet,
+    publish,
+)
 
-JOURNAL = "journal.csv"
+ROWS = "rows.sqlite"
+DIED = "its worker process died, twice"
 NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
+SCRIPT = "sweep.sbatch"
+_SLURM = """\
+#!/bin/bash
+# {points} points of {scene} in {shards} parts. Edit what your site needs, then
+#     sbatch {script}
+# and when all tasks are done
+#     kc2spice sweep --collect .
+# A task that was killed may be submitted again: it runs only what it did not record.
+#SBATCH --job-name=kc2spice
+#SBATCH --array=0-{last}
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --output=slurm-%A_%a.log
+set -euo pipefail
+cd "${{SLURM_SUBMIT_DIR:-$(dirname "$0")}}"
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+exec kc2spice sweep --out . --shard "${{SLURM_ARRAY_TASK_ID}}/{shards}" \\
+    --workers "${{SLURM_CPUS_PER_TASK:-1}}"
+"""
 
 
 @dataclass(frozen=True)
@@ -41,53 +67,44 @@ class Shard:
     count: int
 
 
-def sweep(study: Study, out: Path, engine: Engine, progress: Progress = silent) -> dict[str, Any]:
+def sweep(
+    study: Study, out: Path, engine: Engine, progress: Progress = silent, *,
+    retry_failed: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Run all points that ``out`` does not hold yet; return the contract's summary.
 
-    Rows go to ``out/journal.csv`` as they come; the table, its figures and ``sweep.html`` appear
+    Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear
     when all are there. A sweep that was killed goes on where it was when it is asked for again.
+    Points that failed for what happened to the machine are run again then, with ``retry_failed``
+    all that failed; their rows are kept for that.
 
     Raises
     ------
     UsageError : ``out`` holds another sweep, or another process writes there.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    claim(study, out)
-    table = _table(study, out)
-    if table.exists():
-        resumed, spent = study.plan.size, NO_TIME
-    else:
-        check_parameters(study)
-        journal = Journal(out / JOURNAL, study.plan.size)
-        try:
-            resumed = int(journal.done.sum())
-            spent = _fill(study, journal, engine, progress, None)
-        finally:
-            journal.close()
-        publish([journal.path], table, study.header, study.kinds)
-        journal.path.unlink()
-    return {**_conclude(study, out, progress), "resumed": resumed, **spent}
+    acquire(study, out)
+    table, path = _table(study, out), out / ROWS
+    if table.exists() and not path.exists():
+        return {**_conclude(study, out, progress), "resumed": study.plan.size, **NO_TIME}
+    check_parameters(study)
+    found = _filled(study, path, None, engine, progress, retry_failed)
+    publish([path], table, study.header, study.kinds)
+    if not found["failed"]:
+        path.unlink()
+    return {**found, **_conclude(study, out, progress)}
 
 
 def sweep_shard(
-    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent
-) -> dict[str, Any]:
+    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent, *,
+    retry_failed: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Run one part of the sweep that is planned in ``directory``; its rows wait to be collected."""
     study = planned(directory)
     if not 0 <= shard.number < shard.count:
         raise UsageError("no such shard", got=shard.number, expected=f"0 … {shard.count - 1}")
-    path = directory / SHARDS / f"{shard.number:06d}.csv"
-    journal = Journal(path, study.plan.size)
-    try:
-        resumed = int(journal.done.sum())
-        spent = _fill(study, journal, engine, progress, shard)
-        points, failed = int(journal.done.sum()), journal.failed
-    finally:
-        journal.close()
-    return {
-        "points": points, "failed": failed, "resumed": resumed, "table": str(path.absolute()),
-        **spent,
-    }  # fmt: skip
+    path = directory / SHARDS / f"{shard.number:06d}.sqlite"
+    return _filled(study, path, shard, engine, progress, retry_failed)
 
 
 def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
@@ -99,12 +116,13 @@ def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
     """
     study = planned(directory)
     table = _table(study, directory)
-    journals = sorted((directory / SHARDS).glob("*.csv"))
+    stores = sorted((directory / SHARDS).glob("*.sqlite"))
     if not table.exists():
-        found = [Journal(path, study.plan.size) for path in journals]
-        for journal in found:
-            journal.close()
-        there = np.any([journal.done for journal in found], axis=0).sum() if found else 0
+        found = [RowStore(path, study.plan.size) for path in stores]
+        for rows in found:
+            rows.close()
+        recorded = [rows.state != MISSING for rows in found]
+        there = np.any(recorded, axis=0).sum() if found else 0
         missing = study.plan.size - int(there)
         if missing:
             raise SimulationError(
@@ -112,11 +130,11 @@ def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
                 expected=f"{study.plan.size} points",
                 hint="submit the array again: only what is missing is run",
             )  # fmt: skip
-        publish(journals, table, study.header, study.kinds)
+        publish(stores, table, study.header, study.kinds)
     return {**_conclude(study, directory, progress), "resumed": 0, "wall_s": 0.0}
 
 
-def outlook(study: Study, out: Path) -> dict[str, Any]:
+def dry_run_summary(study: Study, out: Path) -> dict[str, Any]:
     """What :func:`sweep` would do in ``out``; nothing is run or written."""
     return {
         "scene": study.base.name,
@@ -130,10 +148,14 @@ def outlook(study: Study, out: Path) -> dict[str, Any]:
 
 def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
     """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
-    claim(study, directory)
-    script = write_script(study, directory, min(shards, study.plan.size))
-    return {**outlook(study, directory), "script": str(script.absolute()),
-            "files": [PLAN, script.name]}  # fmt: skip
+    acquire(study, directory)
+    shards, script = min(shards, study.plan.size), directory / SCRIPT
+    text = _SLURM.format(points=study.plan.size, scene=study.base.name, shards=shards,
+                         last=shards - 1, script=SCRIPT)  # fmt: skip
+    script.write_text(text, encoding="utf-8")
+    script.chmod(0o755)
+    return {**dry_run_summary(study, directory), "script": str(script.absolute()),
+            "files": [PLAN, SCRIPT]}  # fmt: skip
 
 
 def planned(directory: Path) -> Study:
@@ -151,7 +173,7 @@ def planned(directory: Path) -> Study:
     return study
 
 
-def claim(study: Study, out: Path, purpose: object = None) -> None:
+def acquire(study: Study, out: Path, purpose: object = None) -> None:
     """Make ``out`` the directory of this sweep, done for ``purpose``.
 
     Raises
@@ -171,7 +193,7 @@ def claim(study: Study, out: Path, purpose: object = None) -> None:
             "holds another sweep", where=str(out), got=f"plan {digest}",
             expected=f"plan {own}", hint="choose another --out, or remove the old one",
         )  # fmt: skip
-    for name in (JOURNAL, _table(study, out).name):
+    for name in (ROWS, _table(study, out).name):
         if (out / name).exists():
             raise UsageError("would be overwritten", where=str(out / name),
                              hint="choose another --out, or remove it")  # fmt: skip
@@ -186,37 +208,80 @@ def _table(study: Study, out: Path) -> Path:
     return out / f"sweep.{study.request.format}"
 
 
+def _filled(
+    study: Study, path: Path, shard: Shard | None, engine: Engine, progress: Progress, retry: bool
+) -> dict[str, Any]:
+    """Run the points that the rows in ``path`` lack; what a summary says of them."""
+    rows = RowStore(path, study.plan.size)
+    try:
+        rows.forget(INTERRUPTED, *([BAD] if retry else []))
+        resumed = int((rows.state != MISSING).sum())
+        spent = _fill(study, rows, engine, progress, shard)
+        points = int((rows.state != MISSING).sum())
+        return {"points": points, "failed": rows.failed, "resumed": resumed,
+                "table": str(path.absolute()), **spent}  # fmt: skip
+    finally:
+        rows.close()
+
+
 def _fill(
-    study: Study, journal: Journal, engine: Engine, progress: Progress, shard: Shard | None
+    study: Study, rows: RowStore, engine: Engine, progress: Progress, shard: Shard | None
 ) -> dict[str, float | None]:
-    """Run the points that the journal lacks; return ``wall_s`` and what it cost."""
-    start = time.monotonic()
-    METER.since_last()
-    mine = _share(study, shard)
-    missing = sum(not journal.done[index] for index in _share(study, shard))
+    """Run the points that are missing; return ``wall_s`` and what it cost.
+
+    A point that is interrupted by what happens to the machine is tried once more at the end.
+    """
+    start, spent = time.monotonic(), Cost()
+    cpu_since_last()
+    missing = int(sum(rows.state[index] == MISSING for index in _share(study, shard)))
     if not missing:
         return NO_TIME
-    spent = NOTHING
     meter = _Meter(progress, missing, start)
-    for call, result in completed(engine, _calls(study, journal, mine, missing, engine)):
-        if not isinstance(call.name, int):
-            progress("models", None, f"models of the {call.name}")
-            meter.restart()
-            continue
-        outcome = result
-        if isinstance(result, Lost):
-            outcome = Outcome(call.name, failure="its worker process died, twice")
-        cells = outcome.values or (None,) * len(study.job.metrics)
-        journal.record(call.name, (*study.plan.values(call.name), *cells), outcome.failure)
-        spent += outcome.cost
-        meter.count(journal.failed)
-    wall, parent = time.monotonic() - start, Cost(own=METER.since_last().own)
-    return {"wall_s": wall, **(spent + parent).summary(engine.workers, wall)}
+    for attempt in (1, 2):
+        waiting = _calls(study, rows, _share(study, shard), engine, shared=attempt == 1)
+        for call, result in completed(engine, waiting):
+            if not isinstance(call.name, int):
+                progress("models", None, f"models of {call.name}")
+                meter.start = time.monotonic()  # models took the time so far, points do not
+                continue
+            outcome = result
+            if isinstance(result, WorkerDied):
+                outcome = Outcome(call.name, failure=DIED, interrupted=True)
+            cells = outcome.values or (None,) * len(study.job.metrics)
+            rows.record(
+                call.name, (*study.plan.values(call.name), *cells), outcome.failure,
+                interrupted=outcome.interrupted,
+            )  # fmt: skip
+            spent += outcome.cost
+            meter.count(rows.failed)
+        again = int((rows.state == INTERRUPTED).sum())
+        if not again or attempt == 2:
+            break
+        progress("again", None, f"{again} points that were interrupted")
+        rows.forget(INTERRUPTED)
+    wall = time.monotonic() - start
+    return {"wall_s": wall, **_cost(spent + Cost(own=cpu_since_last().own), engine.workers, wall)}
+
+
+def _cost(spent: Cost, workers: int, wall: float) -> dict[str, float | None]:
+    """``busy_share`` of the workers' time that any CPU was used, ``overhead`` over ngspice.
+
+    ``overhead`` is the CPU of Python per CPU of ngspice; None where nothing was run, or where the
+    system does not tell what child processes used.
+    """
+    available = workers * wall
+    return {
+        "ngspice_cpu_s": spent.simulator,
+        "python_cpu_s": spent.own,
+        "busy_share": (spent.own + spent.simulator) / available if available else None,
+        "overhead": spent.own / spent.simulator if spent.simulator else None,
+    }
 
 
 def _share(study: Study, shard: Shard | None) -> Iterator[int]:
     """Points in the order in which they are run."""
-    order = study.plan.order(slow_blocks(study.plan, study.stages))
+    slow = dict.fromkeys(study.plan.block(key) for key in study.stages.slow)
+    order = study.plan.order(list(slow))
     if shard is None:
         return order
     first, last = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
@@ -224,44 +289,33 @@ def _share(study: Study, shard: Shard | None) -> Iterator[int]:
 
 
 def _calls(
-    study: Study, journal: Journal, points: Iterator[int], missing: int, engine: Engine
+    study: Study, rows: RowStore, points: Iterator[int], engine: Engine, *, shared: bool
 ) -> Iterator[Call | None]:
-    if missing > 1 and engine.workers > 1:
+    """Models that several points share, then the missing points."""
+    if shared and (rows.state == MISSING).sum() > 1 and engine.workers > 1:
         for part, group in shared_models(study.plan, study.stages):
             yield Call(part, prepare, (study.job, part, group))
         yield None
     for index in points:
-        if not journal.done[index]:
+        if rows.state[index] == MISSING:
             yield Call(index, run_point, (study.job, task(study.plan, index)))
 
 
 class _Meter:
-    """Progress in points, with rate and time left."""
+    """Progress in points since ``start``, with rate and time left."""
 
     def __init__(self, progress: Progress, total: int, start: float) -> None:
-        self._progress, self._total, self._done = progress, total, 0
-        self._start = start
-
-    def restart(self) -> None:
-        """Models took the time so far; it says nothing about the points to come."""
-        self._start = time.monotonic()
+        self._progress, self._total, self._done, self.start = progress, total, 0, start
 
     def count(self, failed: int) -> None:
         """One more point is recorded."""
         self._done += 1
-        rate = self._done / max(time.monotonic() - self._start, 1e-9)
-        left = (self._total - self._done) / rate
-        text = (
-            f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, "
-            f"{_duration(left)} left"
-        )
+        rate = self._done / max(time.monotonic() - self.start, 1e-9)
+        minutes, seconds = divmod(round((self._total - self._done) / rate), 60)
+        hours, minutes = divmod(minutes, 60)
+        left = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds} s"
+        text = f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, {left} left"
         self._progress("sweep", self._done / self._total, text)
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
 def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
@@ -275,7 +329,7 @@ def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
     flags = [name for name in study.job.metrics if study.kinds[name] is bool]
     found = yields(data, flags) if study.plan.random else {}
     files = write_sweep(
-        out, study.base, data, study.plan.keys, study.job.metrics, study.plan.random,
+        out, study.base, data, study.units, study.job.metrics, study.plan.random,
         study.describe(), found,
     )  # fmt: skip
     return {

@@ -1,11 +1,14 @@
-"""The table of a sweep: a journal that takes rows in any order, then one sorted file."""
+"""The table of a sweep: a database that takes rows in any order, then one sorted file."""
 
 from __future__ import annotations
 
 import csv
+import heapq
 import io
 import os
+import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,81 +19,104 @@ from kc2spice.core.errors import MissingToolError, UsageError
 OK = "ok"
 FAILED = "failed: "
 FORMATS = ("csv", "parquet")
+MISSING, GOOD, BAD, INTERRUPTED = -1, 0, 1, 2  # states of a point
+
+_OPEN = """
+pragma trusted_schema = off;
+pragma locking_mode = exclusive;  -- another process that writes here is refused at once
+pragma journal_mode = delete;
+pragma synchronous = off;         -- a row survives the end of this process, which is enough
+begin exclusive;
+create table if not exists row (point integer primary key, state integer, line text);
+commit;
+"""
+
+Kinds = Mapping[str, type]  # of the columns: float, int, bool or str
 
 
-class Journal:
-    """Rows ``point, cells...`` appended as they come; each is complete or not there at all.
+class RowStore:
+    """Rows by point in an SQLite file; each is complete or not there at all.
 
-    ``done`` (points,) tells which rows are recorded, ``failed`` how many of them failed.
+    ``state`` (points,) is ``MISSING``, ``GOOD``, ``BAD`` (failed by itself) or ``INTERRUPTED``
+    (failed for what happened to the machine: worth another try).
 
     Raises
     ------
-    UsageError : another process writes to it, or a row in it is none of ours.
+    UsageError : another process writes to it, or it holds something else than our rows.
     """
 
     def __init__(self, path: Path, points: int) -> None:
         self.path = path
-        self.done = np.zeros(points, dtype=bool)
-        self.failed = 0
+        self.state = np.full(points, MISSING, dtype=np.int8)
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not path.is_file():
             raise UsageError("is no file", where=str(path), hint="remove it")
-        self._file = path.open("a+b")
-        _lock(self._file, path)
-        self._drop_torn_row()
+        self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
         try:
-            for index, failed in _entries(path, points):
-                self.failed += failed and not self.done[index]
-                self.done[index] = True
-        except UsageError:
-            self.close()
-            raise
+            self._rows.executescript(_OPEN)
+            for point, state, line in self._rows.execute("select point, state, line from row"):
+                self.state[_checked(point, points)] = _agreed(state, line)
+        except (sqlite3.Error, ValueError) as error:
+            self._rows.close()
+            if "locked" in str(error):
+                raise UsageError(
+                    "another sweep writes here now", where=str(path),
+                    hint="wait for it, or choose another --out",
+                ) from None  # fmt: skip
+            raise UsageError(
+                "is damaged: not the rows of this sweep", where=str(path), got=str(error)[:200],
+                hint="remove it: what it held is run again",
+            ) from None  # fmt: skip
 
-    def record(self, index: int, cells: Iterable[Any], failure: str | None) -> None:
-        """Append one row; it survives the end of this process."""
+    @property
+    def failed(self) -> int:
+        """How many recorded points have failed."""
+        return int((self.state > GOOD).sum())
+
+    def record(
+        self, point: int, cells: Iterable[Any], failure: str | None, *, interrupted: bool = False
+    ) -> None:
+        """Write one row in place of an earlier one of the same point."""
         status = OK if failure is None else FAILED + " ".join(failure.split())
-        self._file.write(_line([index, *map(_cell, cells), status]))
-        self._file.flush()
-        self.done[index] = True
-        self.failed += failure is not None
+        state = GOOD if failure is None else INTERRUPTED if interrupted else BAD
+        row = (point, state, _line([*map(_cell, cells), status]))
+        self._rows.execute("insert or replace into row values (?, ?, ?)", row)
+        self.state[point] = state
+
+    def forget(self, *states: int) -> None:
+        """Make the points in these states missing again; their rows stay until they are run."""
+        self.state[np.isin(self.state, states)] = MISSING
+
+    def rows(self) -> Iterator[list[str]]:
+        """Cells of all rows in the order of their points, the status last."""
+        lines = self._rows.execute("select line from row order by point")
+        return csv.reader(line for (line,) in lines)
 
     def close(self) -> None:
         """Let go of the file."""
-        self._file.close()
-
-    def _drop_torn_row(self) -> None:
-        """A process that was killed while it wrote left a row without its end."""
-        size = end = self._file.seek(0, os.SEEK_END)
-        while end > 0:
-            start = max(0, end - 4096)
-            self._file.seek(start)
-            found = self._file.read(end - start).rfind(b"\n")
-            if found >= 0:
-                end = start + found + 1
-                break
-            end = start
-        if end < size:
-            self._file.truncate(end)
-        self._file.seek(0, os.SEEK_END)
+        self._rows.close()
 
 
-def _lock(file: Any, path: Path) -> None:
-    try:
-        import fcntl
-    except ImportError:
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.close()
-        hint = "wait for it, or choose another --out"
-        raise UsageError("another sweep writes here now", where=str(path), hint=hint) from None
+def _checked(point: Any, points: int) -> int:
+    if not isinstance(point, int) or not 0 <= point < points:
+        raise ValueError(f"point {str(point)[:80]!r}")
+    return point
 
 
-def _line(cells: Sequence[Any]) -> bytes:
+def _agreed(state: Any, line: Any) -> int:
+    """The state of a row whose line says the same."""
+    if not isinstance(line, str) or state not in (GOOD, BAD, INTERRUPTED):
+        raise ValueError(f"row {str(line)[:80]!r}")
+    cells = next(csv.reader([line]), None) or [""]
+    if (cells[-1] == OK) is not (state == GOOD) or not cells[-1].startswith((OK, FAILED)):
+        raise ValueError(f"status {cells[-1][:80]!r}")
+    return int(state)
+
+
+def _line(cells: Sequence[Any]) -> str:
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(cells)
-    return buffer.getvalue().encode()
+    return buffer.getvalue()
 
 
 def _cell(value: Any) -> str:
@@ -102,61 +128,28 @@ def _cell(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _entries(path: Path, points: int) -> Iterator[tuple[int, bool]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        try:
-            for row in csv.reader(file):
-                if not row or not row[0].isdecimal() or not 0 <= int(row[0]) < points:
-                    raise ValueError(f"row {','.join(row)[:80]!r}")
-                if row[-1] != OK and not row[-1].startswith(FAILED):
-                    raise ValueError(f"status {row[-1][:80]!r}")
-                yield int(row[0]), row[-1] != OK
-        except (ValueError, csv.Error) as error:
-            raise UsageError(
-                "is damaged: not the rows of this sweep", where=str(path), got=str(error),
-                hint="remove it: what it held is run again",
-            ) from None  # fmt: skip
-
-
-def publish(journals: Sequence[Path], path: Path, header: Sequence[str], kinds: Kinds) -> None:
+def publish(stores: Sequence[Path], path: Path, header: Sequence[str], kinds: Kinds) -> None:
     """Write all rows, sorted by point, under ``header`` to ``path``; it appears whole.
 
     Raises
     ------
     MissingToolError : a Parquet file is asked for and pyarrow is not installed.
     """
-    place = np.array(list(_places(journals)), dtype=np.int64).reshape(-1, 3)
-    order = np.argsort(place[:, 0], kind="stable")
-    partial = path.with_name(path.name + ".part")
-    files = [journal.open("rb") for journal in journals]
-    try:
-        with partial.open("wb") as out:
-            out.write(_line(header))
-            last = -1
-            for point, source, offset in place[order]:
-                if point != last:
-                    files[source].seek(offset)
-                    out.write(files[source].readline().partition(b",")[2])
-                last = point
-    finally:
-        for file in files:
-            file.close()
+    partial, last = path.with_name(path.name + ".part"), MISSING
+    with partial.open("w", encoding="utf-8", newline="") as out:
+        out.write(_line(header))
+        for point, line in heapq.merge(*map(_sorted_lines, stores)):
+            if point != last:
+                out.write(line)
+            last = point
     if path.suffix == ".parquet":
         _to_parquet(partial, kinds)
     os.replace(partial, path)
 
 
-Kinds = Mapping[str, type]  # of the columns: float, int, bool or str
-
-
-def _places(journals: Sequence[Path]) -> Iterator[tuple[int, int, int]]:
-    """Point, journal and offset of every row."""
-    for source, journal in enumerate(journals):
-        offset = 0
-        with journal.open("rb") as file:
-            for line in file:
-                yield int(line.partition(b",")[0]), source, offset
-                offset += len(line)
+def _sorted_lines(store: Path) -> Iterator[tuple[int, str]]:
+    with closing(sqlite3.connect(store)) as rows:
+        yield from rows.execute("select point, line from row order by point")
 
 
 def need_parquet() -> Any:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,21 @@ from scipy.optimize import differential_evolution, minimize
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.engines import Call, Crew, Engine, Lost
-from kc2spice.workflow.sweep.point import Outcome, Task, run_point
-from kc2spice.workflow.sweep.ranges import find_key, number
-from kc2spice.workflow.sweep.stages import task
+from kc2spice.scene.keys import Key
+from kc2spice.workflow.sweep.plan import find_key, number
+from kc2spice.workflow.sweep.point import Outcome, Task, run_point, task
+from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, WorkerPool
+from kc2spice.workflow.sweep.run import ROWS, acquire
 from kc2spice.workflow.sweep.study import Study
-from kc2spice.workflow.sweep.table import Journal
+from kc2spice.workflow.sweep.table import MISSING, RowStore
 
 MISSED = 3.0  # ratio of a run that has no such metric: it was not caught, or it failed
 MEAN = 0.1  # weight of the mean ratio beside the worst one
 CANDIDATES = 16  # of one generation
+_LIMIT = r"([^<>=]+)(<=|>=)([^<>=]+)"
 SIMPLEX = 0.05  # first edge of the final search, a share of each value
 REFINEMENTS = 60  # candidates of the final search
-JOURNAL = "journal.csv"
+TABLE = "tuned.csv"
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,24 @@ class Bound:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """A metric that must be at most (``<=``) or at least (``>=``) ``value``, in SI."""
+
+    metric: str
+    sign: str
+    value: float
+
+    def holds(self, value: float | bool | None) -> bool:
+        """Whether a run keeps it; one without the metric does not."""
+        if value is None:
+            return False
+        return value <= self.value if self.sign == "<=" else value >= self.value
+
+    def __str__(self) -> str:
+        return f"{self.metric}{self.sign}{self.value:g}"
+
+
+@dataclass(frozen=True)
 class Tuned:
     """The best values found, with the metric (conditions,) before and after, and the runs made."""
 
@@ -47,8 +68,8 @@ class Tuned:
     runs: int
 
 
-def bound(text: str) -> Bound:
-    """``KEY=a:b`` of ``--tune``.
+def bound(text: str, keys: Mapping[str, Key]) -> Bound:
+    """``KEY=a:b`` of ``--tune``, KEY one of the scene's ``keys``.
 
     Raises
     ------
@@ -58,20 +79,95 @@ def bound(text: str) -> Bound:
     ends = span.split(":")
     if len(ends) != 2:
         raise UsageError("not bounds", where=f"--tune {text!r}", got=span, expected="KEY=a:b")
-    low, high = (number(f"--tune {text!r}", find_key(name), end.strip()) for end in ends)
+    key = find_key(name, keys)
+    low, high = (number(f"--tune {text!r}", key, end.strip()) for end in ends)
     if not 0 < low < high:
         raise UsageError("no range to search", where=f"--tune {text!r}", got=f"{low:g} … {high:g}",
                          expected="0 < a < b")  # fmt: skip
     return Bound(name, low, high)
 
 
+def limit(text: str) -> Limit:
+    """``METRIC<=X`` or ``METRIC>=X`` of ``--require``.
+
+    Raises
+    ------
+    UsageError : anything else.
+    """
+    found = re.fullmatch(_LIMIT, text, re.DOTALL)
+    name, sign, value = (part.strip() for part in found.groups()) if found else ("", "", "")
+    try:
+        return Limit(name, sign, float(value))
+    except ValueError:
+        raise UsageError("not a constraint", where="--require", got=text,
+                         expected="METRIC<=X or METRIC>=X, in SI") from None  # fmt: skip
+
+
+def run_tuning(
+    study: Study, bounds: Sequence[Bound], metric: str, generations: int, out: Path,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """Tune ``bounds`` for the least ``metric`` over the points of ``study``; write into ``out``.
+
+    ``tuned.csv`` has a row for each condition: the metric of the scene as it is and of the tuned
+    one.
+
+    Raises
+    ------
+    UsageError : nothing to tune, an unknown metric, ``out`` holds something else.
+    """
+    for name, option in ((metric, "--minimise"), *((each.metric, "--require") for each in limits)):
+        if name not in study.job.metrics:
+            raise UsageError("this scene has no such metric", where=option, got=name,
+                             expected=", ".join(study.job.metrics))  # fmt: skip
+    swept = [b.key for b in bounds if b.key in study.plan.keys]
+    if swept or not bounds:
+        raise UsageError("cannot be tuned", where="--tune", got=", ".join(swept) or None,
+                         expected="keys that --set does not sweep")  # fmt: skip
+    acquire(study, out, [*map(asdict, bounds), metric, generations, *map(str, limits)])
+    tuned = tune(study, bounds, metric, generations, out, engine, progress, limits=limits)
+    with (out / TABLE).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*study.plan.keys, metric, f"{metric} tuned"])
+        for index, row in enumerate(zip(tuned.before, tuned.after, strict=True)):
+            writer.writerow([*study.plan.values(index), *(repr(float(value)) for value in row)])
+    ratio = tuned.after / tuned.before
+    return {
+        "scene": study.base.name,
+        "points": tuned.runs,
+        "failed": int(np.isnan(tuned.after).sum()),
+        "resumed": 0,
+        "table": str((out / TABLE).absolute()),
+        "directory": str(out.absolute()),
+        "best": tuned.best,
+        "mean_ratio": float(ratio.mean()),
+        "worst_ratio": float(ratio.max()),
+        "files": [TABLE, *_figure(study, tuned, metric, out)],
+    }
+
+
+def _figure(study: Study, tuned: Tuned, metric: str, out: Path) -> list[str]:
+    from kc2spice.report.sweep_figures import tuning_figure
+
+    first = [study.plan.values(index)[0] for index in range(study.plan.size)]
+    if any(isinstance(value, str) for value in first):
+        return []
+    key = study.plan.keys[0]
+    picture = tuning_figure(
+        out / "tuned.png", key, study.units[key], np.array(first, dtype=float), metric,
+        np.vstack([tuned.before, tuned.after]), tuned.best,
+    )  # fmt: skip
+    return [picture.path.name]
+
+
 def tune(
     study: Study, bounds: Sequence[Bound], metric: str, generations: int, directory: Path,
-    engine: Engine, progress: Progress = silent,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
 ) -> Tuned:  # fmt: skip
     """Minimise ``metric`` over all points of ``study``, its conditions, the worst of them first.
 
-    With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
+    A candidate that breaks one of the ``limits`` under a condition counts as one without the metric
+    there. With the metric's ratio r_k to that of the scene as it is, the cost of a candidate is::
 
         max_k r_k + MEAN mean_k r_k
 
@@ -85,7 +181,7 @@ def tune(
     """
     conditions = [task(study.plan, index) for index in range(study.plan.size)]
     directory.mkdir(parents=True, exist_ok=True)
-    runs = _Runs(study, bounds, metric, conditions, directory / JOURNAL, engine)
+    runs = _Runs(study, bounds, metric, conditions, directory / ROWS, engine, limits)
     try:
         before = runs.evaluate([{}])[0]
         if not np.isfinite(before).all():
@@ -127,18 +223,19 @@ class _Runs:
 
     def __init__(
         self, study: Study, bounds: Sequence[Bound], metric: str, conditions: Sequence[Task],
-        path: Path, engine: Engine,
+        path: Path, engine: Engine, limits: Sequence[Limit] = (),
     ) -> None:  # fmt: skip
         self.count = 0
         self._study, self._conditions, self._engine = study, conditions, engine
         self._keys = [b.key for b in bounds]
         self._column = study.job.metrics.index(metric)
+        self._limits = {study.job.metrics.index(each.metric): each for each in limits}
         self._known: dict[tuple[str, ...], float] = {}
-        self._journal = Journal(path, 10_000_000)
-        self._crew: Crew | None = None
-        self._rows = int(self._journal.done.sum())
-        for row in csv.reader(path.open(encoding="utf-8", newline="")):
-            self._known[tuple(row[1:-2])] = float(row[-2] or "nan")
+        self._store = RowStore(path, 10_000_000)
+        self._pool: WorkerPool | None = None
+        self._rows = int((self._store.state != MISSING).sum())
+        for *name, value, _ in self._store.rows():
+            self._known[tuple(name)] = float(value or "nan")
 
     def evaluate(self, candidates: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
         """The metric (conditions,) of each candidate, nan where it has none."""
@@ -149,17 +246,17 @@ class _Runs:
         }
         missing = {name: place for place, name in wanted.items() if name not in self._known}
         if missing:
-            self._crew = self._crew or Crew(self._engine)
-            for call, result in self._crew.run(self._calls(candidates, missing)):
+            self._pool = self._pool or WorkerPool(self._engine)
+            for call, result in self._pool.run(self._calls(candidates, missing)):
                 self._record(call.name, result)
         self.count += len(wanted)
         found = np.array([self._known[name] for name in wanted.values()])
         return list(found.reshape(len(candidates), -1))
 
     def close(self) -> None:
-        """End workers and journal."""
+        """End the workers and let go of the rows."""
         self._engine.close()
-        self._journal.close()
+        self._store.close()
 
     def _name(self, candidate: Mapping[str, float], condition: Task) -> tuple[str, ...]:
         values = [repr(candidate[key]) if candidate else "" for key in self._keys]
@@ -175,9 +272,17 @@ class _Runs:
             point = Task(condition.index, overrides, condition.parameters)
             yield Call(name, run_point, (self._study.job, point))
 
-    def _record(self, name: tuple[str, ...], result: Outcome | Lost) -> None:
-        failure = "its worker process died, twice" if isinstance(result, Lost) else result.failure
-        value = None if isinstance(result, Lost) or failure else result.values[self._column]
+    def _record(self, name: tuple[str, ...], result: Outcome | WorkerDied) -> None:
+        if isinstance(result, WorkerDied) or result.interrupted:
+            self._known[name] = float("nan")  # not recorded: a later search runs it again
+            return
+        broken = [
+            str(each) for column, each in self._limits.items()
+            if any(name[: len(self._keys)])  # the scene as it is is what it is
+            and not result.failure and not each.holds(result.values[column])
+        ]  # fmt: skip
+        failure = f"not {', '.join(broken)}" if broken else result.failure
+        value = None if failure else result.values[self._column]
         self._known[name] = float("nan") if value is None else float(value)
-        self._journal.record(self._rows, (*name, value), failure)
+        self._store.record(self._rows, (*name, value), failure)
         self._rows += 1

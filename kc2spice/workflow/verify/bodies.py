@@ -86,17 +86,13 @@ def verify_body(
     exact = rom.transfer(frequency)
     found = _matrix(waves, rom)
     errors["ngspice_vs_rom"] = relative_error(found, exact)
-    checks.append(
-        Limit(f"{part.name}: netlist to ROM, all ports", errors["ngspice_vs_rom"], gate)
-    )
+    checks.append(Limit(f"{part.name}: netlist to ROM, all ports", errors["ngspice_vs_rom"], gate))
     checks += electrical_checks(part.name, rom, found, exact, gate)
     if all(port.conservative for port in rom.ports):
         checks += structure(f"{part.name}: netlist", frequency, found, NETLIST_ROUNDING)
     costs.append(Cost(f"{part.name}: netlist, {POINTS} frequencies", spent))
     curves[f"{part.name}: netlist, ngspice"] = waves
-    return BodyFindings(
-        part.name, tuple(checks), errors, tuple(costs), curves, tuple(notes)
-    )
+    return BodyFindings(part.name, tuple(checks), errors, tuple(costs), curves, tuple(notes))
 
 
 def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Limit]:

@@ -213,12 +213,8 @@ def _read(
     return found
 
 
-def _gathered(
-    name: str, scale: np.ndarray, parts: Iterable[Mapping[str, np.ndarray]]
-) -> Reference:
+def _gathered(name: str, scale: np.ndarray, parts: Iterable[Mapping[str, np.ndarray]]) -> Reference:
     data = {name: scale}
     for found in parts:
         data |= found
     return Reference(Waveforms(data, {}))
-
-

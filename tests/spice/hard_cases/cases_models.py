@@ -10,14 +10,14 @@ from device import RADII, chip
 from hard_cases import kit
 from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
 
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.rom.foreign import make_model
-from kc2spice.rom.general import reduce_model
+from kc2spice.rom.reduce import reduce
 from kc2spice.scene.checks import check
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.included import included_netlists
-from kc2spice.spice.realize_signal import realize_signal
+from kc2spice.spice.realize import subcircuit
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "physics"))
 import mor_families as families
@@ -37,8 +37,8 @@ def chain(**changed: np.ndarray) -> dict[str, np.ndarray]:
 def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
     model = make_model(families.as_files(matrices), None, "hard", "hard")
-    rom = reduce_model(model, (0.0, top), tolerance=1e-6)
-    part = realize_signal(rom, HEADER, name="part")
+    rom = reduce(model, band=(0.0, top), tolerance=1e-6)
+    part = subcircuit(rom, "part", HEADER)
     frequency = np.linspace(top / 50, top, 50)
     inputs, outputs = rom.B.shape[1], rom.C.shape[0]
     columns = []
