@@ -65,7 +65,7 @@ def solve(
 ) -> FullSolution | None:
     """The full solution of a scene in which nothing but a sphere touches ``chip``, else None."""
     scene = build.scene
-    found = _players(chip, scene)
+    found = players(chip, scene)
     if found is None:
         return None
     contact, sphere = found
@@ -83,7 +83,7 @@ def solve(
     return None
 
 
-def _players(chip: Part, scene: Scene) -> tuple[Part, Part] | None:
+def players(chip: Part, scene: Scene) -> tuple[Part, Part] | None:
     """The one contact of the chip with all of its rings concentric, and the sphere on it."""
     found = []
     for contact in scene.of("contact"):
@@ -130,9 +130,7 @@ def converged(coarse: Waveforms, fine: Waveforms, loads: str) -> Waveforms:
     Waves named ``loads`` are taken as they are: extrapolation would leave false load where one
     step size has just lost contact.
     """
-    data = {
-        name: fine[name][::2] + (fine[name][::2] - coarse[name]) / 3 for name in coarse.data
-    }
+    data = {name: fine[name][::2] + (fine[name][::2] - coarse[name]) / 3 for name in coarse.data}
     data["time"] = coarse["time"]
     data |= {name: fine[name][::2] for name in data if name.startswith(loads)}
     return Waveforms(data, {})
@@ -155,9 +153,7 @@ def _impact(problem: _Problem, velocity: float, gap: float) -> FullSolution:
             road="refactorise",
         )  # fmt: skip
     with clock.stage("full model", f"steps of {PAPER_STEP * 1e9:g} ns"):
-        rank = transient(
-            system, surface, ball, step=PAPER_STEP, stop=scene.stop, voltage=voltage
-        )
+        rank = transient(system, surface, ball, step=PAPER_STEP, stop=scene.stop, voltage=voltage)
     refactor = sample.wall_s * steps / timed
     return FullSolution(
         waves, problem.build, wall,

@@ -121,9 +121,7 @@ class CurrentCases(PartType):
         y = np.linspace(*self.sweep_range(part, build.scene), HEIGHTS)
         y = np.clip(y, exact.y[0], exact.y[-1])
         data = {f"{_sphere(build.scene)}.y": y}
-        data |= {
-            f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)
-        }
+        data |= {f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)}
         gates = build.scene.gates
         return FullSolution(
             Waveforms(data, {}), build, spent,

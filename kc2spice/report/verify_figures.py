@@ -90,9 +90,7 @@ def _chosen(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> lis
     return list(best.values())[:MOST]
 
 
-def _curve(
-    label: str, waves: Waveforms, scale: str, name: str, factor: float, style: str
-) -> Curve:
+def _curve(label: str, waves: Waveforms, scale: str, name: str, factor: float, style: str) -> Curve:
     values = waves[name]
     y = np.abs(values) if np.iscomplexobj(values) else values
     return Curve(label, factor * waves[scale].real, y, style)

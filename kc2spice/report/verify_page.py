@@ -41,7 +41,9 @@ def _summary(found: Mapping[str, Findings]) -> Section:
         "scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full",
         "speed-up, refactorised", "speed-up, low rank",
     )  # fmt: skip
-    note = "Errors are the largest relative ones. Speed-ups: full model over the netlist in ngspice."
+    note = (
+        "Errors are the largest relative ones. Speed-ups: full model over the netlist in ngspice."
+    )
     return Section("Summary", rows, head, note)
 
 

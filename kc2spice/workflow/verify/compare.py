@@ -111,9 +111,7 @@ def _named(pattern: str, *all_waves: Waveforms) -> list[str]:
     return [pattern] if pattern in common else []
 
 
-def _aligned(
-    waves: Waveforms, exact: Waveforms, name: str
-) -> tuple[np.ndarray, np.ndarray]:
+def _aligned(waves: Waveforms, exact: Waveforms, name: str) -> tuple[np.ndarray, np.ndarray]:
     """A wave of both at the points that both cover."""
     a, b = waves[name], exact[name]
     if "time" not in waves:
