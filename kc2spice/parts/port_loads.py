@@ -164,6 +164,22 @@ class PortLoads(PartType):
         return Modelled(part.name, "unit loads", detail)
 
 
+def charged(response: np.ndarray, anode: int) -> np.ndarray:
+    """The response driven by the anode's charge instead of its voltage (paper eq. 8, 9).
+
+    ``[u; Q] = H [f; V]``, so ``[I -H_uV; 0 H_QV] [u; V] = [H_uf 0; -H_Qf 1] [f; Q]``.
+    """
+    result = np.empty_like(response)
+    others = [k for k in range(response.shape[1]) if k != anode]
+    for k, H in enumerate(response):
+        left, right = np.eye(len(H), dtype=complex), np.zeros_like(H)
+        left[others, anode], left[anode, anode] = -H[others, anode], H[anode, anode]
+        right[np.ix_(others, others)] = H[np.ix_(others, others)]
+        right[anode, others], right[anode, anode] = -H[anode, others], 1.0
+        result[k] = np.linalg.solve(left, right)
+    return result
+
+
 def body_of(part: Part, scene: Scene) -> Part:
     """The body that is loaded.
 

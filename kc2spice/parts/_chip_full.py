@@ -65,7 +65,7 @@ def solve(
 ) -> FullSolution | None:
     """The full solution of a scene in which nothing but a sphere touches ``chip``, else None."""
     scene = build.scene
-    found = _players(chip, scene)
+    found = players(chip, scene)
     if found is None:
         return None
     contact, sphere = found
@@ -83,7 +83,7 @@ def solve(
     return None
 
 
-def _players(chip: Part, scene: Scene) -> tuple[Part, Part] | None:
+def players(chip: Part, scene: Scene) -> tuple[Part, Part] | None:
     """The one contact of the chip with all of its rings concentric, and the sphere on it."""
     found = []
     for contact in scene.of("contact"):
