@@ -14,6 +14,7 @@ from kc2spice.scene.keys import Key, model_keys
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import PartType, part_types
+from kc2spice.scene.short import SHORT
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ def part_docs() -> Iterator[PartDoc]:
             pins = kind.every_pin(part, scene)
         yield PartDoc(
             name, kind.title, " ".join((kind.schema.__doc__ or "").split()), pins,
-            tuple(model_keys(kind.schema)), kind.example.strip(), scene_name, kind.short_for,
+            tuple(model_keys(kind.schema)), kind.example.strip(), scene_name,
+            (SHORT[name],) if name in SHORT else (),
         )  # fmt: skip
 
 

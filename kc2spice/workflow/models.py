@@ -24,7 +24,7 @@ def build_models(
     part.
     """
     models = {part.name: part.type.build(part, scene, clock) for part in scene.parts.values()}
-    return Build(scene, models, libraries(scene), trust, functions or {})
+    return Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
 
 
 def model_keys(scene: Scene) -> dict[str, Mapping[str, Any]]:
