@@ -91,7 +91,7 @@ def harmonic_figures(directory: Path, roads: Roads) -> list[Picture]:
         if right:
             name_axes(right, "frequency in kHz", "relative error of the worst output")
             legend_above(right, 2)
-    caption = f"Unit load at {port}: response there, and largest error of all outputs (Fig. 7)."
+    caption = f"Unit load at {port}: response there, and largest error of all outputs."
     pictures = [Picture(path, "Harmonic response", caption)]
     for name, waves in others:
         file = directory / f"harmonic_error_{_slug(name)}.png"
@@ -129,7 +129,7 @@ def _colours(count: int) -> list[str]:
 
 
 def imprint_figures(directory: Path, roads: Roads, sectors: int = 4) -> list[Picture]:
-    """Force of one sector against imprint depth, and errors; lines where rings close (Fig. 8)."""
+    """Force of one sector against imprint depth, and errors; lines where rings close."""
     first, reference, others = _against(roads)
     path = directory / "imprint.png"
     with _beside(path, others) as (left, right):
@@ -150,7 +150,7 @@ def imprint_figures(directory: Path, roads: Roads, sectors: int = 4) -> list[Pic
         if right:
             name_axes(right, "imprint in µm", "relative error of the force")
             legend_above(right, 2)
-    caption = "Static contact force of one quarter; dotted lines: another ring closes (Fig. 8)."
+    caption = "Static contact force of one quarter; dotted lines: another ring closes."
     return [Picture(path, "Imprint", caption)]
 
 
@@ -160,7 +160,7 @@ def _activations(waves: Waveforms) -> list[float]:
 
 
 def impact_figures(directory: Path, roads: Roads, radius: float) -> list[Picture]:
-    """Underside of the sphere during the impact, and errors relative to its travel (Fig. 9)."""
+    """Underside of the sphere during the impact, and errors relative to its travel."""
     first, reference, others = _against(roads)
     path = directory / "impact.png"
     travel = float(np.ptp(reference["sphere.y"]))
@@ -181,7 +181,7 @@ def impact_figures(directory: Path, roads: Roads, radius: float) -> list[Picture
         if right:
             name_axes(right, "time in µs", "position error / travel")
             legend_above(right, 2)
-    caption = "Impact of the free sphere, in contact where shaded (Fig. 9)."
+    caption = "Impact of the free sphere, in contact where shaded."
     return [Picture(path, "Impact", caption)]
 
 
