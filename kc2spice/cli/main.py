@@ -198,9 +198,7 @@ def verify(
     scene: Annotated[
         str | None, typer.Argument(metavar="SCENE", help="Gallery name or TOML file.")
     ] = None,
-    all_: Annotated[
-        bool, typer.Option("--all", help="Verify every built-in scene without driver circuits.")
-    ] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
     full: Annotated[
         bool,
         typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
@@ -208,6 +206,10 @@ def verify(
     meshes: Annotated[
         bool, typer.Option("--meshes", help="Compare meshes too, for the first scene with contact.")
     ] = False,
+    deck: Annotated[
+        Path | None,
+        typer.Option("--deck", metavar="FILE", help="Take SCENE's deck from disk, as it stands."),
+    ] = None,
     out: Out = None,
     set_: Set = None,
     as_json: AsJson = False,
@@ -226,14 +228,13 @@ def verify(
         names = [scene] if scene is not None else list(gallery())
         loaded = [load_scene(name, set_ or []) for name in names]
         directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
-        from kc2spice.workflow.verify import verifiable
+        from kc2spice.spice.read import read_deck
         from kc2spice.workflow.verify import verify as verify_scenes
 
-        if all_:
-            loaded = [each for each in loaded if verifiable(each)]
-
+        shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:
-            found = verify_scenes(loaded, directory, full=full, meshes=meshes, progress=progress)
+            found = verify_scenes(loaded, directory, full=full, meshes=meshes, deck=shipped,
+                                 progress=progress)  # fmt: skip
         passed = all(record["passed"] for record in found.values())
         if as_json:
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))

@@ -81,10 +81,8 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
             for check in record["checks"]
         ]
         print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
-        roads = [
-            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
-        ]
-        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        costs = [(cost["name"], f"{cost['wall_s']:.3g} s") for cost in record["costs"]]
+        print_table(f"{name}: solutions", costs, header=("solution", "wall time"))
         for baseline, ratio in record["speedup"].items():
             print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
         for note in record["notes"]:

@@ -35,6 +35,7 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
+FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
@@ -135,11 +136,12 @@ class LinearBody(PartType):
     def usual(self, scene: Scene) -> Rom:
         """Where nothing is said: a tolerance over the band that the analysis sees.
 
-        That is up to the highest frequency of ``ac``, and for a transient what ten of its largest
+        That is the range of ``ac`` and a fifth more, and for a transient what ten of its largest
         steps to a period resolve.
         """
         if scene.analysis.type == "ac":
-            return Rom(tolerance=1e-5, band=(0.0, 1.2 * float(scene.analysis.stop or 1.0)))
+            low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
+            return Rom(tolerance=1e-5, band=(0.8 * low, 1.2 * high))
         return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
@@ -263,6 +265,8 @@ class LinearBody(PartType):
         z = impedance(part, waves)
         if z is not None:
             yield impedance_figure(part.name, waves["frequency"].real, z)
+        elif "frequency" in waves:
+            yield from response_figures(part, waves)
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
@@ -417,14 +421,18 @@ def modal_form(model: LinearModel) -> Resonators | None:
 
 
 def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded."""
+    """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
+
+    None as well where the body feeds the circuit, so that V / I is not its own impedance.
+    """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")
     if "frequency" not in waves or voltage is None or current is None:
         return None
     if not np.abs(current).min() > 0:
         return None
-    return np.asarray(voltage / current)
+    found = np.asarray(voltage / current)
+    return None if (found.real < -FEEDING * np.abs(found)).any() else found
 
 
 def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray) -> Figure:
@@ -442,6 +450,26 @@ def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray) -> Figure:
             Panel("frequency in kHz", "phase in °", (phase,), log_x=log),
         ),
     )  # fmt: skip
+
+
+def response_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
+    """Size of voltages and displacements over frequency, where no impedance was measured."""
+    frequency = waves["frequency"].real
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    words = {"displacement in µm": (f"{part.name}.u.", 1e6), "voltage in V": ("voltage", 1.0)}
+    panels = []
+    for label, (word, scale) in words.items():
+        found = {n: v for n, v in waves.data.items() if n.startswith(part.name) and word in n}
+        curves = tuple(
+            Curve(n.removeprefix(f"{part.name}.").removeprefix("u."), frequency, scale * np.abs(v))
+            for n, v in found.items()
+        )
+        if curves:
+            panels.append(Panel("", label, curves, log_x=log, log_y=True))
+    if panels:
+        panels[-1] = replace(panels[-1], x="frequency in Hz")
+        caption = f"What the ports of {part.name} answer with."
+        yield Figure(f"{part.name}_response", f"Response of {part.name}", caption, tuple(panels))
 
 
 def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:

@@ -15,6 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -164,6 +165,16 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
+            gates = build.scene.gates
+            limits = {
+                "ngspice_vs_rom": gates.launch_velocity,
+                "rom_vs_fom": gates.launch_full_model,
+                "ngspice_vs_fom": gates.launch_full_model,
+            }
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene = part.name, build.scene
@@ -512,16 +523,6 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 # --- the subcircuit -------------------------------------------------------------------------------
 
 
-def contact_force(
-    displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
-) -> np.ndarray:
-    """Force [N] of every ring on the sphere, ``eps max(0, u - bottom - gap)``, rings last.
-
-    ``displacement`` (..., rings) and ``bottom`` (...) in m, ``eps`` in N/m of the whole ring.
-    """
-    return eps * np.maximum(0.0, displacement - np.asarray(bottom)[..., None] - gaps)
-
-
 def contact_subcircuit(
     header: Header,
     rings: tuple[str, ...],
@@ -532,7 +533,7 @@ def contact_subcircuit(
     under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
-    """The law of :func:`contact_force` between ring pins and the other side.
+    """``force = eps max(0, u - bottom - gap)`` between ring pins and the other side.
 
     ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
     the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section
@@ -41,13 +43,8 @@ class Matrices(LinearBody):
         return {**super().full_key(part, scene), "files": stamps}
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """All that share the stem of ``file``, whichever of them the reader takes."""
-        file = Path(part.keys.file)
-        folder = (scene.home / file).parent
-        found = folder.glob(f"{file.name.split('.')[0]}*") if folder.is_dir() else ()
-        names = {str(file.with_name(path.name)) for path in found if path.is_file()}
-        sidecar = () if part.keys.sidecar is None else (part.keys.sidecar,)
-        return tuple(sorted({*names, *sidecar}))
+        found = source_files(scene.home / part.keys.file, self._sidecar(part, scene))
+        return tuple(os.path.relpath(path, scene.home) for path in found)
 
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
         if refine != 1:
@@ -58,10 +55,11 @@ class Matrices(LinearBody):
         """The mesh is that of the other tool."""
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
-        keys = part.keys
-        sidecar = None if keys.sidecar is None else scene.home / keys.sidecar
         stamps = str(self.full_key(part, scene)["files"])
-        return _read(scene.home / keys.file, sidecar, stamps)
+        return _read(scene.home / part.keys.file, self._sidecar(part, scene), stamps)
+
+    def _sidecar(self, part: Part, scene: Scene) -> Path | None:
+        return None if part.keys.sidecar is None else scene.home / part.keys.sidecar
 
 
 @lru_cache(maxsize=4)

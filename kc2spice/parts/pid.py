@@ -58,14 +58,6 @@ class Control(Section):
         return tuple(sorted(both))
 
 
-def pid_current(
-    error: np.ndarray, integral: np.ndarray, slope: np.ndarray, control: Control
-) -> np.ndarray:
-    """Coil current [A], ``clamp(KP e + KI int e + KD e', +-limit)`` of error [m] and its kin."""
-    wanted = control.kp * error + control.ki * integral + control.kd * slope
-    return np.clip(wanted, -control.current_limit, control.current_limit)
-
-
 def _gains(control: Control) -> tuple[Param, ...]:
     """The gains that are not zero, and the roll-off where there is a differentiator.
 

@@ -35,6 +35,7 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
+    from kc2spice.scene.gates import FullSolution, Table
 
 SECTORS = 4  # the finite-element model is one symmetry sector of this many
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
@@ -162,6 +163,32 @@ class PiezoStack(LinearBody):
             _assembled(chip)
         with clock.stage("reduce", "elimination of the potentials"):
             return _device(chip)
+
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
+        from kc2spice.parts._chip_full import players
+        from kc2spice.parts._mesh_study import Load, mesh_table
+
+        found = players(part, build.scene)
+        if found is None:
+            return None
+        contact, sphere = found
+        load = Load(sphere.keys.radius, sphere.keys.mass, contact.keys.penalty)
+        with clock.stage("mesh study", "coarser and finer chips"):
+            return mesh_table(
+                chip_of(part.keys), load, whole,
+                lambda label: clock.progress("mesh study", None, label),
+            )  # fmt: skip
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        from kc2spice.parts._chip_full import solve
+
+        def assembled() -> PiezoSystem:
+            with clock.stage("assemble", "piezoelectric matrices"):
+                return _assembled(chip_of(part.keys))
+
+        return solve(part, build, assembled, clock, whole)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))

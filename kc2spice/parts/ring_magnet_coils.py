@@ -518,6 +518,11 @@ class RingMagnetCoils(PartType):
         )
 
 
+def field_keys(part: Part) -> Catch:
+    """What the field depends on, remanence and shift included."""
+    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height for pairs of coil currents: lowest, none, highest."""
     table = build.model(part)

@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -147,6 +148,11 @@ class Sphere(PartType):
         )  # fmt: skip
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not start(part, build.scene):
+            limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
+            yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""

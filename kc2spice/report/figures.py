@@ -60,7 +60,10 @@ def _fill(axes: Any, panel: Panel) -> None:
     for k, curve in enumerate(panel.curves):
         colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
         style: Any = (0, (1, 3)) if curve.style == "reference" else curve.style
-        axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
+        if curve.style == "o":
+            axes.plot(curve.x, curve.y, "o", ms=4, color=colour, label=curve.label or None)
+        else:
+            axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
     if panel.log_x:
         axes.set_xscale("log")
     if panel.log_y:

@@ -79,10 +79,13 @@ class Analysis(Section):
 
 
 class Probe(Section):
-    """A vector of the result and what to take of it; becomes a metric."""
+    """A vector of the result and what to take of it; becomes a metric.
+
+    ``frequency`` is the mean rate of its cycles over the last half of the run.
+    """
 
     of: str = Field(description="a vector of the result, such as disc.i")
-    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing"] = "max"
+    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing", "frequency"] = "max"
     level: Ratio | None = Field(None, description="of a crossing, in the vector's SI unit")
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
-    from kc2spice.scene.gates import FullSolution, Gate
+    from kc2spice.scene.gates import FullSolution, Gate, Table
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
@@ -367,8 +367,8 @@ class PartType:
         """
         return None
 
-    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Any | None:
-        """Figures of this scene over meshes (:class:`kc2spice.scene.gates.Table`), or None."""
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
+        """Figures of this scene over meshes, or None."""
         return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:

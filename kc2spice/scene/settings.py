@@ -93,6 +93,12 @@ class Gates(Section):
     harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
     harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
     harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
+    metrics: Ratio | None = Field(
+        None, gt=0, description="of any metric, ngspice against the laws; 100 solver.reltol"
+    )
+    waves: Ratio | None = Field(
+        None, gt=0, description="rms of any wave, ngspice against the laws; 1000 solver.reltol"
+    )
     superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
     lookup_slope: Ratio = Field(
         0.05, gt=0, description="jump of the EM lookup's slope, of the largest"

@@ -97,7 +97,7 @@ def _kept(out: Path) -> Path:
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
         found = out.with_name(f"{name}{number}")
-        if not os.path.lexists(found) or (found / FAILURE).is_file() and not found.is_symlink():
+        if not os.path.lexists(found) or ((found / FAILURE).is_file() and not found.is_symlink()):
             return found
     return found
 

@@ -12,7 +12,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "spice")]
-import device
+import device  # noqa: E402
 
 
 @pytest.fixture(scope="session")

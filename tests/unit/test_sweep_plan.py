@@ -129,7 +129,7 @@ def test_models_are_prepared_once_each_with_one_group_for_each_chip():
 
 def test_points_that_share_a_chip_run_one_after_the_other():
     found = study("control.kd=10,20,30", "kick.damping.ratio=0.01,0.02")
-    order = found.plan.order([found.plan.block(key) for key in found.stages.slow])
+    order = found.plan.order([found.plan.block(key) for key in found.stages.keys])
     ratios = [found.plan.values(i)[1] for i in order]
     assert ratios == sorted(ratios)
 

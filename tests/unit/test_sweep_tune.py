@@ -1,5 +1,6 @@
 """The tuner against a metric whose best point is known, and what it records."""
 
+import csv
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -117,3 +118,25 @@ def test_a_constraint_keeps_the_search_on_its_side(calls, tmp_path, monkeypatch)
 def test_bad_constraints_are_refused(text):
     with pytest.raises(UsageError, match="--require"):
         tune.limit(text)
+
+
+def test_a_tuning_leaves_its_table_and_figure(calls, tmp_path):
+    sets = ("kick.drive.voltage=90,110",)
+    metrics = ("settling_time_s",)
+    study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=metrics))
+    bounds = [tune.bound(text, study.keys) for text in BOUNDS]
+    found = tune.run_tuning(study, bounds, metrics[0], 2, tmp_path / "o", Threads())
+    rows = list(csv.DictReader((tmp_path / "o" / tune.TABLE).open(encoding="utf-8", newline="")))
+    assert [float(row["kick.drive.voltage"]) for row in rows] == [90.0, 110.0]
+    before = [float(row["settling_time_s"]) for row in rows]
+    assert before == pytest.approx([settling(5e4, 20.0, v) for v in BEST])
+    best = (found["best"]["control.kp"], found["best"]["control.kd"])
+    after = [float(row["settling_time_s tuned"]) for row in rows]
+    assert after == pytest.approx([settling(*best, v) for v in BEST])
+    assert found["worst_ratio"] == pytest.approx(max(np.divide(after, before)))
+    assert (tmp_path / "o" / "tuned.png").stat().st_size > 1000
+    with pytest.raises(UsageError, match="no such metric"):
+        tune.run_tuning(study, bounds, "peak_height_m", 2, tmp_path / "p", Threads())
+    with pytest.raises(UsageError, match="cannot be tuned"):
+        tune.run_tuning(study, [tune.Bound("kick.drive.voltage", 80, 90)], metrics[0], 2,
+                        tmp_path / "p", Threads())  # fmt: skip

@@ -82,7 +82,12 @@ class SceneText:
         """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
         if self.text is None:
             return load_scene(self.name, overrides)
-        return load_scene(Path(_unpacked(self).name) / f"{self.name}.toml", overrides)
+        home = Path(_unpacked(self).name)
+        try:
+            return load_scene(home / f"{self.name}.toml", overrides)
+        except UsageError as error:  # rows say the same wherever they are run
+            error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
+            raise
 
 
 @lru_cache(maxsize=_KEPT)
@@ -422,10 +427,10 @@ def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Bui
         library, _, name = key.partition(".")
         users = {_library(p) for p in deck.parts if library in dict(_cards(p))}
         for owner in (p for p, used in build.libraries.items() if used in users):
-            old = getattr(parts[owner].keys, name, None)
+            keys = parts[owner].keys
+            old = getattr(keys, name) if name in type(keys).model_fields else None
             if isinstance(old, float) and math.isclose(old, known.get(key, math.nan)):
-                keys = parts[owner].keys.model_copy(update={name: value})
-                parts[owner] = replace(parts[owner], keys=keys)
+                parts[owner] = replace(parts[owner], keys=keys.model_copy(update={name: value}))
             elif value != known.get(key):
                 unjudged.add(owner)
     scene = replace(build.scene, parts=parts)

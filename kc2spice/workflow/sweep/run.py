@@ -280,7 +280,7 @@ def _cost(spent: Cost, workers: int, wall: float) -> dict[str, float | None]:
 
 def _share(study: Study, shard: Shard | None) -> Iterator[int]:
     """Points in the order in which they are run."""
-    slow = dict.fromkeys(study.plan.block(key) for key in study.stages.slow)
+    slow = dict.fromkeys(study.plan.block(key) for key in study.stages.keys)
     order = study.plan.order(list(slow))
     if shard is None:
         return order

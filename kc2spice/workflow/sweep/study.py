@@ -8,12 +8,12 @@ import hashlib
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ from kc2spice.workflow.sweep.table import FORMATS
 PLAN = "plan.json"
 SHARDS = "shards"
 MAX_PLAN = 100_000_000  # bytes
+_COUNTED = 400  # combinations of keys whose models are told apart one by one
 _STUDY: dict[str, type | tuple[type, ...]] = {
     "title": str, "scene": str, "set": dict, "zip": bool, "latin": bool, "seed": int,
     "metrics": list,
@@ -269,58 +270,76 @@ def _definition(name: str) -> Mapping[str, Any] | None:
 
 @dataclass(frozen=True)
 class Stages:
-    """Swept keys that reach the ``full`` (finite elements) and the final ``model`` of each part.
+    """Swept ``keys`` that cost models, those of the finite elements first, and what there is to do.
 
-    Parts that share a model stand there once. ``runs`` counts ``fe`` and ``rom`` by part,
-    ``netlists`` and ``ngspice``.
+    ``builds`` has a part and points for each model: the points of one entry differ in the reduction
+    alone. ``runs`` counts ``fe`` and ``rom`` by part, ``netlists`` and ``ngspice``; a model that
+    several parts share counts for the first of them.
     """
 
-    full: dict[str, tuple[str, ...]]
-    model: dict[str, tuple[str, ...]]
+    keys: tuple[str, ...]
+    builds: tuple[tuple[str, tuple[int, ...]], ...]
     runs: dict[str, Any]
-
-    @property
-    def slow(self) -> tuple[str, ...]:
-        """The keys that cost models, those of the finite elements first."""
-        keys = (*self.full.values(), *self.model.values())
-        return tuple(dict.fromkeys(key for each in keys for key in each))
 
 
 def stages(plan: Plan, job: Job) -> Stages:
     """Try every key at its extremes and see which models then differ.
+
+    Where that leaves few combinations, their models are counted exactly.
 
     Raises
     ------
     UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
     """
     first = list(plan.values(0))
-    tried: list[tuple[str, Scene]] = [("", job.load(overrides(plan.keys, first)))]
+    tried = [("", job.load(overrides(plan.keys, first)))]
     for key in deck_keys(plan.keys):
         for other in _extremes(plan, key):
             values = list(first)
             values[plan.keys.index(key)] = other
             tried.append((key, job.load(overrides(plan.keys, values))))
-    full, model, seen = {}, {}, set()
+    reached: list[dict[str, None]] = [{}, {}]  # by the full models, by the final ones
+    groups: dict[str, tuple[str, dict[str, int]]] = {}
+    runs: dict[str, Any] = {"fe": {}, "rom": {}}
     for name, part in tried[0][1].parts.items():
-        found = [(key, _texts(name, scene)) for key, scene in tried]
-        (_, base), *others = found
-        signature = tuple(text for _, text in found)
-        if base is None or signature in seen:
+        (_, base), *others = ((key, _texts(name, scene)) for key, scene in tried)
+        if base is None:
             continue
-        seen.add(signature)
-        for stage, reached in enumerate((full, model)):
-            keys = [key for key, text in others if text is None or text[stage] != base[stage]]
-            reached[name] = tuple(dict.fromkeys(keys))
-        if not part.type.reduced:
-            full[name] = model[name]
-    types = {name: part.type for name, part in tried[0][1].parts.items()}
-    runs = {
-        "fe": {name: plan.distinct(keys) for name, keys in full.items()},
-        "rom": {n: plan.distinct(keys) for n, keys in model.items() if types[n].reduced},
-        "netlists": plan.distinct(deck_keys(plan.keys)),
-        "ngspice": plan.size,
-    }
-    return Stages(full, model, runs)
+        differ = [
+            tuple(dict.fromkeys(k for k, text in others if text is None or text[i] != base[i]))
+            for i in (0, 1)
+        ]
+        for keys, known in zip(differ, reached, strict=True):
+            known.update(dict.fromkeys(keys))
+        new = _found(plan, job, name, differ, groups)
+        runs["fe"][name], models = new
+        if part.type.reduced:
+            runs["rom"][name] = models
+    runs |= {"netlists": plan.distinct(deck_keys(plan.keys)), "ngspice": plan.size}
+    for kind in ("fe", "rom"):
+        runs[kind] = {name: count for name, count in runs[kind].items() if count}
+    builds = tuple((part, tuple(models.values())) for part, models in groups.values())
+    return Stages(tuple(reached[0] | reached[1]), builds, runs)
+
+
+def _found(
+    plan: Plan, job: Job, name: str, keys: Sequence[tuple[str, ...]],
+    groups: dict[str, tuple[str, dict[str, int]]],
+) -> tuple[int, int]:  # fmt: skip
+    """Put the models of a part into ``groups``, by full and final model; how many are new."""
+    every = tuple(dict.fromkeys((*keys[0], *keys[1])))
+    if plan.distinct(every) > _COUNTED:
+        return plan.distinct(keys[0]), plan.distinct(every)
+    full = models = 0
+    for index in plan.representatives(every):
+        with contextlib.suppress(UsageError):  # its row will say what is wrong
+            texts = _texts(name, job.load(task(plan, index).overrides))
+            if texts is not None:
+                full += texts[0] not in groups
+                _, known = groups.setdefault(texts[0], (name, {}))
+                models += texts[1] not in known
+                known.setdefault(texts[1], index)
+    return full, models
 
 
 def _texts(name: str, scene: Scene) -> tuple[str, str] | None:
@@ -329,8 +348,8 @@ def _texts(name: str, scene: Scene) -> tuple[str, str] | None:
     key = None if part is None else part.type.model_key(part, scene)
     if part is None or key is None:
         return None
-    first, last = (json.dumps(k, sort_keys=True, default=str)
-                   for k in (part.type.full_key(part, scene), key))  # fmt: skip
+    keys = (part.type.full_key(part, scene), key)
+    first, last = (json.dumps(k, sort_keys=True, default=str) for k in keys)
     return f"{part.type.name} {first}", f"{part.type.name} {last}"
 
 
@@ -343,14 +362,10 @@ def _extremes(plan: Plan, key: str) -> Sequence[Any]:
 
 def shared_models(plan: Plan, found: Stages) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
     """Part and points for :func:`prepare`: each model that several points share, once."""
-    for part, keys in found.model.items():
-        count = plan.distinct(keys)
-        if count < plan.size or count == 1:
-            full = found.full[part]
-            points = plan.representatives(tuple(dict.fromkeys((*full, *keys))))
-            columns = [plan.keys.index(key) for key in full]
-            for _, group in groupby(points, key=lambda i: [plan.values(i)[c] for c in columns]):
-                yield part, [task(plan, index).overrides for index in group]
+    counts = Counter(part for part, points in found.builds for _ in points)
+    for part, points in found.builds:
+        if counts[part] < plan.size or counts[part] == 1:
+            yield part, [task(plan, index).overrides for index in points]
 
 
 # --- on disk ------------------------------------------------------------------------------------

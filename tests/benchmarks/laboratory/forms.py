@@ -113,14 +113,15 @@ def with_form(
     deck: Deck, model: Resonators, form: str, *, behavioural: bool = False, name: str = "kick"
 ) -> Deck:
     """``deck`` with its part ``name`` written in another form."""
-    part = next(part for part in deck.parts if part.name == name)
+    part = next(part for part in deck.parts if part.filename == f"{name}.lib")
     other = written(model, part, form, behavioural=behavioural)
     return with_text(deck, name, other.text)
 
 
 def with_text(deck: Deck, name: str, text: str) -> Deck:
-    """``deck`` with another text of its part ``name``."""
-    parts = tuple(replace(p, text=text) if p.name == name else p for p in deck.parts)
+    """``deck`` with another text in the library of its part ``name``."""
+    file = f"{name}.lib"
+    parts = tuple(replace(p, text=text) if p.filename == file else p for p in deck.parts)
     return replace(deck, parts=parts)
 
 

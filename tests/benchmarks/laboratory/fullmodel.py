@@ -1,4 +1,4 @@
-"""The full model of a scene's chip: contact transients, what the usual code costs, and a stand-in."""
+"""The full model of a scene's chip: contact transients, what usual code costs, a stand-in."""
 
 from __future__ import annotations
 

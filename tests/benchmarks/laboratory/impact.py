@@ -48,13 +48,16 @@ def impact(setup: Setup) -> Outcome:
         Ratio(
             f"impact_{name}", None if own is None else time.median / own.time.median,
             errors.get("launch"), target,
-            f"full model, {what}, over ngspice, both without the making of their matrices, at {'none' if own is None else own.label}, the "
+            f"full model, {what}, over ngspice, both without the making of "
+            f"their matrices, at {'none' if own is None else own.label}, the "
             f"fastest within {LIMIT:g} of the exact reduced model; errors against the full model "
             "at converged time step", errors=errors,
         )
         for name, time, target, what in (
-            ("refactor", full.refactorising, REFACTOR, "the usual code, factorised in every iteration"),
-            ("low_rank", full.low_rank, LOW_RANK, "with the same trick: one factorisation, contact as low-rank update"),
+            ("low_rank", full.low_rank, LOW_RANK,
+             "with the same trick: one factorisation, contact as low-rank update"),
+            ("refactor", full.refactorising, REFACTOR,
+             "the usual code, factorised in every iteration"),
         )
     )  # fmt: skip
     points = (*plane.points, *full.points())

@@ -48,10 +48,11 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         for chgtol in setup.some(CHGTOL, 1):
             deck = _option(_deck(build, {"solver.reltol": reltol}), "chgtol", chgtol)
             yield Variant("ngspice, chgtol", f"reltol {reltol:g}, chgtol {chgtol:g}", deck)
-    for ceiling in setup.some(CEILINGS, 0):
+    for ceiling in (c for c in setup.some(CEILINGS, 0) if c <= scene.stop):
         deck = _deck(build, {"solver.max_step": ceiling})
         yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
     for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
+        ceiling = min(ceiling, scene.stop)
         keys = {"solver.reltol": reltol, "solver.max_step": ceiling}
         if catch is not None:
             keys[f"{catch.name}.points"] = points

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -20,12 +20,13 @@ from scipy import sparse
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import Ball, transient
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from kc2spice.scene.schema import Contact, Impact, Kick, Sphere
+from kc2spice.scene.gates import Table
 
 BLOCKS = 6
 STOP = 15e-6  # of the impact, paper Fig. 9
@@ -62,18 +63,57 @@ class MeshPoint:
     wall_s: float
 
 
+# Free potentials make the factors of these two some twenty times more expensive.
+COSTLY = ("cells halved under 50 um rings", "quadratic under 50 um rings")
+
+
+@dataclass(frozen=True)
+class Load:
+    """What presses on the chip: a sphere of ``radius`` [m] and ``mass`` [kg], pushed ``depth`` [m]
+    deep, or flying at ``velocity`` [m/s] from ``gap`` [m]; ``stiffness`` [N/m] of a sector's ring.
+    """
+
+    radius: float
+    mass: float
+    stiffness: float = 1e8
+    depth: float = 20e-6  # three rings carry
+    velocity: float = -1.0
+    gap: float = 1e-6
+
+
+def mesh_table(chip: Chip, load: Load, whole: bool, progress: Callable[[str], None]) -> Table:
+    """The study as a table; meshes that take minutes only if ``whole``."""
+    variants = {k: v for k, v in VARIANTS.items() if whole or k not in COSTLY}
+    points = mesh_study(chip, load, variants=variants, progress=progress)
+    rows = tuple(
+        (
+            point.label, f"{point.unknowns}", f"{point.imprint_force_n:.5g} N",
+            f"{point.resonance_short_hz / 1e3:.5g} kHz", f"{point.resonance_open_hz / 1e3:.5g} kHz",
+            f"{point.min_position_m * 1e6:.5g} µm", f"{point.rebound_velocity_m_s:.5g} m/s",
+            f"{point.wall_s:.3g} s",
+        )
+        for point in points
+    )  # fmt: skip
+    head = (
+        "mesh", "unknowns", f"force at {1e6 * load.depth:g} µm, quarter", "resonance, short",
+        "resonance, open", "lowest point of the impact", "rebound", "wall time",
+    )  # fmt: skip
+    note = (
+        "Only rings that shrink with the cells converge: a force on a circle of fixed radius is a "
+        "line load, under which finer cells or elements yield without bound."
+    )
+    return Table("Meshes", head, rows, note, tuple(asdict(point) for point in points))
+
+
 def mesh_study(
-    kick: Kick,
-    contact: Contact,
-    sphere: Sphere,
-    impact: Impact,
-    depth: float,
+    chip: Chip,
+    load: Load,
     *,
     step: float = 50e-9,
     variants: dict[str, dict[str, float | int]] = VARIANTS,
     progress: Callable[[str], None] | None = None,
 ) -> list[MeshPoint]:
-    """One :class:`MeshPoint` per variant of ``kick.mesh``; ``depth`` [m] is that of the imprint.
+    """One :class:`MeshPoint` per variant of ``chip.mesh``.
 
     ``step`` [s] of the impact is the paper's by default, worth 4e-5 of the travel.
     """
@@ -81,29 +121,21 @@ def mesh_study(
     for label, change in variants.items():
         if progress:
             progress(label)
-        mesh = kick.mesh.model_copy(update=change)
-        changed = kick.model_copy(update={"mesh": mesh})
-        points.append(_mesh_point(label, changed, contact, sphere, impact, depth, step))
+        mesh = chip.mesh.model_copy(update=change)
+        changed = chip.model_copy(update={"mesh": mesh})
+        points.append(_mesh_point(label, changed, load, step))
     return points
 
 
-def _mesh_point(
-    label: str,
-    kick: Kick,
-    contact: Contact,
-    sphere: Sphere,
-    impact: Impact,
-    depth: float,
-    step: float,
-) -> MeshPoint:
+def _mesh_point(label: str, chip: Chip, load: Load, step: float) -> MeshPoint:
     start = time.perf_counter()
-    sector = assemble_kick(kick)
+    sector = assemble_kick(chip)
     model = from_sector(sector)
     rom = reduce(model, order=BLOCKS * len(model.inputs), band=BAND)
     system = as_system(rom, sector)
-    surface = on_reduced(contact_surface(kick, contact, sphere), rom)
-    pushed = imprint(system, surface, np.array([depth]))
-    ball = Ball(sphere.mass / sector.sectors, impact.gap, impact.velocity)
+    surface = on_reduced(contact_surface(chip, load.stiffness, load.radius), rom)
+    pushed = imprint(system, surface, np.array([load.depth]))
+    ball = Ball(load.mass / sector.sectors, load.gap, load.velocity)
     bounced = transient(system, surface, ball, step=step, stop=STOP, voltage=None)
     facts = model.facts
     return MeshPoint(
