@@ -127,7 +127,7 @@ def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str]
         table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    width = None if sys.stdout.isatty() else 120
+    width = None if sys.stdout.isatty() else 80
     Console(width=width).print(table)
 
 

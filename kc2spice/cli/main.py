@@ -8,6 +8,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -78,7 +79,22 @@ def main() -> None:
         os.environ.setdefault(variable, "1")
     # Imports make objects that stay; to look through them again and again is a tenth of a start.
     gc.set_threshold(50_000)
+    os.environ["MPLBACKEND"] = "agg"  # ours; one inherited from a notebook may not be installed
+    _leave_on_signals()
     app()
+
+
+def _leave_on_signals() -> None:
+    """SIGTERM and SIGHUP end as Ctrl-C does: simulators are stopped, unfinished files removed."""
+
+    def leave(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # once is enough
+        raise SystemExit(128 + number)
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, leave)
 
 
 def _version(wanted: bool) -> None:

@@ -118,7 +118,7 @@ def show_plan(plan: Plan) -> None:
     if plan.error_budget is not None:
         title += f"; error_budget {plan.error_budget:g} divided"
     errors = [
-        (each.stage, _ratio(each.share), _ratio(each.expected), each.settings, each.why)
+        (each.stage, _ratio(each.share), _ratio(each.expected, "not estimated"), each.settings, each.why)
         for each in plan.errors
     ]
     print_table(title, errors, header=("stage", "share", "expected", "settings", ""))
@@ -126,8 +126,8 @@ def show_plan(plan: Plan) -> None:
     print_table("left out", left, header=("effect", "why", "size"))
 
 
-def _ratio(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}"
+def _ratio(value: float | None, unknown: str = "-") -> str:
+    return unknown if value is None else f"{value:.2g}"
 
 
 def show_keys(keys: Iterable[Key]) -> None:

@@ -7,6 +7,7 @@ readers see whole entries only; a damaged one is noticed by its checksum and bui
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import importlib.metadata
@@ -14,12 +15,14 @@ import importlib.util
 import io
 import json
 import os
+import shutil
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -39,12 +42,25 @@ def cache_dir() -> Path:
     if chosen:
         return Path(chosen)
     if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        base = Path(os.environ.get("LOCALAPPDATA") or _home() / "AppData" / "Local")
     elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
+        base = _home() / "Library" / "Caches"
     else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        base = Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache")
     return base / "kc2spice"
+
+
+@lru_cache(maxsize=1)
+def _home() -> Path:
+    """The user's home; a directory for this process alone where the user has none, as an unknown
+    uid in a container: a name in the common temporary directory could be somebody else's.
+    """
+    try:
+        return Path.home()
+    except RuntimeError:
+        made = tempfile.mkdtemp(prefix="kc2spice-")
+        atexit.register(shutil.rmtree, made, ignore_errors=True)
+        return Path(made)
 
 
 def cached(

@@ -7,13 +7,15 @@ nothing but the waveforms, so they have a process of their own, started before a
 from __future__ import annotations
 
 import multiprocessing as mp
+import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import Any
 
-from kc2spice.core.errors import SimulationError
+from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.report.plots import load
 
 # A fork has all modules already and does not run the script again that uses this package.
@@ -24,6 +26,7 @@ class PlotWorker:
     """Draws in a process of its own, one thing after the other; leave it as a context."""
 
     def __enter__(self) -> PlotWorker:
+        require_matplotlib()
         context: Any = mp.get_context(_START)  # which has no type for its processes
         self._ours, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(self._ours, theirs), daemon=True)
@@ -56,18 +59,36 @@ class PlotWorker:
         self._ours.close()
 
 
+def require_matplotlib() -> None:
+    """Before anything is computed.
+
+    Raises
+    ------
+    MissingToolError : matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise MissingToolError(
+            "matplotlib is not installed", where="Python", expected="matplotlib, for the plots",
+            hint="pip install matplotlib; kc2spice doctor lists what is missing",
+        )  # fmt: skip
+
+
 def _serve(parents: Connection, own: Connection) -> None:
     """Draw what is asked for until the other end is closed, be it by a kill."""
     parents.close()  # only the parent holds its end now
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asked decides when to stop
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's, inherited, may not be here at all
     load()  # while there is nothing to draw
     while True:
         try:
             function, arguments = own.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         try:
             answer = (True, function(*arguments))
         except Exception as error:
             answer = (False, error)
-        own.send(answer)
+        try:
+            own.send(answer)
+        except OSError:  # killed meanwhile: nobody is left to tell
+            return

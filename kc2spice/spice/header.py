@@ -36,7 +36,7 @@ class Header:
 def plan_lines(found: Plan) -> str:
     """What a deck models, what it leaves out and at what errors, as comment lines; no details."""
     errors = [
-        f"{each.stage} {'unknown' if each.expected is None else f'{each.expected:.2g}'}"
+        f"{each.stage} {'not estimated' if each.expected is None else f'{each.expected:.2g}'}"
         + ("" if each.share is None else f" of {each.share:.2g}")
         for each in found.errors
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -127,7 +128,7 @@ def write_run_files(
         record = run_record(done)
         files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
-        pictures = drawn()
+        pictures = _pictures(drawn)
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
     record["files"] = [*files, "report.html", "result.json"]
@@ -142,6 +143,16 @@ def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
     """What the parts of a scene show of a run."""
     parts = build.scene.parts.values()
     return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
+
+
+def _pictures(drawn: Callable[[], list[Picture]]) -> list[Picture]:
+    """The pictures, or none and a warning: what was computed is worth more than its plots."""
+    try:
+        return drawn()
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        warnings.warn(f"no plots: {reason}", stacklevel=2)
+        return []
 
 
 def _arrays(build: Build, directory: Path) -> list[str]:

@@ -3,6 +3,8 @@
 import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 import warnings
 from dataclasses import dataclass
@@ -202,3 +204,17 @@ def test_a_full_disk_costs_time_only(folder):
         os._exit(7 if found.size == 10_000 and not hit else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
     assert not [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_a_user_without_home_gets_a_cache_of_its_own():
+    """An unknown uid in a container; another user's directory in /tmp is never taken."""
+    code = "from kc2spice.core.cache import cache_dir; p = cache_dir(); print(p, p.parent.parent.is_dir())"
+    keep = {
+        k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", "KC2SPICE_CACHE")
+    }
+    nobody = f"import os; os.getuid = lambda: 4_000_000\n{code}"
+    done = subprocess.run([sys.executable, "-c", nobody], env=keep, capture_output=True, text=True)
+    path, made = done.stdout.split()
+    assert made == "True"
+    assert "kc2spice-" in path
+    assert not os.path.exists(os.path.dirname(os.path.dirname(path)))

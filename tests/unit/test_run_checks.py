@@ -11,12 +11,11 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.read import subcircuits
 from kc2spice.workflow import richer
-from kc2spice.workflow.sweep.parameters import with_parameters
+from kc2spice.workflow.sweep.point import with_parameters
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 
@@ -55,20 +54,15 @@ def test_a_thrown_sphere_need_not_rest():
     assert found(scene, run, "sphere starts at rest on kick") is None
 
 
-def deck_with(text):
-    return Deck(name="d", title="", parts=(Subcircuit("sphere", (), (), text),))
-
-
 def test_parameters_outside_their_range_are_refused():
     """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
     part = sphere_subcircuit(Header("test", "0"), 3e-5, 1e-3, 9.81)
-    deck = deck_with(part.text)
+    deck = Deck(name="d", parts=(part,))
     assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):
         for value in (0.0, -1.0):
-            with pytest.raises(UsageError, match="outside the range") as refused:
+            with pytest.raises(UsageError, match="out of range"):
                 with_parameters(deck, [(f"sphere.{name}", value)])
-            assert refused.value.expected == "above zero"
     assert with_parameters(deck, [("sphere.gravity", -9.81)]) != deck  # any sign
 
 
