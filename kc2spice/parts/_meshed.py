@@ -47,7 +47,7 @@ class Recovered:
 
     @property
     def worst(self) -> Extreme:
-        """The stress nearest to (or farthest beyond) its limit; the largest if no limit is known."""
+        """The stress nearest to or farthest beyond its limit; the largest without any limit."""
         stresses = [each for each in self.extremes if each.quantity == "principal_stress"]
         limited = [each for each in stresses if each.limit]
         if not limited:
