@@ -12,7 +12,7 @@ from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts._opamp import Level, opamp_subcircuit
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
@@ -65,7 +65,9 @@ def driver_part(
     terminals: tuple[str, ...] = ("out",),
 ) -> Subcircuit:
     """A driver whose parameters are the keys of its scene section."""
-    params = tuple(Param(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items())
+    params = tuple(
+        positive(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items()
+    )
     return rendered_driver(header, template, name, title, params, terminals)
 
 

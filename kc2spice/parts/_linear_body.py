@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,6 +71,10 @@ class LinearBody(PartType):
         plain = type(part.keys).__mro__[1]
         return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
 
+    def headline(self, part: Part) -> str:
+        """First line of its library: what it is and what it assumes."""
+        return self.title
+
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
         return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
@@ -100,6 +107,9 @@ class LinearBody(PartType):
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return tuple(_terminals(part, self.kept(part, scene), scene))
+
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return tuple(_terminals(part, self.ports(part, scene), scene))
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
@@ -170,7 +180,7 @@ class LinearBody(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        return (subcircuit(build.model(part), name, header, title=self.title),)
+        return (subcircuit(build.model(part), name, header, title=self.headline(part)),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}
@@ -387,13 +397,19 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
-def file_stamp(path: Any) -> str:
-    """What tells one state of a file from another: its size and time of change."""
+def file_stamp(path: Path) -> str:
+    """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
         found = path.stat()
+        return _content(path, found.st_size, found.st_mtime_ns)
     except OSError:
         return "absent"
-    return f"{found.st_size} {found.st_mtime_ns}"
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def modal_form(model: LinearModel) -> Resonators | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -42,16 +42,16 @@ def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
 
 
 def _params(level: Level) -> tuple[Param, ...]:
-    gain = Param("a0", GAIN, "-", "gain at rest")
-    output = Param("rout", 0.1, "Ohm", "output resistance")
+    gain = positive("a0", GAIN, "-", "gain at rest")
+    output = positive("rout", 0.1, "Ohm", "output resistance")
     if level == "ideal":
         return (gain, output)
-    pole = Param("gbw", BANDWIDTH, "Hz", "gain-bandwidth product")
+    pole = positive("gbw", BANDWIDTH, "Hz", "gain-bandwidth product")
     offset = Param("offset", 0.0, "V", "input offset")
     if level == "pole":
-        return (gain, pole, output, offset, Param("clip", 1e3, "S", "stiffness of the rails"))
+        return (gain, pole, output, offset, positive("clip", 1e3, "S", "stiffness of the rails"))
     return (
         gain, pole, output, offset,
-        Param("slew", 1e9, "V/s", "fastest change of the output"),
-        Param("current_limit", 1.0, "A", "largest output current"),
+        positive("slew", 1e9, "V/s", "fastest change of the output"),
+        positive("current_limit", 1.0, "A", "largest output current"),
     )  # fmt: skip

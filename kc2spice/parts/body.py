@@ -34,6 +34,9 @@ class Body(MeshedBody):
         keys = self.body_keys(part)
         return body.ports(keys)
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (part.keys.mesh,)
+
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(scene.home / part.keys.mesh)}
 

@@ -20,6 +20,16 @@ class CapacitorKeys(Section):
 
 class Capacitor(TwoTerminal):
     name, title, schema = "capacitor", "ideal capacitor", CapacitorKeys
+    example = """
+[capacitor]
+part = "capacitor"
+capacitance = "100 nF"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+dc = "1 V"
+"""
     letter, key, unit = "C", "capacitance", "F"
     two_pole = laws.Capacitor
 

@@ -21,6 +21,17 @@ class DamperKeys(Section):
 
 class Damper(Link):
     name, title, schema = "damper", "viscous damper between two displacement pins", DamperKeys
+    example = """
+[damper]
+part = "damper"
+damping = "0.02 N s/m"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")

@@ -19,6 +19,17 @@ class InductorKeys(Section):
 
 class Inductor(TwoTerminal):
     name, title, schema = "inductor", "ideal inductor", InductorKeys
+    example = """
+[inductor]
+part = "inductor"
+inductance = "10 uH"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+kind = "current"
+dc = "1 A"
+"""
     letter, key, unit = "L", "inductance", "H"
     two_pole = laws.Inductor
 

@@ -22,7 +22,7 @@ from kc2spice.parts._drivers import (
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.circuit import Param, Subcircuit
+from kc2spice.spice.circuit import Subcircuit, positive
 from kc2spice.spice.header import Header
 
 
@@ -56,9 +56,9 @@ def linear_subcircuit(
     resistance = load.resistance + SENSE
     ratio = 2 * math.pi * drive.bandwidth * load.inductance / SENSE
     params = (
-        Param("rail", drive.rail, "V", "supplies of plus and minus this voltage"),
-        Param("slew", drive.slew, "V/s", "fastest change of the output"),
-        Param("current_limit", 2 * current, "A", "largest output current"),
+        positive("rail", drive.rail, "V", "supplies of plus and minus this voltage"),
+        positive("slew", drive.slew, "V/s", "fastest change of the output"),
+        positive("current_limit", 2 * current, "A", "largest output current"),
     )
     r2 = 1e3 * ratio
     return rendered_driver(

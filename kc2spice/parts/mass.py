@@ -14,7 +14,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._mechanical import Mechanical
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Surface, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -31,6 +31,17 @@ class MassKeys(Section):
 
 class PointMass(Mechanical):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    example = """
+[mass]
+part = "mass"
+mass = "1 mg"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
@@ -42,7 +53,7 @@ class PointMass(Mechanical):
         name = build.libraries[part.name]
         gravity = build.scene.gravity if part.keys.weight else 0.0
         params = (
-            Param("mass", part.keys.mass, "kg", "mass"),
+            positive("mass", part.keys.mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
         )
         text = render(

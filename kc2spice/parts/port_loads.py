@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -114,6 +115,15 @@ class PortLoads(PartType):
         caption = "Response of every port to a unit load on itself."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
 
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        """What was asked of the reduction bounds what it may cost."""
+        gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
+        limits = {
+            "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
+        }  # fmt: skip
+        yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
         small that nothing but its charge matters."""
@@ -152,6 +162,22 @@ class PortLoads(PartType):
         keys = part.keys
         detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
         return Modelled(part.name, "unit loads", detail)
+
+
+def charged(response: np.ndarray, anode: int) -> np.ndarray:
+    """The response driven by the anode's charge instead of its voltage (paper eq. 8, 9).
+
+    ``[u; Q] = H [f; V]``, so ``[I -H_uV; 0 H_QV] [u; V] = [H_uf 0; -H_Qf 1] [f; Q]``.
+    """
+    result = np.empty_like(response)
+    others = [k for k in range(response.shape[1]) if k != anode]
+    for k, H in enumerate(response):
+        left, right = np.eye(len(H), dtype=complex), np.zeros_like(H)
+        left[others, anode], left[anode, anode] = -H[others, anode], H[anode, anode]
+        right[np.ix_(others, others)] = H[np.ix_(others, others)]
+        right[anode, others], right[anode, anode] = -H[anode, others], 1.0
+        result[k] = np.linalg.solve(left, right)
+    return result
 
 
 def body_of(part: Part, scene: Scene) -> Part:

@@ -23,7 +23,7 @@ from kc2spice.parts._drivers import (
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.circuit import Param, Subcircuit
+from kc2spice.spice.circuit import Subcircuit, positive
 from kc2spice.spice.header import Header
 
 
@@ -54,10 +54,10 @@ def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm"
     resistance = load.resistance + 2 * drive.resistance + 1.0
     r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
     params = (
-        Param("rail", drive.rail, "V", "supply of the bridge"),
-        Param("frequency", drive.frequency, "Hz", "of the carrier"),
-        Param("resistance", drive.resistance, "Ohm", "of each switch when on"),
-        Param("edge", drive.edge, "s", "of the switched voltage"),
+        positive("rail", drive.rail, "V", "supply of the bridge"),
+        positive("frequency", drive.frequency, "Hz", "of the carrier"),
+        positive("resistance", drive.resistance, "Ohm", "of each switch when on"),
+        positive("edge", drive.edge, "s", "of the switched voltage"),
     )
     return rendered_driver(
         header, "pwm", name, "H-bridge for the coils", params, ("drive", "ret"),

@@ -19,6 +19,16 @@ class ResistorKeys(Section):
 
 class Resistor(TwoTerminal):
     name, title, schema = "resistor", "ideal resistor", ResistorKeys
+    example = """
+[resistor]
+part = "resistor"
+resistance = "50 Ohm"
+pins = { a = "drive.out", b = "gnd" }
+
+[drive]
+part = "source"
+dc = "1 V"
+"""
     letter, key, unit = "R", "resistance", "Ohm"
     two_pole = laws.Resistor
 

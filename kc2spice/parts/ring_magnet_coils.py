@@ -43,8 +43,9 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
+from kc2spice.scene.plausible import within
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -174,8 +175,8 @@ def catch_subcircuit(
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:
     """The resistances of both coils, which a deck may change."""
     return (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
     )
 
 
@@ -315,6 +316,21 @@ class RingMagnetCoils(PartType):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from _problems(part, scene)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
+        for coil in ("lower", "upper"):
+            body = getattr(keys, coil)
+            fill = float(copper / (body.height * (body.outer - body.inner)))
+            why = (
+                f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into {name}.{coil}"
+            )
+            yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
+        magnet = "no permanent magnet has more"
+        yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
+        long = "field and force fall off with the fourth power of the distance"
+        yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
         sphere = sphere_of(part, scene)
@@ -495,6 +511,11 @@ class RingMagnetCoils(PartType):
         )
 
 
+def field_keys(part: Part) -> Catch:
+    """What the field depends on, remanence and shift included."""
+    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height for pairs of coil currents: lowest, none, highest."""
     table = build.model(part)
@@ -620,6 +641,11 @@ def _body(key: str, body: Ring, catch: Catch, radius: float, sphere: str) -> Ite
         yield UsageError(
             "the sphere does not fit through", where=f"{key}.inner", got=f"{body.inner:g} m",
             expected=f"more than {sphere}.radius, {radius:g} m",
+        )  # fmt: skip
+    if body.height >= catch.air_height:
+        yield UsageError(
+            "reaches beyond the modelled air", where=f"{key}.height", got=f"{body.height:g} m",
+            expected=f"less than {key.partition('.')[0]}.air_height, {catch.air_height:g} m",
         )  # fmt: skip
     if body.outer >= catch.air_radius:
         yield UsageError(

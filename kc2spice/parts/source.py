@@ -103,6 +103,9 @@ class Source(PartType):
         _, unit, flow, _, _ = KINDS[part.keys.kind]
         return (Terminal("out", unit, flow, required=True), Terminal("ret", unit, flow, "gnd"))
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return () if part.keys.file is None else (part.keys.file,)
+
     def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
         return (("out", "ret"),) if KINDS[part.keys.kind][4] == "V" else ()
 

@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -25,7 +26,8 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.scene.plausible import within
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -72,6 +74,13 @@ class Sphere(PartType):
                 expected=f"one between {part.name} and {', '.join(bodies)}",
                 hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
             )  # fmt: skip
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        small = "grains below stick by adhesion, balls above are no part of a MEMS device"
+        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 50e-3, small)
+        solid = "no solid is lighter than an aerogel or heavier than osmium"
+        yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
@@ -139,6 +148,11 @@ class Sphere(PartType):
         )  # fmt: skip
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not start(part, build.scene):
+            limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
+            yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
@@ -254,8 +268,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

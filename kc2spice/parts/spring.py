@@ -21,6 +21,17 @@ class SpringKeys(Section):
 
 class Spring(Link):
     name, title, schema = "spring", "linear spring between two displacement pins", SpringKeys
+    example = """
+[spring]
+part = "spring"
+stiffness = "100 N/m"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+"""
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")

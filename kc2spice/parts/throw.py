@@ -14,6 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import fall, landing, separation
+from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
 
@@ -73,6 +74,18 @@ class Throw(PartType):
             "rebound_velocity_m_s": leave[1] if leave else None,
             "max_force_n": float(force.max() / sectors(build.scene)),
         }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        gates, ball = build.scene.gates, sphere(part, build.scene).name
+
+        def every(limit: float) -> dict[str, float]:
+            return dict.fromkeys(PAIRS, limit)
+
+        yield Gate("position over travel", f"{ball}.y", every(gates.position), "travel",
+                   leads=True)  # fmt: skip
+        yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
+        yield Gate("separation time", "separation_time_s", every(gates.separation_time),
+                   "absolute", "s")  # fmt: skip
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """None of its own: the sphere starts as it says."""

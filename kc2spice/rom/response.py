@@ -24,7 +24,7 @@ FLANK = 1e-4
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 4
-PEAKS, PEAK_ROUNDS = 12, 3
+PEAKS, PEAK_ROUNDS = 40, 3
 
 
 FEW, MANY = 12, 450  # unknowns between which eigenvectors pay

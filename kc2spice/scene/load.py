@@ -59,6 +59,8 @@ def load_scene(
         each other, pins that do not fit.
     """
     if isinstance(name_or_path, Scene):
+        if not overrides:
+            return name_or_path
         source = _Source("scene", name_or_path.name, "", name_or_path.home)
         data = _copied(name_or_path.tables)
     elif isinstance(name_or_path, Mapping):
@@ -83,13 +85,13 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
-    tables = _copied(data)
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
     for name, kind in types.items():
         if "part" not in data[name]:
             data[name] = {**kind.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
         _drop_budgeted(data, source)
+    tables = _copied(data)  # what the budget sets is left open in them
     data, budgeted = fill(data, types)
     frame = {key: data[key] for key in data if key not in types}
     try:
@@ -191,11 +193,26 @@ def _part(
             expected='pins = { PIN = "part.pin" } or "gnd"',
         )  # fmt: skip
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
+    keys = _completed(keys, kind.schema)
     try:
         checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), kind.schema, source) from None
-    return Part(name, kind, checked, dict(pins))
+    return Part(name, kind, checked, dict(pins), at)
+
+
+def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
+    """``table`` whose tables have what the schema's default for them says and they do not.
+
+    ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
+    """
+    found = dict(table)
+    for name, field_ in schema.model_fields.items():
+        usual = field_.default
+        if isinstance(usual, BaseModel) and isinstance(found.get(name), Mapping):
+            said = {key: getattr(usual, key) for key in usual.model_fields_set}
+            found[name] = said | _completed(found[name], type(usual))
+    return found
 
 
 @dataclass(frozen=True)

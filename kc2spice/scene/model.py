@@ -48,12 +48,17 @@ class Terminal:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a scene: its checked keys and the pins that the scene joins by name."""
+    """One part of a scene: its checked keys and the pins that the scene joins by name.
+
+    ``at`` is where the file has the keys of a part that another one brings along, which is under
+    that part's keys; empty for a part with a table of its own.
+    """
 
     name: str
     type: PartType
     keys: Any
     pins: Mapping[str, str] = field(default_factory=dict)
+    at: tuple[str | int, ...] = ()
 
     def __repr__(self) -> str:
         joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())

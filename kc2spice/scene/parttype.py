@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
-    from kc2spice.scene.gates import FullSolution, Gate
+    from kc2spice.scene.gates import FullSolution, Gate, Table
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
@@ -123,13 +123,15 @@ class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
-    of its subcircuit.
+    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
+    somebody changed parameters there: they are asked for no checks and no energy balance.
     """
 
     scene: Scene
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
@@ -150,6 +152,8 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
+    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    example: ClassVar[str] = ""
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -174,6 +178,10 @@ class PartType:
         """Its pins in the order of its subcircuit."""
         raise NotImplementedError
 
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins and those that it would have if the scene asked for them."""
+        return self.pins(part, scene)
+
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
         return {}
@@ -181,6 +189,10 @@ class PartType:
     def uses_netlists(self, part: Part) -> bool:
         """Whether it names a subcircuit out of the scene's ``include`` files."""
         return False
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Names of the files beside the scene that it reads."""
+        return ()
 
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
@@ -206,6 +218,13 @@ class PartType:
         """What is wrong with it in this scene, ``where`` a dotted key."""
         return ()
 
+    def implausible(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+        """Keys that can be computed but hardly exist, with the physical reason; often a wrong unit.
+
+        ``checks.plausible`` turns them into warnings or off.
+        """
+        return ()
+
     def analysis(self, part: Part, scene: Scene) -> Analysis | None:
         """The analysis that this part asks for, if the scene has none."""
         return None
@@ -223,6 +242,13 @@ class PartType:
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
         """What its model depends on; parts with equal keys share a model. None: no model."""
         return None
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
+        """What the costly first stage of its model depends on, where that is less: finite elements.
+
+        Parts and sweeps with equal keys share that stage.
+        """
+        return self.model_key(part, scene)
 
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
         """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""
@@ -341,8 +367,8 @@ class PartType:
         """
         return None
 
-    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Any | None:
-        """Figures of this scene over meshes (:class:`kc2spice.scene.gates.Table`), or None."""
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
+        """Figures of this scene over meshes, or None."""
         return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:

@@ -321,10 +321,17 @@ def _settings(name: str) -> str:
 
 
 def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """KiCad's saved simulation set-up: the analysis and the deck's first four node voltages."""
+    """KiCad's saved simulation set-up: the analysis and four node voltages of the deck's results,
+    the first of every part before any second one."""
     analysis = next((c for c in commands if c.split()[0].lower() in _KINDS), "")
     kind = _KINDS.get(analysis.split()[0].lower() if analysis else "", "TRAN")
-    nodes = [m[1] for e, _ in deck.vectors.values() if (m := re.fullmatch(r"v\((\w+)\)", e))]
+    results = {
+        name: m[1] for name, (e, _) in deck.vectors.items() if (m := re.fullmatch(r"v\((\w+)\)", e))
+    }
+    first: dict[str, str] = {}
+    for name, node in results.items():
+        first.setdefault(name.partition(".")[0], node)
+    nodes = [*first.values(), *results.values()]
     present = {n: w for s in top.elements for n in s.nodes for w in s.statement.words
                if w.lower() == n}  # fmt: skip
     names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]

@@ -34,7 +34,7 @@ def make_deck(build: Build) -> Deck:
     scene = build.scene
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
-    results = _results(build)
+    results = result_vectors(build)
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
@@ -139,7 +139,7 @@ def replacements(build: Build) -> dict[str, tuple[str, ...]]:
     return {k: v for part in parts for k, v in part.type.instances(part, build).items()}
 
 
-def _results(build: Build) -> dict[str, Vector]:
+def result_vectors(build: Build) -> dict[str, Vector]:
     """Results of all parts that have an instance of their own.
 
     Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,

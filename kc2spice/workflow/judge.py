@@ -20,7 +20,7 @@ BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time steppi
 def verdict(waves: Waveforms, build: Build) -> Verdict:
     """The checks that apply to the parts of a scene, without those that it turns off."""
     scene = build.scene
-    parts = scene.parts.values()
+    parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
     checks = [check for part in parts for check in part.type.checks(part, build, waves)]
     balances: dict[str, Balance] = {}
     if scene.checks.energy != "off":

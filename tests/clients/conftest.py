@@ -9,15 +9,14 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from kc2spice.parts.experiments import scene_deck
+from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.header import Header
-from kc2spice.spice.included import included_netlists
-from kc2spice.spice.naming import with_design_names
+from kc2spice.workflow.decks import make_deck
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
 import device
@@ -41,16 +40,17 @@ def program():
 
 @pytest.fixture(scope="session")
 def deck_of():
-    """``deck_of(scene, **solver)``: a gallery scene around the made-up device, exported."""
+    """``deck_of(scene, **solver)``: a gallery scene around the made-up chip and magnets, exported."""
 
     def make(name: str, **solver):
-        scene = load_scene(name)
-        scene = scene.model_copy(update={"solver": scene.solver.model_copy(update=solver)})
-        deck = scene_deck(
-            scene, Header(name, "0"), device.chip(), device.RADII, device.magnets(),
-            included_netlists(scene),
-        )  # fmt: skip
-        return with_design_names(deck)
+        scene = load_scene(name, {f"solver.{key}": value for key, value in solver.items()})
+        build = device.built(scene, device.chip(), device.magnets())
+        others = {
+            part.name: part.type.build(part, scene, Clock(silent))
+            for part in scene.parts.values()
+            if part.type.reduced and part.name not in build.models
+        }
+        return make_deck(replace(build, models={**build.models, **others}))
 
     return make
 

@@ -4,7 +4,7 @@ import runpy
 import sys
 
 from kc2spice.sim.loop import run_shared
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 
 RC = """* rc
 V1 a 0 PULSE(0 1 0 1n 1n 1 2)
@@ -17,7 +17,7 @@ C1 b 0 1e-9
 
 
 def ours():
-    deck = Deck("rc", "rc.cir", {"rc.cir": RC}, {"b": ("v(b)", 1.0)}, 1e-5)
+    deck = Deck(name="rc", text=RC, vectors={"b": ("v(b)", 1.0)}, stop=1e-5)
     print(f"ours {run_shared(deck)['b'][-1]:.4f}")
 
 

@@ -16,5 +16,5 @@ def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):
         results.append(read_raw(tmp_path / f"{k}.raw"))
     older, newer = results
     assert older["time"][-1] == pytest.approx(newer["time"][-1])
-    assert newer["v(v)"][-1] == pytest.approx(older["v(v)"][-1], rel=5e-6)
-    assert newer["v(r0)"].max() == pytest.approx(older["v(r0)"].max(), rel=5e-6)
+    assert newer["v(contact_v)"][-1] == pytest.approx(older["v(contact_v)"][-1], rel=5e-6)
+    assert newer["v(kick_r0)"].max() == pytest.approx(older["v(kick_r0)"].max(), rel=5e-6)

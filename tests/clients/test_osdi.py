@@ -23,8 +23,8 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
     run([simulator, "-b", "-n", "-r", "b.raw", deck.main], tmp_path / "netlists")
     ours, theirs = read_raw(tmp_path / "netlists/b.raw"), read_raw(tmp_path / "modules/a.raw")
     assert theirs["time"][-1] == pytest.approx(ours["time"][-1])
-    assert theirs["v(r0)"].max() == pytest.approx(ours["v(r0)"].max(), rel=1e-3)
+    assert theirs["v(kick_r0)"].max() == pytest.approx(ours["v(kick_r0)"].max(), rel=1e-3)
     if name == "impact":
-        assert theirs["v(v)"][0] == pytest.approx(-1.0)
-        assert theirs["v(v)"][-1] == pytest.approx(ours["v(v)"][-1], rel=1e-5)
-        assert theirs["v(y)"].min() == pytest.approx(ours["v(y)"].min(), abs=1e-3)
+        assert theirs["v(contact_v)"][0] == pytest.approx(-1.0)
+        assert theirs["v(contact_v)"][-1] == pytest.approx(ours["v(contact_v)"][-1], rel=1e-5)
+        assert theirs["v(sphere_y)"].min() == pytest.approx(ours["v(sphere_y)"].min(), abs=1e-3)

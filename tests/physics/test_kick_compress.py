@@ -14,7 +14,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
 from kc2spice.scene.schema import Contact, Drive, Kick, Sphere
-from kc2spice.workflow.verify.meshstudy import as_system, on_reduced
+from kc2spice.parts._mesh_study import as_system, on_reduced
 
 BAND = (0.0, 500e3)
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}

@@ -9,12 +9,12 @@ from scipy.sparse.linalg import splu
 
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
-from kc2spice.scene.schema import Kick
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 SMALL_VARIANTS = [{}, {"refine": 2}, {"order": 2}]
@@ -22,7 +22,7 @@ SMALL_VARIANTS = [{}, {"refine": 2}, {"order": 2}]
 
 @cache
 def small_system(**change) -> PiezoSystem:
-    return assemble_kick(Kick(layers=3, mesh={**SMALL, **change}))
+    return assemble_kick(Chip(layers=3, mesh={**SMALL, **change}))
 
 
 BAND = (0.0, 500e3)
@@ -30,7 +30,7 @@ BAND = (0.0, 500e3)
 
 @pytest.fixture(scope="module")
 def sector():
-    return assemble_kick(Kick())
+    return assemble_kick(Chip())
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_a_repeated_port_is_deflated():
 
 
 def test_an_exhausted_krylov_space_ends_the_basis():
-    system = assemble_kick(Kick(layers=1, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
+    system = assemble_kick(Chip(layers=1, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
     rom = reduce(from_sector(system), order=200, band=BAND)
     assert rom.order <= system.M.shape[0]
     assert rom.certificate.error_estimate < 1e-9

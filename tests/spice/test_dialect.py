@@ -2,18 +2,18 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pyparsing as pp
 import pytest
+from device import deck_of
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.dialect import DIALECTS, dialect_files, translate
 from kc2spice.spice.lint import problems
 
@@ -21,8 +21,8 @@ pp.ParserElement.set_default_whitespace_chars(" \t\n")
 
 
 @pytest.fixture(scope="module")
-def loop(scene, header, model, radii, table):
-    return loop_deck(scene, header, model, radii, table)
+def loop(scene, model, table):
+    return deck_of(scene, model, table)
 
 
 # -------------------------------------------------------------------- the published grammars
@@ -187,7 +187,7 @@ CONSTRUCTS = [
 
 def one(cards_):
     text = f"* title\n{cards_}\n.tran 1 1\n.end\n"
-    return Deck("one", "one.cir", {"one.cir": text}, {}, None)
+    return Deck(name="one", text=text)
 
 
 @pytest.mark.parametrize(("source", "xyce", "ltspice"), CONSTRUCTS)
@@ -325,8 +325,8 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     spoken = translate(loop, "ltspice").files
     files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main}
     short = loop.files[loop.main].replace(" 0.005 0 ", " 0.0007 0 ")
-    twin = Deck("twin", loop.main, {loop.main: short, **files}, loop.vectors, 0.0007)
-    own = Deck("own", loop.main, {**loop.files, loop.main: short}, loop.vectors, 0.0007)
+    own = replace(loop, text=short, options=(), stop=0.0007)
+    twin = replace(own, parts=(), more=files)
     first, second = run_deck(own, tmp_path / "own"), run_deck(twin, tmp_path / "twin")
     assert first["contact.force"].max() > 1.0
     # the same equations, rounded differently where braces become numbers: contact multiplies it
@@ -339,12 +339,6 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
 # ---------------------------------------------------------------------------- lint on our own
 
 
-def test_our_own_decks_are_sound(scene, header, model, radii, table):
-    experiments = [
-        scene,
-        Scene.model_validate(
-            {"name": "harmonic", "kick": {}, "harmonic": {}, "experiment": "harmonic"}
-        ),
-    ]
-    for each in experiments:
-        assert problems(scene_deck(each, header, model, radii, table)) == []
+def test_our_own_decks_are_sound(scene, model, table):
+    for each in (scene, load_scene({"name": "harmonic", "kick": {}, "harmonic": {}})):
+        assert problems(deck_of(each, model, table)) == []

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.parts.bench import Sampled, loop_deck
 from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.bench import Sampled, loop_deck
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import DigitalPid, Loop, run_shared, subcircuit
 from kc2spice.sim import loop as inprocess

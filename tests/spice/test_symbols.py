@@ -2,22 +2,20 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import deck_of
 
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.drivers import amplifier_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.drivers import Amplifier
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Control, Sphere
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.drivers import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.spice.box import layout
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Block
 from kc2spice.spice.elements import circuit
 from kc2spice.spice.realize import realize
 from kc2spice.spice.symbol import symbol_files
@@ -28,7 +26,7 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
-    ball = Sphere()
+    ball = SphereKeys()
     rings = tuple(f"R{i}" for i in range(6))
     return (
         realize(model, header),
@@ -41,14 +39,13 @@ def parts(header, model, radii, table):
 
 
 @pytest.fixture(scope="module")
-def deck(parts, scene, header, model, radii, table):
+def deck(parts, scene, model, table):
     """A loop, and an operational amplifier whose output nothing else is wired to."""
-    loop = loop_deck(scene, header, model, radii, table)
+    loop = deck_of(scene, model, table)
     (amplifier,) = (part for part in parts if part.name == "opamp")
-    more = ".include opamp.lib\nXamp y 0 spare 0 0 0 opamp a0=1e5\nFmirror mirror 0 Vkick 0.5\n"
-    files = loop.files | {"opamp.lib": amplifier.text}
-    files["loop.cir"] = files["loop.cir"].replace(".options", f"{more}.options", 1)
-    return Deck("loop", "loop.cir", files, loop.vectors, loop.stop, (*loop.parts, amplifier))
+    cards = "Xamp sphere_y 0 spare 0 0 0 opamp a0=1e5", "Fmirror mirror 0 Vkick_drive 0.5"
+    more = Block("more", cards)
+    return replace(loop, parts=(*loop.parts, amplifier), blocks=(*loop.blocks, more))
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +121,7 @@ def test_pins_are_on_the_grid_and_apart(written):
 def test_inputs_are_left_and_outputs_right(parts, header):
     sides = {
         part.name: {place.pin.name: place.side for place in layout(part).places}
-        for part in (*parts, amplifier_subcircuit(header, Amplifier()))
+        for part in (*parts, amplifier_subcircuit(header, AmplifierKeys()))
     }
     assert sides["pid"] == {
         "y": "left", "enable": "left", "drive": "right", "sense": "right", "ref": "bottom",
@@ -255,9 +252,9 @@ def test_values_keep_their_digits_and_names_follow_their_symbols(files, deck):
     for symbol in sheet:
         values = dict(re.findall(r'"([\w.]+)" "((?:[^"\\]|\\.)*)"', symbol))
         fields[values["Reference"]] = values.get("Sim.Params")
-    pulse = re.search(r"(?m)^Vkick anode 0 (.*)$", deck.files[deck.main])[1]
-    assert f'model=\\"{pulse}\\"' in fields["Vkick1"]
-    assert 'model=\\"Vkick1 0.5\\"' in fields["Fmirror1"]
+    pulse = re.search(r"(?m)^Vkick_drive kick_anode 0 (.*)$", deck.files[deck.main])[1]
+    assert f'model=\\"{pulse}\\"' in fields["Vkick_drive1"]
+    assert 'model=\\"Vkick_drive1 0.5\\"' in fields["Fmirror1"]
     assert fields["Xamp1"] == "a0=1e5"
 
 
@@ -267,7 +264,7 @@ def test_the_project_opens_with_its_simulation(files, deck):
     analysis = re.search(r"(?m)^\.tran .*$", deck.files[deck.main])[0]
     (tab,) = book["tabs"]
     assert (tab["analysis"], tab["commands"][0]) == ("TRAN", analysis)
-    assert {"signal": "V(y)", "color": "rgb(228, 26, 28)", "trace_type": 257} in tab["traces"]
+    assert {"signal": "V(sphere_y)", "color": "rgb(55, 126, 184)", "trace_type": 257} in tab["traces"]
     assert '(uri "${KIPRJMOD}/kc2spice.kicad_sym")' in files["sym-lib-table"]
     assert f'(text "{analysis}"' in files["loop.kicad_sch"]
 
@@ -281,14 +278,15 @@ def test_new_exports_do_not_change_the_sheet(files, deck):
 
 def test_ltspice_reads_what_the_library_declares(written, deck):
     for part in deck.parts:
-        read = asy_reader.AsyReader(written / f"{part.name}.asy")
+        stem = part.filename.removesuffix(".lib")
+        read = asy_reader.AsyReader(written / f"{stem}.asy")
         pins, params = card(part)
         attributes = [dict(a.split("=") for a in p.text.strip(";").split(";")) for p in read.pins]
         order = {int(a["SpiceOrder"]): a["PinName"] for a in attributes}
         assert [order[i] for i in sorted(order)] == pins == table_of(part)
         assert read.attributes["Prefix"] == "X"
         assert read.attributes["Value"] == part.name
-        assert read.attributes["ModelFile"] == f"{part.name}.ltspice.lib"
+        assert read.attributes["ModelFile"] == f"{stem}.ltspice.lib"
         line = read.attributes.get("SpiceLine", "")
         assert dict(w.split("=") for w in line.split()) == params
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
@@ -296,12 +294,12 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
 
 def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, deck):
     for part in deck.parts:
-        assert "pwl(V(" not in files[f"{part.name}.ltspice.lib"]
+        assert "pwl(V(" not in files[part.filename.replace(".lib", ".ltspice.lib")]
     assert "table(V(s)," in files["catch.ltspice.lib"]
 
 
 def test_each_dialect_gets_the_symbols_of_its_tools(deck):
     spoken = symbol_files(deck, "ltspice")
-    assert set(spoken) == {f"{p.name}.asy" for p in deck.parts}
+    assert set(spoken) == {p.filename.replace(".lib", ".asy") for p in deck.parts}
     assert "SYMATTR ModelFile kick.lib\n" in spoken["kick.asy"]
     assert symbol_files(deck, "xyce") == symbol_files(deck, "verilog-a") == {}

@@ -4,26 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import bench, deck_of
 
 from kc2spice.bodies.piezo_stack import piezo_stack
-from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.experiments import harmonic_deck
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.parts.ring_magnet_coils import coil_subcircuit
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
-from kc2spice.scene.schema import Harmonic, Kick, Scene
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Deck
 from kc2spice.spice.realize import realize
 
 RINGS = ("R0", "R1", "R2", "R3", "R4", "R5")
 COPIES = 200
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
 
 
 def decays(waves, names):
@@ -69,9 +62,8 @@ def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
 
 def test_all_ports_of_the_emitted_kick_are_positive_real(header, model, tmp_path):
     """Any passive load is covered at once: j omega H has no negative hermitian part."""
-    scene = Scene(name="h", experiment="harmonic", kick=Kick(),
-                  harmonic=Harmonic(stop=5e6, steps=400))  # fmt: skip
-    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    scene = load_scene({"name": "h", "kick": {}, "harmonic": {"stop": 5e6, "steps": 400}})
+    waves = run_deck(deck_of(scene, model), tmp_path)
     names = (*RINGS, "anode")
     response = np.array([[waves[f"{i}>{o}"] for i in names] for o in names]).transpose(2, 0, 1)
     power = 2j * np.pi * waves["frequency"][:, None, None] * response
@@ -120,7 +112,7 @@ def test_coils_with_an_active_part_do_not(header, table, tmp_path):
 @pytest.fixture(scope="module")
 def chip():
     """The paper's chip for a band of 1 MHz, whole device, with its full model."""
-    device = piezo_stack(Kick())
+    device = piezo_stack(Chip())
     return device, resonators(reduce(device, tolerance=1e-5, band=(0.0, 1e6)))
 
 

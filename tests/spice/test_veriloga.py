@@ -4,17 +4,14 @@ import re
 
 import numpy as np
 import pytest
+from device import deck_of
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Control, Sphere
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.dialect import dialect_files
 from kc2spice.spice.realize import realize
@@ -27,7 +24,7 @@ NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
 
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
-    ball = Sphere()
+    ball = SphereKeys()
     rings = tuple(f"R{i}" for i in range(6))
     made = (
         realize(model, header),
@@ -348,13 +345,14 @@ def test_ports_parameters_and_head_are_those_of_the_part(parts):
         assert "// @pin 1 " in text
 
 
-def test_the_dialect_writes_modules(scene, header, model, radii, table, parts):
-    deck = loop_deck(scene, header, model, radii, table)
-    files = dialect_files(deck, parts.values(), "verilog-a")
+def test_the_dialect_writes_modules(scene, model, table, parts):
+    deck = deck_of(scene, model, table)
+    files = dialect_files(deck, [*deck.parts, parts["coil"], parts["opamp"]], "verilog-a")
+    (kick,) = (part for part in deck.parts if part.filename == "kick.lib")
     assert set(files) == {f"{name}.va" for name in NAMES} | {"loop_osdi.cir"}
     bench = files["loop_osdi.cir"]
     assert "pre_osdi kick.osdi" in bench
-    assert ".model mxkick kick\n" in bench
+    assert f".model mxkick {kick.name}\n" in bench
     assert not re.search(r"(?m)^(X|\.include|\.save @)", bench)
 
 

@@ -5,11 +5,9 @@ from dataclasses import replace
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.drivers import amplifier_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.scene.drivers import Amplifier
-from kc2spice.scene.schema import Control
-from kc2spice.spice.circuit import Deck
+from kc2spice.parts.drivers import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.spice.deck import Block, Deck
 from kc2spice.spice.elements import circuit
 from kc2spice.spice.header import Header
 from kc2spice.spice.lint import problems
@@ -28,7 +26,7 @@ def test_only_subcircuit_names_are_renamed():
 
 
 @pytest.mark.parametrize(
-    "part", [pid_subcircuit(HERE, Control()), amplifier_subcircuit(HERE, Amplifier())]
+    "part", [pid_subcircuit(HERE, Control()), amplifier_subcircuit(HERE, AmplifierKeys())]
 )
 def test_a_library_holds_all_that_it_calls(part):
     top = circuit("t", {"t": f"* t\n.include {part.filename}\n", part.filename: part.text})
@@ -39,12 +37,11 @@ def test_a_library_holds_all_that_it_calls(part):
 
 
 def deck(*parts):
-    calls = "\n".join(f"X{k} {' '.join(p.name for p in part.pins)} {part.name}"
-                      for k, part in enumerate(parts))  # fmt: skip
-    includes = "\n".join(f".include {k}.lib" for k in range(len(parts)))
-    files = {f"{k}.lib": part.text for k, part in enumerate(parts)}
+    calls = (
+        f"X{k} {' '.join(p.name for p in part.pins)} {part.name}" for k, part in enumerate(parts)
+    )
     own = tuple(replace(part, file=f"{k}.lib") for k, part in enumerate(parts))
-    return Deck("t", "t.cir", {"t.cir": f"* t\n{includes}\n{calls}\n.end\n"} | files, {}, None, own)
+    return Deck(name="t", parts=own, blocks=(Block("calls", tuple(calls)),))
 
 
 def test_two_designs_in_one_deck_have_two_names():

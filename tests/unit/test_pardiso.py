@@ -13,7 +13,6 @@ from kc2spice.linalg.factor import Factor, factorise, inverses
 from kc2spice.linalg.pardiso import Pardiso
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-from laboratory.reduction_scaling import grid_model
 
 N = 60
 

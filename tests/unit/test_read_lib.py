@@ -5,9 +5,8 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
+from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.schema import Control
 from kc2spice.spice import read_lib
 from kc2spice.spice.header import Header
 

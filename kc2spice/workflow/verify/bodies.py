@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -68,9 +69,7 @@ def verify_body(
         count = at.size if whole or full.order <= SMALL else FEW
         at = _first(rom, at, min(count, MANY))
         with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
-            started = time.perf_counter()
-            exact = full.transfer(at)
-            spent = time.perf_counter() - started
+            exact, spent = _solved(part, build, full, at)
         reduced = rom.transfer(at)
         errors["rom_vs_fom"] = relative_error(reduced, exact)
         certificate = rom.certificate
@@ -237,6 +236,29 @@ def _copy(
             if port.kind != "input":
                 found[name] = (f"i(v{k}_{tag})", -1.0)
     return cards, found
+
+
+def _solved(
+    part: Part, build: Build, full: LinearModel, at: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The full model's response and the time it took, kept for scenes that share the body."""
+    key = part.type.model_key(part, build.scene) or {}
+    depends = {
+        "body": {k: v for k, v in key.items() if k != "rom"}, "frequency": at.tolist(),
+        "ports": list(full.inputs + full.outputs),
+    }  # fmt: skip
+
+    def solve() -> dict[str, np.ndarray]:
+        started = time.perf_counter()
+        response = full.transfer(at)
+        spent = np.array(time.perf_counter() - started)
+        return {"real": response.real.copy(), "imag": response.imag.copy(), "seconds": spent}
+
+    found, _ = cached(
+        "response", depends, solve,
+        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
+    )  # fmt: skip
+    return found["real"] + 1j * found["imag"], float(found["seconds"])
 
 
 def _band(rom: LinearModel, build: Build) -> tuple[float, float]:
