@@ -52,9 +52,10 @@ EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 SHORT, OPEN = 1.0, 1e9  # Ohm, loads that are a short circuit and none
 HEAD = """# Devices with published numbers
 
-Nothing is fitted: textbook materials, the dimensions of the sheet or paper, and of the harvester the
-damping ratio that its paper gives. Discs are free
-plates (sheets measure at the node, which changes the resonance by a tenth of a percent).
+Textbook materials and the dimensions of the sheet or paper; no property is fitted. The harvester
+has the damping ratio of its paper; rows marked *assumed* rest on a key that the source does not
+give. Discs are free plates (sheets measure at the node, which changes the resonance by a tenth of
+a percent).
 *full* is the finite-element model, *reduced* what the subcircuit is made from, *ngspice* a run of
 the emitted netlist. What a column cannot give is "-". *within* compares ngspice (else the full
 model) with the tolerance of the source. Written by `python tools/published_table.py` from
@@ -194,10 +195,13 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
         if sheet.get("at_least"):
             inside, limit = answer.best >= sheet["value"], f"at least {sheet['value']}"
         values = (answer.full, answer.reduced, answer.ngspice)
+        verdict = "yes" if inside else "**no**"
+        if entry.get("assumed"):
+            verdict += ", assumed"
         cells = ["-" if v is None else f"{v / unit:.4g} {text}".strip() for v in values]
         lines.append(
-            f"| `{name}` | {label} | {limit} | {' | '.join(cells)} | {100 * difference:+.1f} % "
-            f"| {'yes' if inside else '**no**'} |"
+            f"| `{name}` | {label} | {limit} | {' | '.join(cells)} "
+            f"| {'' if sheet.get('at_least') else f'{100 * difference:+.1f} %'} | {verdict} |"
         )
     return lines
 
@@ -232,6 +236,11 @@ def page(published: Mapping[str, Any]) -> str:
         for name, entry in published.items()
         for quantity, reason in entry.get("misses", {}).items()
     ]
+    assumed = [
+        f"- `{name}`: {entry['assumed']}."
+        for name, entry in published.items()
+        if "assumed" in entry
+    ]
     sources = [
         f"- `{name}`: {entry['device']}. {entry['source']}. Checked: {entry['checked']}."
         for name, entry in published.items()
@@ -243,6 +252,8 @@ def page(published: Mapping[str, Any]) -> str:
     ]
     parts = [
         "\n".join(lines), "What misses, and why:", "\n".join(reasons),
+        "What the source does not say and the scene assumes (no verdict on the model):",
+        "\n".join(assumed),
         "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(slew()),
         "## Pictures", "\n\n".join(sorted(shown)), "## Sources", "\n".join(sources),
     ]  # fmt: skip

@@ -47,7 +47,7 @@ class Recovered:
 
     @property
     def worst(self) -> Extreme:
-        """The stress nearest to (or farthest beyond) its limit; the largest if no limit is known."""
+        """The stress nearest to or farthest beyond its limit; the largest without any limit."""
         stresses = [each for each in self.extremes if each.quantity == "principal_stress"]
         limited = [each for each in stresses if each.limit]
         if not limited:
@@ -192,13 +192,11 @@ def _deformed(name: str, found: Recovered) -> Figure:
         _wires("at rest", mesh.p, edges, ":"),
         _wires(f"displacement x {factor:g}", mesh.p + factor * moves, edges, "-"),
     )
-    low = min(float(np.nanmin(c.x)) for c in curves)
-    high = max(float(np.nanmax(c.x)) for c in curves)
     caption = (
         f"At {1e3 * worst.instant:.4g} ms, the instant of the worst stress: "
         f"{1e-6 * worst.value:.3g} MPa in {worst.material}."
     )
-    panel = Panel("mm", "mm", curves, span=(low, high), equal=True)
+    panel = Panel("mm", "mm", curves, equal=True)
     return Figure(f"{name}_deformed", f"Deformed {name}", caption, (panel,))
 
 

@@ -68,12 +68,12 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_xscale("log")
     if panel.log_y:
         axes.set_yscale("log")
-    if panel.span is not None:
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    elif panel.span is not None:
         axes.set_xlim(*panel.span)
     elif panel.curves:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
-    if panel.equal:
-        axes.set_aspect("equal", adjustable="datalim")
     name_axes(axes, panel.x, panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
     if labels > MANY:
