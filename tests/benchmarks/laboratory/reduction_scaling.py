@@ -21,7 +21,7 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.foreign import ForeignModel, make_model
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.general import reduce_model
 
 MODULE = "laboratory.reduction_scaling"  # also where its name is __main__
@@ -47,7 +47,7 @@ class ScalingPoint:
     memory_bytes: float
 
 
-def grid_model(unknowns: int, dimension: int) -> ForeignModel:
+def grid_model(unknowns: int, dimension: int) -> LinearModel:
     """Plate (dimension 2) or solid (3) of multilinear elements with three coupled fields, held all
     around, light proportional damping, two ports: the pattern of a structural FE model.
     """
@@ -61,7 +61,7 @@ def grid_model(unknowns: int, dimension: int) -> ForeignModel:
     M = sparse.kron(_product([mass] * dimension), np.eye(3))
     B = np.zeros((K.shape[0], 2))
     B[len(B) // 2, 0] = B[len(B) // 3, 1] = 1.0
-    return make_model({"M": M, "E": 0.01 * K, "K": K, "B": B}, None, "grid", "grid")
+    return LinearModel(M=M, E=0.01 * K, K=K, B=B, name="grid")
 
 
 def scaling(sizes: list[int], dimension: int, solver: Solver = "scipy") -> list[ScalingPoint]:
