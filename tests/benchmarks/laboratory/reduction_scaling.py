@@ -21,8 +21,8 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.general import reduce_model
+from kc2spice.rom.linear import LinearModel
 
 MODULE = "laboratory.reduction_scaling"  # also where its name is __main__
 FOLDER = str(Path(__file__).parents[1])  # where a new process finds it
