@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from kc2spice.spice.deck import Deck
     from kc2spice.workflow.run import Completed
 
+Function = Callable[[float, Mapping[str, float]], float]
+
 
 # ------------------------------------------------------------------------------------- scenes
 
@@ -65,9 +67,8 @@ def register_part(part_type: PartType) -> PartType:
     ------
     UsageError : it has no name or no schema.
     """
-    from kc2spice.scene.parttype import part_types, register
+    from kc2spice.scene.parttype import register
 
-    part_types()  # loads the built-in types, which a type of the same name replaces
     return register(part_type)
 
 
@@ -86,7 +87,7 @@ def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearMode
     UsageError : as :func:`load_scene`, or a model's file cannot be read.
     """
     from kc2spice.core.progress import Clock
-    from kc2spice.parts.linear_body import LinearBody
+    from kc2spice.parts._linear_body import LinearBody
 
     loaded = load_scene(scene)
     return {
@@ -193,6 +194,7 @@ def run(
     *,
     deck: str | Path | None = None,
     trust: bool = False,
+    functions: Mapping[str, Function] | None = None,
 ) -> Result:
     """Build, reduce, export and simulate a scene.
 
@@ -200,7 +202,9 @@ def run(
     ----------
     out : directory for what ``kc2spice run`` writes there; nothing is kept without it.
     deck : a netlist of this scene that was edited by hand, to be run instead of the scene's own.
-    trust : let netlists that the scene includes act on the machine.
+    trust : let netlists and Python files that the scene names act on the machine.
+    functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
+        instead of the Python file beside the scene.
 
     Raises
     ------
@@ -216,9 +220,11 @@ def run(
     edited = None if deck is None else Path(deck)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         if out is None:
-            return _result(complete(loaded, Path(work), trust=trust, deck=edited))
+            return _result(
+                complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
+            )
         with kept_on_failure(Path(work), Path(out), loaded.name):
-            done = complete(loaded, Path(work), trust=trust, deck=edited)
+            done = complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
     result = _result(done)
     result.save(out)
     return result
@@ -228,48 +234,32 @@ def simulate(
     deck: Deck | Scene | str | Path | Mapping[str, Any],
     *,
     timeout: float | None = None,
-    control: Callable[[float, Mapping[str, float]], Mapping[str, float]] | None = None,
-    period: float | None = None,
-    delay: float = 0.0,
+    functions: Mapping[str, Function] | None = None,
 ) -> Result:
     """Run a deck in ngspice; a scene is run as by :func:`run`.
 
     A deck alone gives waveforms. Metrics and checks are those of a scene's parts, so they need the
-    scene: ``kc.run(scene, deck=FILE)``.
-
-    Parameters
-    ----------
-    timeout : seconds of wall clock.
-    control : ``control(time, values) -> {source: volts}``, called every ``period`` [s] of simulated
-        time in this process (libngspice). ``values`` are the vectors that the deck saves, by
-        ngspice's names without ``v()``, in its units (displacements in um); the answer names
-        sources whose card says ``EXTERNAL``, in lower case, and holds from ``delay`` [s] later on.
+    scene: ``kc.run(scene, deck=FILE)``. ``timeout`` is in seconds of wall clock and for decks;
+    ``functions`` are for scenes, as in :func:`run`.
 
     Raises
     ------
-    UsageError : ``control`` without ``period``, or together with ``timeout``.
-    MissingToolError : no ngspice, or for ``control`` no libngspice.
-    SimulationError : ngspice or ``control`` failed, or ngspice stopped early.
+    UsageError : ``functions`` with a deck, ``timeout`` with a scene.
+    MissingToolError : no ngspice.
+    SimulationError : ngspice failed or stopped early; the message says where.
     """
     from kc2spice.sim.retries import run_with_retries
     from kc2spice.spice.deck import Deck
 
-    if control is not None and (period is None or timeout is not None):
-        raise UsageError("a controller needs a period and no timeout", where="simulate")
     if not isinstance(deck, Deck):
-        if control is None and timeout is None:
-            return run(deck)
-        deck = _deck(deck)
-    if control is not None and period is not None:
-        from kc2spice.sim.loop import Loop, Sampled, run_shared
-
-        return _plain_result(deck, run_shared(deck, Loop(control, Sampled(period, delay))))
+        if timeout is not None:
+            raise UsageError("a time limit is for decks", hint="kc.simulate(kc.deck(scene), …)")
+        return run(deck, functions=functions)
+    if functions:
+        raise UsageError("functions are called by parts of a scene", hint="give the scene instead")
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         outcome = run_with_retries(deck, Path(work), retries=0, timeout=timeout)
     return _plain_result(outcome.deck, outcome.waves)
-
-
-_deck = deck  # where an argument has its name
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -407,7 +397,9 @@ class Result:
 
     def __repr__(self) -> str:
         points = self.waves[self.scale].size
-        head = f"<Result {self.scene}: {points} points over {self.scale}, {len(self.waves) - 1} waves"
+        head = (
+            f"<Result {self.scene}: {points} points over {self.scale}, {len(self.waves) - 1} waves"
+        )
         failed = [check.name for check in self.checks if not check.passed]
         if self.checks:
             head += f", {len(self.checks)} checks " + (f"FAILED {failed}" if failed else "passed")

@@ -6,7 +6,9 @@ import kc2spice as kc
 
 result = kc.run("buzzer_7bb_20_6")  # Murata 7BB-20-6, its sheet says 6.3 kHz and 10 nF
 found = result.metrics
-print(f"resonance {found['resonance_hz']:.0f} Hz, capacitance {found['capacitance_f'] * 1e9:.2f} nF")
+print(
+    f"resonance {found['resonance_hz']:.0f} Hz, capacitance {found['capacitance_f'] * 1e9:.2f} nF"
+)
 print("equivalent circuit:", found["bvd"])
 assert abs(found["resonance_hz"] / 6300 - 1) < 0.1
 

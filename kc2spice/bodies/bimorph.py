@@ -59,9 +59,9 @@ class Layer(Section):
 class Bimorph(Section):
     """Keys of ``part = "bimorph"``; see the module.
 
-    ``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends) or *free*. ``tip_mass``
-    is spread over the end face. ``points`` are further ports on the centre line of the top, by
-    distance from the clamp.
+    ``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported* (on
+    knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points`` are
+    further ports on the centre line of the top, by distance from the clamp.
     """
 
     length: Length = Field(gt=0)
@@ -69,7 +69,7 @@ class Bimorph(Section):
     layers: tuple[Layer, ...] = Field(min_length=1)
     wiring: Literal["series", "parallel"] | None = None
     tip_mass: Mass = Field(0.0, ge=0)
-    support: Literal["cantilever", "clamped", "free"] = "cantilever"
+    support: Literal["cantilever", "clamped", "simply_supported", "free"] = "cantilever"
     points: dict[
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
     ] = Field(default_factory=dict)
@@ -173,7 +173,12 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
     x, y, z = solid.basis(1).doflocs
     near = 1e-9 * keys.length
     fixed = np.zeros((x.size, 3), bool)
-    if keys.support != "free":
+    if keys.support == "simply_supported":
+        edges = (z < near) & ((x < near) | (x > keys.length - near))
+        fixed[edges, 2] = True
+        fixed[edges & (x < near), 0] = True
+        fixed[edges & (y < near), 1] = True  # one corner of each edge: the width may change
+    elif keys.support != "free":
         fixed[x < near] = True
     if keys.support == "clamped":
         fixed[x > keys.length - near] = True

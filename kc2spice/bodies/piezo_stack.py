@@ -24,7 +24,7 @@ def piezo_stack(kick: Chip, mesh: KickMesh | None = None) -> LinearModel:
 
     Raises
     ------
-    SimulationError : the model is not positive definite (unsupported, or an impossible material).
+    SimulationError : the model is not positive definite (an impossible material).
     """
     return from_sector(assemble_kick(kick, mesh))
 
@@ -44,4 +44,6 @@ def from_sector(system: PiezoSystem) -> LinearModel:
         alpha=system.alpha, beta=system.beta, name="piezo_stack",
     )  # fmt: skip
     facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}
-    return replace(model, facts={**facts, **electromechanical(model)})
+    if system.held:
+        facts |= electromechanical(model)
+    return replace(model, facts=facts)

@@ -139,8 +139,8 @@ def print_facts(title: str, facts: Mapping[str, Any]) -> None:
 
 
 _UNITS = {
-    "m_per_100v": "m per 100 V", "m_s": "m/s", "kg": "g", "hz": "Hz", "ohm": "Ohm", "m": "m",
-    "s": "s", "a": "A", "f": "F", "h": "H", "n": "N", "v": "V",
+    "m_per_100v": "m per 100 V", "m_s": "m/s", "v_m": "V/m", "pa": "Pa", "kg": "g", "hz": "Hz",
+    "ohm": "Ohm", "m": "m", "s": "s", "a": "A", "f": "F", "h": "H", "n": "N", "v": "V",
 }  # fmt: skip
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "u", -9: "n", -12: "p", -15: "f"}
 

@@ -18,7 +18,14 @@ from kc2spice.cli.bench import bench
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
-from kc2spice.cli.tables import show_findings, show_keys, show_plan, show_result, show_verdicts
+from kc2spice.cli.tables import (
+    show_findings,
+    show_keys,
+    show_parts,
+    show_plan,
+    show_result,
+    show_verdicts,
+)
 from kc2spice.core.errors import GateMissedError, UsageError
 
 if TYPE_CHECKING:
@@ -175,9 +182,7 @@ def verify(
     scene: Annotated[
         str | None, typer.Argument(metavar="SCENE", help="Gallery name or TOML file.")
     ] = None,
-    all_: Annotated[
-        bool, typer.Option("--all", help="Verify every built-in scene without driver circuits.")
-    ] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
     full: Annotated[
         bool,
         typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
@@ -185,6 +190,10 @@ def verify(
     meshes: Annotated[
         bool, typer.Option("--meshes", help="Compare meshes too, for the first scene with contact.")
     ] = False,
+    deck: Annotated[
+        Path | None,
+        typer.Option("--deck", metavar="FILE", help="Take SCENE's deck from disk, as it stands."),
+    ] = None,
     out: Out = None,
     set_: Set = None,
     as_json: AsJson = False,
@@ -203,14 +212,13 @@ def verify(
         names = [scene] if scene is not None else list(gallery())
         loaded = [load_scene(name, set_ or []) for name in names]
         directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
-        from kc2spice.workflow.verify import verifiable
+        from kc2spice.spice.read import read_deck
         from kc2spice.workflow.verify import verify as verify_scenes
 
-        if all_:
-            loaded = [each for each in loaded if verifiable(each)]
-
+        shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:
-            found = verify_scenes(loaded, directory, full=full, meshes=meshes, progress=progress)
+            found = verify_scenes(loaded, directory, full=full, meshes=meshes, deck=shipped,
+                                 progress=progress)  # fmt: skip
         passed = all(record["passed"] for record in found.values())
         if as_json:
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
@@ -232,7 +240,7 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         from kc2spice.scene.plan import plan
 
         loaded = load_scene(scene, set_ or [])
-        found = plan(loaded)
+        found = plan(loaded, estimate=True)
         if as_json:
             print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
             return
@@ -245,15 +253,29 @@ def scenes(
     keys: Annotated[
         bool, typer.Option("--keys", help="List every key that a scene may have instead.")
     ] = False,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="List part types with their pins and keys instead.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List the built-in scenes, or all scene keys."""
+    """List the built-in scenes, all scene keys, or all part types."""
     with reported_errors():
         from dataclasses import asdict
 
         from kc2spice.scene.keys import scene_keys
         from kc2spice.scene.load import gallery, load_scene
 
+        if keys and parts:
+            raise UsageError("give either --keys or --parts", where="scenes")
+        if parts:
+            from kc2spice.scene.partdocs import part_docs
+
+            docs = list(part_docs())
+            if as_json:
+                print(json.dumps([asdict(doc) for doc in docs]))
+            else:
+                show_parts(docs)
+            return
         if keys and as_json:
             print(json.dumps([asdict(key) for key in scene_keys()]))
             return

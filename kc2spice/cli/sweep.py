@@ -20,7 +20,7 @@ from kc2spice.cli.console import (
 from kc2spice.core.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
-    from kc2spice.workflow.sweep.engines import Engine
+    from kc2spice.workflow.sweep.pool import Engine
     from kc2spice.workflow.sweep.study import Request, Study
 
 _EVERY = 10.0  # s between two lines of progress where stderr is no terminal
@@ -179,11 +179,11 @@ def _request(
     scene: str | None, sets: list[str] | None, zipped: bool, latin: bool, seed: int,
     metrics: list[str] | None, timeout: float, table_format: str,
 ) -> Request:  # fmt: skip
-    from kc2spice.workflow.sweep.definition import request_of
+    from kc2spice.workflow.sweep.study import request_of
 
     return request_of(
-        _needed(scene, "SCENE"), tuple(sets or ()), zipped, latin, seed, tuple(metrics or ()),
-        timeout, table_format,
+        _needed(scene, "SCENE"), sets=tuple(sets or ()), zipped=zipped, latin=latin, seed=seed,
+        metrics=tuple(metrics or ()), timeout=timeout, format=table_format,
     )  # fmt: skip
 
 
@@ -203,7 +203,7 @@ def _shard(text: str) -> Any:
 
 
 def _engine(dask: str | None, workers: int | None) -> Engine:
-    from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine, cores
+    from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine, cores
 
     count = workers or cores()
     return LocalEngine(count) if dask is None else DaskEngine(dask, count)
@@ -213,13 +213,13 @@ def _interruptible(
     study: Study, out: Path, engine: Engine, progress: ProgressCallback,
     search: tuple[list[str], str, int, list[str]] | None = None, *, retry_failed: bool = False,
 ) -> Any:  # fmt: skip
-    from kc2spice.workflow.sweep import run, tune, tuned
+    from kc2spice.workflow.sweep import run, tune
 
     try:
         if search is not None:
             texts, metric, generations, required = search
-            bounds = [tune.bound(text) for text in texts]
-            return tuned.run_tuning(
+            bounds = [tune.bound(text, study.keys) for text in texts]
+            return tune.run_tuning(
                 study, bounds, metric, generations, out, engine, progress,
                 limits=[tune.limit(text) for text in required],
             )  # fmt: skip

@@ -11,6 +11,7 @@ from kc2spice.cli.console import print_facts, print_table
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
     from kc2spice.scene.keys import Key
+    from kc2spice.scene.partdocs import PartDoc
     from kc2spice.scene.plan import Plan
 
 
@@ -26,12 +27,21 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
+        if "contact_error" in rom:
+            rows.append(("error of the launch", contact_error(rom["contact_error"])))
         print_table("reduced model", rows)
     print_facts("metrics", result.get("metrics", {}))
     _show_checks(result.get("checks", ()))
     _show_attempts(result.get("simulator", {}).get("attempts", ()))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def contact_error(value: float | None) -> str:
+    """What the reduction does where bodies meet; its certificate is that of the response."""
+    if value is None:
+        return "not estimated; checks.reduction = 'warn' compares with a richer model"
+    return f"{value:.2g}"
 
 
 def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
@@ -71,10 +81,8 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
             for check in record["checks"]
         ]
         print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
-        roads = [
-            (road["name"], f"{road['wall_s']:.3g} s", road["against"]) for road in record["roads"]
-        ]
-        print_table(f"{name}: roads", roads, header=("road", "wall time", "compared with"))
+        costs = [(cost["name"], f"{cost['wall_s']:.3g} s") for cost in record["costs"]]
+        print_table(f"{name}: solutions", costs, header=("solution", "wall time"))
         for baseline, ratio in record["speedup"].items():
             print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
         for note in record["notes"]:
@@ -134,6 +142,19 @@ def show_keys(keys: Iterable[Key]) -> None:
         for key in keys
     ]
     print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+
+
+def show_parts(docs: Iterable[PartDoc]) -> None:
+    """What ``scenes --parts`` lists."""
+    for doc in docs:
+        rows = [("pin", pin.name, pin.kind, f"default {pin.default}" if pin.default else "")
+                for pin in doc.pins]  # fmt: skip
+        rows += [
+            ("key", key.name, key.unit or " | ".join(key.choices),
+             "" if key.default is None else f"default {key.default}")
+            for key in doc.keys
+        ]  # fmt: skip
+        print_table(f"{doc.name}: {doc.title}", rows)
 
 
 def show_findings(findings: Iterable[Finding]) -> None:

@@ -20,7 +20,8 @@ class Curve:
 @dataclass(frozen=True)
 class Panel:
     """One pair of axes. ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded
-    ranges ``(low, high, label)``, ``marks`` vertical lines; ``span`` is the range of x.
+    ranges ``(low, high, label)``, ``marks`` vertical lines; ``span`` is the range of x; ``equal``
+    gives both axes one scale.
     """
 
     x: str
@@ -32,6 +33,7 @@ class Panel:
     span: tuple[float, float] | None = None
     log_x: bool = False
     log_y: bool = False
+    equal: bool = False
 
 
 @dataclass(frozen=True)

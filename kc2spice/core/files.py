@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -16,7 +18,11 @@ from kc2spice.core.errors import UsageError
 
 # What a reader opens first. They go before any other file changes and come after all others:
 # whoever sees one sees the files that belong to it, even after a kill between two renames.
-ENTRIES = (".cir", "verify.json", "result.json")
+RESULT = "result.json"
+ENTRIES = (".cir", "verify.json", RESULT)
+_SUFFIX = ".part"
+_PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_LARGEST = 10_000_000  # bytes of a record that is read back
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED = 60.0  # s after which a work directory without a living owner is cleared away
 
@@ -33,18 +39,15 @@ def staged(out: Path | str) -> Iterator[Path]:
     ------
     UsageError : ``out`` is a file, or cannot be created or written.
     """
-    out = Path(out).absolute()
+    out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
     parent = _nearest_directory(out.parent)
     _nearest_directory(out)
     if os.path.isdir(out) and not os.access(out, os.W_OK | os.X_OK):
         raise UsageError("cannot be written", where=str(out), hint="choose another --out")
-    try:
-        work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=parent))
-    except OSError as error:
-        raise _unwritable(parent, error) from None
+    work = _work_directory(out, parent)
     try:
         with _locked(work):
-            _clear_abandoned(work, out.name)
+            _clear_abandoned(work, _prefix(out))
             try:
                 yield work
             except OSError as error:
@@ -57,6 +60,35 @@ def staged(out: Path | str) -> Iterator[Path]:
                 raise _unwritable(out, error) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+def _work_directory(out: Path, parent: Path) -> Path:
+    """A new directory beside ``out``, or within it where it is a mount point or alone writable."""
+    places = [parent, out] if out.is_dir() else [parent]
+    reason = OSError()
+    for place in places:
+        try:
+            work = Path(tempfile.mkdtemp(prefix=_prefix(out), suffix=_SUFFIX, dir=place))
+        except OSError as error:
+            reason = error
+            continue
+        if place == places[-1] or _renames(work, out):
+            return work
+        work.rmdir()
+    raise _unwritable(parent, reason) from None
+
+
+def _renames(work: Path, out: Path) -> bool:
+    """Whether a file of ``work`` gets into ``out`` by a rename: both are one file system."""
+    probe = out / work.name
+    (work / work.name).touch()
+    try:
+        os.rename(work / work.name, probe)
+    except OSError:
+        (work / work.name).unlink()
+        return False
+    probe.unlink()
+    return True
 
 
 def _nearest_directory(path: Path) -> Path:
@@ -74,16 +106,42 @@ def _unwritable(path: Path, error: OSError) -> UsageError:
     return UsageError(f"cannot be written: {reason}", where=str(path), hint="choose another --out")
 
 
+def _prefix(out: Path) -> str:
+    return f".kc2spice.{out.name}."
+
+
 def _publish(work: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with _locked(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
+        stale = _earlier(out) - {str(name) for name in files}
         for name in files:
             if _rank(name) >= 0:
                 (out / name).unlink(missing_ok=True)
+        for old in stale:
+            with contextlib.suppress(OSError):
+                (out / old).unlink()
         for name in sorted(files, key=lambda path: (_rank(path), path)):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(work / name, out / name)
+
+
+def _earlier(out: Path) -> set[str]:
+    """Files that an earlier run into ``out`` lists as its own; anything else there is not ours.
+
+    The list is data: names with folders in them, hidden ones and links are left alone.
+    """
+    try:
+        if (out / RESULT).stat().st_size > _LARGEST:
+            return set()
+        record = json.loads((out / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return set()
+    names = record.get("files") if isinstance(record, dict) and "scene" in record else None
+    if not isinstance(names, list):
+        return set()
+    plain = (name for name in names if isinstance(name, str) and _PLAIN.fullmatch(name))
+    return {name for name in plain if (out / name).is_file() and not (out / name).is_symlink()}
 
 
 def _rank(path: Path) -> int:
@@ -91,9 +149,11 @@ def _rank(path: Path) -> int:
     return next((rank for rank, end in enumerate(ENTRIES) if path.name.endswith(end)), -1)
 
 
-def _clear_abandoned(own: Path, name: str) -> None:
+def _clear_abandoned(own: Path, prefix: str) -> None:
     """Remove work directories of runs that were killed: nobody holds their locks any more."""
-    for other in own.parent.glob(f".{name}.*.part"):
+    for other in own.parent.iterdir():
+        if not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
+            continue
         with contextlib.suppress(OSError):
             if other != own and time.time() - other.stat().st_mtime > _ABANDONED:
                 with _locked(other, wait=False):

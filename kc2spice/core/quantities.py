@@ -34,6 +34,23 @@ def _rings(value: object) -> object:
     raise PydanticCustomError("quantity", "{reason}", context)
 
 
+MOUNTINGS = ("roller", "glued", "free")
+
+
+def _mounting(value: object) -> object:
+    if value in MOUNTINGS:
+        return value
+    try:
+        stiffness = quantity(value, "N/m3")
+    except UsageError:
+        stiffness = -1.0
+    if 0 < stiffness < float("inf"):
+        return stiffness
+    expected = f'{", ".join(MOUNTINGS)}, or a stiffness per area above zero such as "1e14 N/m3"'
+    context = {"reason": "no such mounting", "expected": expected}
+    raise PydanticCustomError("quantity", "{reason}", context)
+
+
 def si(unit: str) -> BeforeValidator:
     """Marks a number that is kept in ``unit`` and may be written as a string with any other."""
     return BeforeValidator(partial(_number, unit))
@@ -63,6 +80,7 @@ Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
+Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
+TOP = 1e-6  # flat top of a repeated triangle, of its edge
 NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse that has none)
 
 
@@ -89,7 +90,12 @@ class Waveform:
         return f"PWL({' '.join(map(_number, corners))})"
 
     def _pulse(self, scale: float) -> str | None:
-        """The short form of a trapezoid with a flat top."""
+        """The short form of a trapezoid with a flat top, or of triangles without end."""
+        if len(self.points) == 3 and self.period is not None:
+            (t0, v0), (t1, v1), (t2, _) = self.points
+            top = TOP * (t1 - t0)  # a width of zero means "until the end"
+            numbers = (scale * v0, scale * v1, t0, t1 - t0, t2 - t1 - top, top, self.period)
+            return f"PULSE({' '.join(map(_number, numbers))})"
         if len(self.points) != 4:
             return None
         (t0, v0), (t1, v1), (t2, v2), (t3, v3) = self.points
@@ -134,10 +140,10 @@ def pulse(
     one = tuple((start + t, v) for t, v in edges)
     if period is None:
         return Waveform("linear", one if width > edge else (one[0], one[1], one[3]))
-    if count is None and width > edge:
-        return Waveform("linear", one, period)
-    turns = 1 if count is None else count
-    many = [(start + k * period + t, v) for k in range(turns) for t, v in edges]
+    if count is None:
+        shape = one if width > edge else (one[0], one[1], one[3])
+        return Waveform("linear", shape, period)
+    many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
     unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
     return Waveform("linear", tuple(unique))
 

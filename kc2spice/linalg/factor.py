@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.sparse.linalg import splu
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
 from kc2spice.linalg.pardiso import Pardiso
+
+sparse = lazy("scipy.sparse")
+linalg = lazy("scipy.linalg")
 
 # 'scipy' is banded Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
 Solver = Literal["scipy", "pardiso"]
@@ -85,7 +86,7 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
         if definite and (bandwidth + 1) * coo.shape[0] * 8 <= BANDED_BYTES:
             return Factor(matrix, norm, _banded(coo, bandwidth))
         return Factor(matrix, norm, inverses(matrix, symmetric=True)[0])
-    except (LinAlgError, RuntimeError) as error:
+    except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
             where="direct solver",
@@ -99,8 +100,8 @@ def _banded(coo: sparse.coo_array, bandwidth: int) -> Inverse:
     band = np.zeros((bandwidth + 1, coo.shape[0]))
     lower = coo.row >= coo.col
     band[(coo.row - coo.col)[lower], coo.col[lower]] = coo.data[lower]
-    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    return lambda rhs: cho_solve_banded((factor, True), rhs, check_finite=False)
+    factor = linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+    return lambda rhs: linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
 def inverses(
@@ -118,7 +119,7 @@ def inverses(
     if solver == "pardiso":
         factors = Pardiso(matrix, symmetric=symmetric)
         return factors.solve, lambda rhs: factors.solve(rhs, transposed=True)
-    lu = splu(
+    lu = sparse.linalg.splu(
         sparse.csc_array(matrix),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0 if symmetric else 0.01,

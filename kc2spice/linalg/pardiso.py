@@ -10,10 +10,12 @@ import weakref
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from kc2spice.core.errors import MissingToolError
+from kc2spice.core.lazy import lazy
 from kc2spice.linalg.memory import require_bytes
+
+sparse = lazy("scipy.sparse")
 
 # Matrix types of PARDISO: (symmetric, complex) -> mtype; a definite one has its own.
 _TYPES = {(True, False): -2, (True, True): 6, (False, False): 11, (False, True): 13}

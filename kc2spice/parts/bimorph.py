@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from kc2spice.bodies import bimorph
+from kc2spice.bodies.device import Device
 from kc2spice.fem.materials import material
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._meshed import MeshedBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -14,15 +15,32 @@ from kc2spice.scene.settings import Rom
 
 
 class BimorphKeys(bimorph.Bimorph):
-    """Keys of the body, and its own reduction if it has one."""
+    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
 
     rom: Rom | None = None
+    fields: bool = False
 
 
-class Bimorph(LinearBody):
+class Bimorph(MeshedBody):
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
+    example = """
+[bimorph]
+part = "bimorph"
+length = "30 mm"
+width = "5 mm"
+layers = [
+  { material = "PZT-5A", thickness = "0.3 mm" },
+  { material = "PZT-5A", thickness = "0.3 mm" },
+]
+wiring = "parallel"
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+dc = "50 V"
+"""
     source = "FE (piezoelectric, hexahedra)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
@@ -40,6 +58,9 @@ class Bimorph(LinearBody):
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         with clock.stage("assemble", f"matrices of {part.name}"):
             return bimorph.build(self.body_keys(part), scene.home, refine=refine)
+
+    def device(self, part: Part, scene: Scene) -> Device:
+        return bimorph.device(self.body_keys(part), scene.home, where=part.name)
 
 
 register(Bimorph())

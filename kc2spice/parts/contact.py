@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -26,7 +28,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -35,6 +37,7 @@ OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
 EVENTS = 4e-3
+ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 FEW = 20  # events that are not too many for any reltol
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 
@@ -55,7 +58,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    short_for = ("contact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
@@ -136,6 +138,7 @@ class Contact(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         if "time" in waves:
+            yield from _start(part, build, waves)
             yield from _penetration(part, build, waves)
             yield from _events(part, build, waves)
         yield from _open_ports(part, build, waves)
@@ -162,6 +165,26 @@ class Contact(PartType):
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
+            gates = build.scene.gates
+            limits = {
+                "ngspice_vs_rom": gates.launch_velocity,
+                "rom_vs_fom": gates.launch_full_model,
+                "ngspice_vs_fom": gates.launch_full_model,
+            }
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, scene = part.name, build.scene
+        ports = kept_ports(part, scene)
+        law = laws.Contact(n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene))
+        place = "bottom" if self._velocity(part, scene) else "b"
+        pins = (*((port, f"{n}.{port}") for port in ports), (place, f"{n}.b"))
+        results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
+        every = tuple((1.0, f"{n}.{r}.through") for r in ports)
+        return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count = len(kept_ports(part, scene))
@@ -417,6 +440,24 @@ def _kinetic(other: str, build: Build, waves: Waveforms) -> float:
     return 0.0 if v is None else mass * float((v**2).max()) / 2
 
 
+def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
+    (one, _), (other, b) = _names(part, build.scene)
+    place, force = _place(part, build, waves), waves.data.get(f"{part.name}.force")
+    free = moved_by(other, build.scene) == other and not thrown(part, build.scene)
+    if b.radius is None or place is None or force is None or not free:
+        return
+    yield Check(
+        f"{other} starts at rest on {one}",
+        0.0 if force[0] > 0 else float(place[0]) + part.keys.gap,
+        ALOFT,
+        "m above it",
+        f"forces on {other} balance there before anything moves: change them (magnets: polarity, "
+        f"remanence or position), or give {other}.height and velocity at t = 0",
+        build.scene.checks.start,
+    )
+
+
 def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     _, b = sides(part, build.scene)
     every = gaps(part, build.scene, every=True)
@@ -482,16 +523,6 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 # --- the subcircuit -------------------------------------------------------------------------------
 
 
-def contact_force(
-    displacement: np.ndarray, bottom: np.ndarray, gaps: np.ndarray, eps: float
-) -> np.ndarray:
-    """Force [N] of every ring on the sphere, ``eps max(0, u - bottom - gap)``, rings last.
-
-    ``displacement`` (..., rings) and ``bottom`` (...) in m, ``eps`` in N/m of the whole ring.
-    """
-    return eps * np.maximum(0.0, displacement - np.asarray(bottom)[..., None] - gaps)
-
-
 def contact_subcircuit(
     header: Header,
     rings: tuple[str, ...],
@@ -502,7 +533,7 @@ def contact_subcircuit(
     under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
-    """The law of :func:`contact_force` between ring pins and the other side.
+    """``force = eps max(0, u - bottom - gap)`` between ring pins and the other side.
 
     ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
     the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
@@ -517,7 +548,7 @@ def contact_subcircuit(
     ]  # fmt: skip
     doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     params = (
-        Param("eps", eps, "N/m", "contact penalty of a whole ring", 0.0),
+        positive("eps", eps, "N/m", "contact penalty of a whole ring"),
         *sphere,
         *(
             Param(f"gap_{ring}", float(gap), "m", doc.format(ring))

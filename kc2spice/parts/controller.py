@@ -44,6 +44,26 @@ class Controller(PartType):
     name = "controller"
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
+    example = """
+[controller]
+part = "controller"
+inputs = ["tip"]
+period = "50 us"
+pins = { tip = "beam.tip", out = "beam.anode" }
+
+[beam]
+part = "bimorph"
+length = "30 mm"
+width = "5 mm"
+layers = [
+  { material = "PZT-5A", thickness = "0.3 mm" },
+  { material = "PZT-5A", thickness = "0.3 mm" },
+]
+wiring = "parallel"
+"""
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return () if part.keys.file is None else (part.keys.file,)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         keys = part.keys

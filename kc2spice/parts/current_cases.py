@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import PAIRS, FullSolution, Gate, Limit
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
 
+FINER = 4  # field solutions per interval of the table that the lookup is compared with
 HEIGHTS = 2001  # at which the lookup is read: five per segment
 
 
@@ -27,7 +32,6 @@ class CurrentCases(PartType):
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
-    short_for = ("em_force",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -81,6 +85,83 @@ class CurrentCases(PartType):
             "current_pairs_a": [list(case) for case in cases(part)],
             "force_n": [force.tolist() for force in forces],
         }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        limits = dict.fromkeys(PAIRS, build.scene.gates.lookup)
+        of = f"{_coils(build.scene).name}.force.*"
+        yield Gate("force, of the largest", of, limits, "largest", leads=True)
+
+    def full_solution(self, part: Part, build: Build, clock: Any, whole: bool) -> FullSolution:
+        """A field solution per current pair and height, and a sweep ``FINER`` times as dense.
+
+        Its spline interpolates ``FINER**4`` times better than the table's.
+        """
+        from kc2spice.fem.magnetics.field import brute_force, catch_table
+        from kc2spice.fem.magnetics.table import em_cases, force
+        from kc2spice.parts.ring_magnet_coils import field_keys, mounted, sphere_of
+
+        coils = _coils(build.scene)
+        table, catch = build.model(coils), field_keys(coils)
+        radius = sphere_of(coils, build.scene).keys.radius
+        pairs = np.array(cases(part))
+        largest = float(np.abs(em_cases(table, pairs)).max())
+        with clock.stage("superposition", "four fields per height") as share:
+            started = time.perf_counter()
+            catch_table(catch, radius, lambda done, total: share(done / total))
+            superposed = time.perf_counter() - started
+        with clock.stage("brute force", f"{len(pairs) * table.y.size} cases") as share:
+            started = time.perf_counter()
+            brute = brute_force(catch, radius, pairs, lambda done, total: share(done / total))
+            spent = time.perf_counter() - started
+        apart = float(np.abs(em_cases(table, pairs) - brute).max() / largest)
+        dense = catch.model_copy(update={"positions": FINER * (catch.positions - 1) + 1})
+        with clock.stage("dense sweep", f"{dense.positions} heights") as share:
+            found = catch_table(dense, radius, lambda done, total: share(done / total))
+        exact = mounted(found, 1.0, coils.keys.shift)
+        y = np.linspace(*self.sweep_range(part, build.scene), HEIGHTS)
+        y = np.clip(y, exact.y[0], exact.y[-1])
+        data = {f"{_sphere(build.scene)}.y": y}
+        data |= {f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)}
+        gates = build.scene.gates
+        return FullSolution(
+            Waveforms(data, {}), build, spent,
+            baselines={"refactor": spent, "low_rank": superposed},
+            checks=(Limit("coefficients to a field per case", apart, gates.superposition),),
+            notes=("errors are relative to the largest force of all cases",),
+        )  # fmt: skip
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """The height is a source's; a force on it is the reaction to what the coils exert."""
+        from kc2spice.parts.ring_magnet_coils import force_table
+
+        n, coils = part.name, _coils(build.scene)
+        table, still = force_table(build.model(coils)), laws.Line.constant
+        found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
+        nets = [(f"{n}.out", *(f"{coils.name}{k}.y" for k in range(len(cases(part)))))]
+        results = {f"{_sphere(build.scene)}.y": laws.reading(f"{n}.out")}
+        for k, pair in enumerate(cases(part)):
+            own = f"{coils.name}{k}"
+            found.append(laws.PositionForce(own, table, (1.0, 1.0)))
+            for coil, current in enumerate(pair, 1):
+                found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
+                nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
+            results[f"{coils.name}.force.{k}"] = laws.reading(f"{own}.force")
+        return laws.Equations(
+            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, tuple(nets)
+        )
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Largest change of slope from one segment of the lookup to the next, of the largest slope;
+        the heights are finer than the lookup, so that a jump shows at full size."""
+        coils = _coils(build.scene).name
+        y = waves[f"{_sphere(build.scene)}.y"]
+        forces = np.array([waves[f"{coils}.force.{k}"] for k in range(len(cases(part)))])
+        slope = np.diff(forces, axis=1) / np.diff(y)
+        jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
+        yield Check(
+            "jump of the lookup's slope", jump, build.scene.gates.lookup_slope,
+            "of the largest slope", f"raise {coils}.points", "warn",
+        )  # fmt: skip
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kc2spice.bodies import disc
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kc2spice.bodies import langevin
-from kc2spice.parts.linear_body import LinearBody
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -22,6 +22,24 @@ class Langevin(LinearBody):
     name = "langevin"
     title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
     schema = LangevinKeys
+    example = """
+[langevin]
+part = "langevin"
+front = [{ material = "aluminium", diameter = "20 mm", length = "30 mm" }]
+back = [{ material = "steel", diameter = "20 mm", length = "20 mm" }]
+rings = { material = "PZT-8", outer = "20 mm", inner = "8 mm", thickness = "3 mm" }
+bolt = { material = "steel", diameter = "6 mm" }
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+ac = "1 V"
+
+[analysis]
+type = "ac"
+start = "10 kHz"
+stop = "100 kHz"
+"""
     source = "FE (piezoelectric, axisymmetric)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section
-from kc2spice.parts.linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
@@ -37,22 +39,27 @@ class Matrices(LinearBody):
         return self._model(part, scene).ports
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
-        folder = (scene.home / part.keys.file).parent
-        stem = Path(part.keys.file).name.split(".")[0]
-        files = sorted(folder.glob(f"{stem}*")) if folder.is_dir() else []
-        stamps = {path.name: file_stamp(path) for path in files if path.is_file()}
+        stamps = {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
         return {**super().full_key(part, scene), "files": stamps}
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        found = source_files(scene.home / part.keys.file, self._sidecar(part, scene))
+        return tuple(os.path.relpath(path, scene.home) for path in found)
 
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
         if refine != 1:
             raise UsageError("matrices cannot be refined", where=part.name, got=refine)
         return self._model(part, scene)
 
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """The mesh is that of the other tool."""
+
     def _model(self, part: Part, scene: Scene) -> LinearModel:
-        keys = part.keys
-        sidecar = None if keys.sidecar is None else scene.home / keys.sidecar
         stamps = str(self.full_key(part, scene)["files"])
-        return _read(scene.home / keys.file, sidecar, stamps)
+        return _read(scene.home / part.keys.file, self._sidecar(part, scene), stamps)
+
+    def _sidecar(self, part: Part, scene: Scene) -> Path | None:
+        return None if part.keys.sidecar is None else scene.home / part.keys.sidecar
 
 
 @lru_cache(maxsize=4)

@@ -40,6 +40,9 @@ class Netlist(PartType):
     def uses_netlists(self, part: Part) -> bool:
         return True
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (part.keys.file,)
+
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         found = []
         for name in _pins(part, scene):

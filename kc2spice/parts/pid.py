@@ -9,14 +9,16 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts import sphere
+from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
@@ -56,14 +58,6 @@ class Control(Section):
         return tuple(sorted(both))
 
 
-def pid_current(
-    error: np.ndarray, integral: np.ndarray, slope: np.ndarray, control: Control
-) -> np.ndarray:
-    """Coil current [A], ``clamp(KP e + KI int e + KD e', +-limit)`` of error [m] and its kin."""
-    wanted = control.kp * error + control.ki * integral + control.kd * slope
-    return np.clip(wanted, -control.current_limit, control.current_limit)
-
-
 def _gains(control: Control) -> tuple[Param, ...]:
     """The gains that are not zero, and the roll-off where there is a differentiator.
 
@@ -80,10 +74,10 @@ def _gains(control: Control) -> tuple[Param, ...]:
             expected="no gain below zero and at least one above",
         )
     params = (
-        Param("kp", control.kp, "A/m", "proportional gain, above zero"),
-        Param("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
-        Param("kd", control.kd, "A.s/m", "derivative gain, above zero"),
-        Param("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
+        positive("kp", control.kp, "A/m", "proportional gain, above zero"),
+        positive("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
+        positive("kd", control.kd, "A.s/m", "derivative gain, above zero"),
+        positive("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
     )
     present = {"kp": control.kp, "ki": control.ki, "kd": control.kd, "rolloff": control.kd}
     return tuple(param for param in params if present[param.name])
@@ -125,14 +119,14 @@ def pid_subcircuit(
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
     )
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
-    supply = Param("compliance", compliance(control, load), "V", "supply of the output stage")
+    supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
     rail = max(15.0, HEADROOM * sense * control.current_limit)
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         *_gains(control),
-        Param("current_limit", control.current_limit, "A", "largest coil current"),
+        positive("current_limit", control.current_limit, "A", "largest coil current"),
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        Param("rail", rail, "V", "supply of the signal amplifiers"),
+        positive("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
     gains = [param.name for param in params]
@@ -158,7 +152,6 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height, of operational amplifiers"
     schema = Control
-    short_for = ("control",)
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -235,6 +228,20 @@ class Pid(PartType):
             wanted = f"v({build.net(part, 'command')})"
             found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
         return found
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """The ideal law; what the amplifiers add to it is an error of the netlist."""
+        keys, n, scene = part.keys, part.name, build.scene
+        own = [name for name, _ in scene.joined(n, "enable")] == [f"{n}_enable"]
+        if _remote(part, scene) or not own or build.net(part, "ref") != "0":
+            return None
+        on = tuple(t for t, state in keys.switching if state)
+        law = laws.Pid(
+            n, keys.kp, keys.ki, keys.kd, keys.rolloff, keys.current_limit, keys.setpoint,
+            sphere.offset(part, "y", scene), on, tuple(keys.disable_at),
+        )  # fmt: skip
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
+        return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         ball = _ball(part, build.scene)

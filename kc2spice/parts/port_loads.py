@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
+
+SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 
 
 class PortLoadsKeys(Section):
@@ -30,7 +35,6 @@ class PortLoads(PartType):
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
-    short_for = ("harmonic",)
     analysis_type = "ac"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -111,10 +115,69 @@ class PortLoads(PartType):
         caption = "Response of every port to a unit load on itself."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
 
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        """What was asked of the reduction bounds what it may cost."""
+        gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
+        limits = {
+            "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
+        }  # fmt: skip
+        yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
+        small that nothing but its charge matters."""
+        body = body_of(part, build.scene)
+        equations = body.type.law(body, build)
+        if equations is None:
+            return None
+        (law,) = equations.laws
+        rings, is_open = _rings(body, build), body.keys.electrical == "open"
+        found: list[laws.Law] = []
+        nets: list[tuple[str, ...]] = []
+        results: dict[str, laws.Reading] = {}
+        still = laws.Line.constant(0.0)
+        for load in (*rings, "anode"):
+            name = f"{body.name}_{load}"
+            found.append(replace(law, name=name))
+            volts = laws.Source(f"{name}_volts", "voltage", still, float(load == "anode"))
+            if load != "anode":
+                found.append(laws.Source(f"{name}_force", "force", still, 1.0))
+                nets.append((f"{name}.{load}", f"{name}_force.out"))
+            if not is_open:
+                found.append(volts)
+                nets.append((f"{name}.anode", f"{name}_volts.out"))
+            elif load == "anode":
+                speck = laws.Capacitor(f"{name}_speck", SPECK)
+                found += [replace(volts, ac=1.0 / SPECK), speck]
+                nets += [(f"{name}_volts.out", f"{name}_speck.a")]
+                nets += [(f"{name}.anode", f"{name}_speck.b")]
+            for ring in rings:
+                results[f"{load}>{ring}"] = laws.reading(f"{name}.{ring}")
+            charge = laws.Reading(((1.0, f"{name}.anode.through"),), charge=True)
+            results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
+        return laws.Equations(tuple(found), (), results, nets=tuple(nets))
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys
         detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
         return Modelled(part.name, "unit loads", detail)
+
+
+def charged(response: np.ndarray, anode: int) -> np.ndarray:
+    """The response driven by the anode's charge instead of its voltage (paper eq. 8, 9).
+
+    ``[u; Q] = H [f; V]``, so ``[I -H_uV; 0 H_QV] [u; V] = [H_uf 0; -H_Qf 1] [f; Q]``.
+    """
+    result = np.empty_like(response)
+    others = [k for k in range(response.shape[1]) if k != anode]
+    for k, H in enumerate(response):
+        left, right = np.eye(len(H), dtype=complex), np.zeros_like(H)
+        left[others, anode], left[anode, anode] = -H[others, anode], H[anode, anode]
+        right[np.ix_(others, others)] = H[np.ix_(others, others)]
+        right[anode, others], right[anode, anode] = -H[anode, others], 1.0
+        result[k] = np.linalg.solve(left, right)
+    return result
 
 
 def body_of(part: Part, scene: Scene) -> Part:

@@ -7,10 +7,12 @@ from typing import Any
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.throw import sectors, sphere
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Vector, register
 
@@ -27,7 +29,6 @@ class Push(PartType):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
-    short_for = ("imprint",)
     analysis_type = "dc"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
@@ -91,6 +92,22 @@ class Push(PartType):
             "imprint_m": waves[f"{part.name}.depth"].tolist(),
             "force_n": force.tolist(),
         }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        contact, gates = build.scene.only("contact"), build.scene.gates
+        assert contact is not None
+        limits = {
+            "rom_vs_fom": gates.imprint_rom,
+            "ngspice_vs_rom": gates.imprint_ngspice,
+            "ngspice_vs_fom": gates.imprint_ngspice,
+        }
+        yield Gate("static force", f"{contact.name}.force", limits, leads=True)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        source = laws.Source(n, "displacement", laws.Line.constant(0.0))
+        results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
+        return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
@@ -27,6 +28,7 @@ from kc2spice.fem.magnetics.table import (
     force,
     inductances,
 )
+from kc2spice.parts import sphere as spheres
 from kc2spice.parts.contact import fall, landing, moved_by
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.scene.judge import Check
@@ -41,8 +43,9 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
+from kc2spice.scene.plausible import within
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -172,8 +175,8 @@ def catch_subcircuit(
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:
     """The resistances of both coils, which a deck may change."""
     return (
-        Param("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
-        Param("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
     )
 
 
@@ -273,7 +276,6 @@ class RingMagnetCoils(PartType):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
-    short_for = ("catch",)
     lookup_key = "points"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
@@ -314,6 +316,21 @@ class RingMagnetCoils(PartType):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from _problems(part, scene)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
+        for coil in ("lower", "upper"):
+            body = getattr(keys, coil)
+            fill = float(copper / (body.height * (body.outer - body.inner)))
+            why = (
+                f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into {name}.{coil}"
+            )
+            yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
+        magnet = "no permanent magnet has more"
+        yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
+        long = "field and force fall off with the fourth power of the distance"
+        yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
         sphere = sphere_of(part, scene)
@@ -381,6 +398,25 @@ class RingMagnetCoils(PartType):
         lower = waves.data.get(f"{label(part)}.lower.current", zero)
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
         return force(build.model(part), y, lower, upper)
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        n, scene, table = part.name, build.scene, build.model(part)
+        prefix, offset = label(part), spheres.offset(part, "y", scene)
+        currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
+        if real(part, scene):
+            law = laws.CoilForce(n, force_table(table), np.asarray(table.resistance),
+                                 np.asarray(table.inductance[0]), offset)  # fmt: skip
+            ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
+            results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
+            results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
+            return laws.Equations((law,), tuple((a, f"{n}.{b}") for a, b in ends), results)
+        feeds = scene.joined(n, "drive")
+        if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
+            return None
+        force_law = laws.PositionForce(n, force_table(table), (-1.0, 1.0), offset)
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
+        results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
+        return laws.Equations((force_law,), pins if feeds else pins[:1], results)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         if f"{label(part)}.voltage" not in waves:
@@ -475,6 +511,11 @@ class RingMagnetCoils(PartType):
         )
 
 
+def field_keys(part: Part) -> Catch:
+    """What the field depends on, remanence and shift included."""
+    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
 def force_map(part: Part, build: Build) -> Figure:
     """Force over height for pairs of coil currents: lowest, none, highest."""
     table = build.model(part)
@@ -491,6 +532,13 @@ def force_map(part: Part, build: Build) -> Figure:
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
+
+
+def force_table(table: EMTable) -> laws.ForceTable:
+    """The table as the integrator takes it."""
+    return laws.ForceTable(
+        table.y, np.column_stack([getattr(table, name) for name in COEFFICIENTS]), 2
+    )
 
 
 def label(part: Part) -> str:
@@ -593,6 +641,11 @@ def _body(key: str, body: Ring, catch: Catch, radius: float, sphere: str) -> Ite
         yield UsageError(
             "the sphere does not fit through", where=f"{key}.inner", got=f"{body.inner:g} m",
             expected=f"more than {sphere}.radius, {radius:g} m",
+        )  # fmt: skip
+    if body.height >= catch.air_height:
+        yield UsageError(
+            "reaches beyond the modelled air", where=f"{key}.height", got=f"{body.height:g} m",
+            expected=f"less than {key.partition('.')[0]}.air_height, {catch.air_height:g} m",
         )  # fmt: skip
     if body.outer >= catch.air_radius:
         yield UsageError(

@@ -31,6 +31,17 @@ class Sensor(PartType):
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
+    example = """
+[sensor]
+part = "sensor"
+bandwidth = "100 kHz"
+pins = { of = "push.out" }
+
+[push]
+part = "source"
+kind = "displacement"
+dc = "1 um"
+"""
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return (

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
+from kc2spice.core import laws
 from kc2spice.core import waveform as waves_
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
@@ -102,6 +103,9 @@ class Source(PartType):
         _, unit, flow, _, _ = KINDS[part.keys.kind]
         return (Terminal("out", unit, flow, required=True), Terminal("ret", unit, flow, "gnd"))
 
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return () if part.keys.file is None else (part.keys.file,)
+
     def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
         return (("out", "ret"),) if KINDS[part.keys.kind][4] == "V" else ()
 
@@ -162,9 +166,41 @@ class Source(PartType):
             wiring=True,
         )  # fmt: skip
 
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, keys = part.name, part.keys
+        shape = part.keys.waveform(build.scene.home)
+        law = laws.Source(
+            n,
+            keys.kind,
+            smooth_pieces(shape, build.scene.stop),
+            complex(quantity(keys.ac, keys.unit)),
+        )
+        signal = keys.kind == "acceleration"
+        pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
+        across = {"voltage": "v", "current": "v", "acceleration": "a"}.get(keys.kind, "x")
+        results = {f"{n}.{across}": laws.reading(f"{n}.out")}
+        if not signal:
+            results[f"{n}.i"] = results[f"{n}.force"] = laws.reading(f"{n}.out.through", -1.0)
+        return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         shape = next((name for name in SHAPES if getattr(part.keys, name) is not None), "dc")
         return Modelled(part.name, "ideal source", f"{part.keys.kind}, {shape}")
+
+
+def smooth_pieces(wave: Waveform, stop: float) -> laws.Waveform:
+    """The same function of time for the integrator, which restarts at its corners."""
+    if wave.kind == "sine":
+        return laws.Sine(wave.amplitude, wave.frequency, wave.start)
+    if wave.kind == "constant":
+        return laws.Line.constant(wave.points[0][1])
+    points = list(wave.points)
+    if wave.period is not None:
+        turns = int((stop - points[0][0]) / wave.period) + 1
+        points = [(t + k * wave.period, v) for k in range(max(1, turns)) for t, v in points]
+        last = [k for k, (t, _) in enumerate(points) if k == 0 or t > points[k - 1][0]]
+        points = [points[k] for k in last]
+    return laws.Line(tuple(points))
 
 
 def _rising(points: np.ndarray, what: str) -> Waveform:

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -24,7 +26,8 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.scene.plausible import within
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
@@ -51,7 +54,6 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
-    short_for = ("sphere",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):
@@ -72,6 +74,13 @@ class Sphere(PartType):
                 expected=f"one between {part.name} and {', '.join(bodies)}",
                 hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
             )  # fmt: skip
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        small = "grains below stick by adhesion, balls above are no part of a MEMS device"
+        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 50e-3, small)
+        solid = "no solid is lighter than an aerogel or heavier than osmium"
+        yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
@@ -140,6 +149,27 @@ class Sphere(PartType):
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        if build.scene.analysis.type == "transient" and not start(part, build.scene):
+            limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
+            yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """Its coordinate is the height of its lowest point over touching."""
+        n, scene = part.name, build.scene
+        if _moved(part, scene):
+            return laws.Equations()
+        thrown = start(part, scene)
+        held = scene.joined(n, "v") or scene.joined(n, "bottom")
+        speed, height = thrown if thrown else (0.0, None if held else 0.0)
+        law = laws.Mass(n, part.keys.mass, scene.gravity, height, speed)
+        results = {
+            f"{n}.y": laws.reading(f"{n}.a", constant=part.keys.radius),
+            f"{n}.v": laws.reading(f"{n}.a.rate"),
+        }
+        pins = tuple((pin, f"{n}.a") for pin in ("v", "bottom", "y"))
+        return laws.Equations((law,), pins, results)
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys
         detail = f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
@@ -167,6 +197,13 @@ def start(part: Part, scene: Scene) -> tuple[float, float] | None:
             return thrown
     keys = part.keys
     return (keys.velocity, keys.height) if keys.velocity or keys.height else None
+
+
+def offset(part: Part, pin: str, scene: Scene) -> float:
+    """What a pin that reads the height of a centre has on top of its law's coordinate [m]."""
+    heights = [n for n, other in scene.joined(part.name, pin) if other == "y"]
+    spheres = [scene.parts[n] for n in heights if scene.parts[n].type.name == Sphere.name]
+    return float(spheres[0].keys.radius) if spheres else 0.0
 
 
 def work_balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
@@ -231,8 +268,8 @@ def sphere_subcircuit(
         Pin("base", "um", "N"),
     )
     params = (
-        Param("mass", mass, "kg", "mass of the sphere"),
-        Param("radius", radius, "m", "radius of the sphere"),
+        positive("mass", mass, "kg", "mass of the sphere"),
+        positive("radius", radius, "m", "radius of the sphere"),
         Param("gravity", gravity, "m/s2", "gravity, downwards"),
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import fall, landing, separation
+from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
 
@@ -29,7 +31,6 @@ class Throw(PartType):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
-    short_for = ("impact",)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return ()
@@ -73,6 +74,22 @@ class Throw(PartType):
             "rebound_velocity_m_s": leave[1] if leave else None,
             "max_force_n": float(force.max() / sectors(build.scene)),
         }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        gates, ball = build.scene.gates, sphere(part, build.scene).name
+
+        def every(limit: float) -> dict[str, float]:
+            return dict.fromkeys(PAIRS, limit)
+
+        yield Gate("position over travel", f"{ball}.y", every(gates.position), "travel",
+                   leads=True)  # fmt: skip
+        yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
+        yield Gate("separation time", "separation_time_s", every(gates.separation_time),
+                   "absolute", "s")  # fmt: skip
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """None of its own: the sphere starts as it says."""
+        return laws.Equations()
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

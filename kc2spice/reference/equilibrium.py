@@ -12,6 +12,7 @@ from kc2spice.reference.assemble import System
 from kc2spice.reference.piece import Piece
 
 _ITERATIONS = 400
+_DIRECT = 12  # Newton steps from a guess
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,12 @@ def equilibrium(
     for v in moving:  # the row of p' = speed v tells whose velocity it is
         p = int(np.flatnonzero((system.A[:, v] != 0.0) & _kinematic(system))[0])
         friction[v, p] = 1.0
-    pace = 1e-6
-    for _ in range(_ITERATIONS):
+    # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
+    pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
+    start = z
+    for count in range(_ITERATIONS):
+        if direct and count == direct:
+            z, pace = start, 1e-6
         modes = rest.modes(z)
         f, J = rest.equations(z, modes)
         step = _solve(rest, z, f, J - friction / pace if pace < 1e13 else J)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from kc2spice.report.plots import (
     legend_above,
     legend_beside,
     name_axes,
+    open_sheet,
     sheet,
     style,
 )
@@ -31,19 +31,9 @@ def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
 
 def notebook_figure(figure: Figure) -> Any:
     """The matplotlib figure of ``figure``, which notebooks show by themselves."""
-    from matplotlib.figure import Figure as Canvas
-
-    class Shown(Canvas):
-        """A figure that is its own picture."""
-
-        def _repr_png_(self) -> bytes:
-            stream = BytesIO()
-            self.savefig(stream, format="png")
-            return stream.getvalue()
-
     count = len(figure.panels)
     with style():
-        sheet = Shown(figsize=(7.0, 4.0 if count == 1 else 2.6 * count), layout="constrained")
+        sheet = open_sheet((7.0, 4.0 if count == 1 else 2.6 * count))
         rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
         for (axes,), panel in zip(rows, figure.panels, strict=True):
             _fill(axes, panel)
@@ -70,7 +60,10 @@ def _fill(axes: Any, panel: Panel) -> None:
     for k, curve in enumerate(panel.curves):
         colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
         style: Any = (0, (1, 3)) if curve.style == "reference" else curve.style
-        axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
+        if curve.style == "o":
+            axes.plot(curve.x, curve.y, "o", ms=4, color=colour, label=curve.label or None)
+        else:
+            axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
     if panel.log_x:
         axes.set_xscale("log")
     if panel.log_y:
@@ -79,6 +72,8 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_xlim(*panel.span)
     elif panel.curves:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
     name_axes(axes, panel.x, panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
     if labels > MANY:

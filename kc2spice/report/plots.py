@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,21 @@ def sheet(
             path, format="png", metadata={"Software": "kc2spice"},
             pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
         )  # fmt: skip
+
+
+def open_sheet(size: tuple[float, float]) -> Any:
+    """An empty figure of ``size`` in inches that shows itself in a notebook."""
+    from matplotlib.figure import Figure
+
+    class Shown(Figure):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    return Shown(figsize=size, layout="constrained")
 
 
 def name_axes(axes: Any, x: str, y: str, title: str = "") -> None:

@@ -13,8 +13,8 @@ from kc2spice.scene.plan import plan
 
 # Longest suffix first: the key's name says its unit, as in result.json.
 _SUFFIXES = (
-    ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"),
-    ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
+    ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_v_m", "V/m"), ("_pa", "Pa"),
+    ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"), ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
     ("_v", "V"), ("_c", "C"),
 )  # fmt: skip
 

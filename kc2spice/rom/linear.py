@@ -10,14 +10,16 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy import sparse
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.lazy import lazy
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
+
+sparse = lazy("scipy.sparse")
 
 PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
 CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
@@ -384,14 +386,15 @@ def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
         for part in parts:
             _finite(part, letter, where)
         return matrix
-    if not sparse.issparse(matrix):
+    if isinstance(matrix, np.ndarray) or not sparse.issparse(matrix):
         return _array(matrix, letter, where)
     _finite(matrix, letter, where)
     return sparse.csc_array(matrix, dtype=float)
 
 
 def _array(values: object, letter: str, where: str) -> np.ndarray:
-    plain = values.toarray() if sparse.issparse(values) else np.asarray(values)
+    dense = isinstance(values, np.ndarray) or not sparse.issparse(values)
+    plain = np.asarray(values) if dense else values.toarray()
     _finite(plain, letter, where)
     if plain.ndim != 2:
         raise UsageError(
@@ -401,7 +404,8 @@ def _array(values: object, letter: str, where: str) -> np.ndarray:
 
 
 def _finite(matrix: Matrix, letter: str, where: str) -> None:
-    data = matrix.data if sparse.issparse(matrix) else matrix
+    dense = isinstance(matrix, np.ndarray) or not sparse.issparse(matrix)
+    data = matrix if dense else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
         raise UsageError(
             f"matrix {letter} cannot be used", where=where,

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.lazy import lazy
 from kc2spice.rom.linear import Certificate, LinearModel, Port
+
+linalg = lazy("scipy.linalg")
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
@@ -68,8 +70,8 @@ def resonators(rom: LinearModel) -> Resonators:
             np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate
         )
     try:
-        mu, phi = eigh(M, K)
-    except LinAlgError:
+        mu, phi = linalg.eigh(M, K)
+    except np.linalg.LinAlgError:
         mu = np.zeros(1)
     if mu[0] <= 0:
         raise _unfit("M or K is not positive definite", "M, K > 0, E >= 0 and C = B'")

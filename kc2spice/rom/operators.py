@@ -7,10 +7,12 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import sparse
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, inverses
+
+sparse = lazy("scipy.sparse")
 
 Matrix: TypeAlias = Any  # np.ndarray, sparse.csc_array, Schur or Sum; scipy brings no types
 

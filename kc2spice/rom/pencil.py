@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import eigvals
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, factorise
 from kc2spice.rom.operators import (
     Matrix,
@@ -23,6 +22,9 @@ from kc2spice.rom.operators import (
     symmetric,
     two_sided,
 )  # fmt: skip
+
+sparse = lazy("scipy.sparse")
+linalg = lazy("scipy.linalg")
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
@@ -239,10 +241,10 @@ class Pencil:
         P = [omega**k * each for k, each in enumerate(full)]
         scale = 1 / max([largest(each) for each in P] + [np.finfo(float).tiny])
         if self.degree == 1:
-            values = eigvals(-scale * P[0], scale * P[1])
+            values = linalg.eigvals(-scale * P[0], scale * P[1])
         else:
             left = np.block([[np.zeros((q, q)), one], [-scale * P[0], -scale * P[1]]])
-            values = eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
+            values = linalg.eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
 
 

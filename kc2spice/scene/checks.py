@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 from kc2spice.core.errors import UsageError
@@ -20,8 +21,22 @@ def problems(scene: Scene) -> Iterator[UsageError]:
         return
     for part in scene.parts.values():
         yield from part.type.problems(part, scene)
+    yield from _implausible(scene)
     yield from _settings(scene)
     yield from _analysis(scene)
+
+
+def _implausible(scene: Scene) -> Iterator[UsageError]:
+    action = scene.checks.plausible
+    if action == "off":
+        return
+    for part in scene.parts.values():
+        for found in part.type.implausible(part, scene):
+            if action == "warn":
+                warnings.warn(f"{found.where}: {found.got}: {found.message}", stacklevel=2)
+                continue
+            found.hint = f"{found.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
+            yield found
 
 
 def _settings(scene: Scene) -> Iterator[UsageError]:

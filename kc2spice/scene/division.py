@@ -27,9 +27,15 @@ def stages(scene: Scene) -> Stages:
     )
 
 
-def division(scene: Scene) -> tuple[ErrorRow, ...]:
-    """Every stage of the scene; the shares add up to ``error_budget`` at most."""
-    own = [row for part in scene.parts.values() for row in part.type.errors(part, scene)]
+def division(scene: Scene, *, estimate: bool = False) -> tuple[ErrorRow, ...]:
+    """Every stage of the scene; the shares add up to ``error_budget`` at most.
+
+    ``estimate`` also asks for errors that take a computation.
+    """
+    parts = scene.parts.values()
+    own = [row for part in parts for row in part.type.errors(part, scene)]
+    if estimate:
+        own += [row for part in parts for row in part.type.estimates(part, scene)]
     return (*own, *_stages(scene))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, get_args
 
@@ -11,24 +11,25 @@ from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from kc2spice.scene.model import Frame
+from kc2spice.scene.model import Frame, Probe, Scene
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.short import SHORT
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none."""
+    """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none.
+
+    ``whole`` marks whole numbers, ``mixed`` numbers whose unit follows from other keys.
+    """
 
     name: str
     unit: str | None
     default: Any
     choices: tuple[str, ...]
     doc: str
-
-
-def short_names() -> dict[str, str]:
-    """Names of tables that need no ``part`` key, and the type that they mean."""
-    return {short: kind.name for kind in part_types().values() for short in kind.short_for}
+    whole: bool = False
+    mixed: bool = False
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -52,6 +53,12 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return tuple(arg for arg in get_args(annotation) if isinstance(arg, str))
 
 
+def _kinds(annotation: Any) -> Iterator[Any]:
+    """Types and choices that an annotation is made of."""
+    inner = get_args(annotation)
+    yield from (kind for arg in inner for kind in _kinds(arg)) if inner else (annotation,)
+
+
 def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """All keys of a schema in its order, those of its tables by dotted names."""
     for name, field in model.model_fields.items():
@@ -61,9 +68,10 @@ def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
             yield from model_keys(section, f"{dotted}.")
             continue
         default = None if field.default is PydanticUndefined else field.default
-        yield Key(
-            dotted, _unit(field), default, _choices(field.annotation), field.description or ""
-        )
+        choices, doc = _choices(field.annotation), field.description or ""
+        kinds = set(_kinds(field.annotation))
+        whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds
+        yield Key(dotted, _unit(field), default, choices, doc, whole, mixed)
 
 
 def scene_keys() -> Iterator[Key]:
@@ -72,6 +80,25 @@ def scene_keys() -> Iterator[Key]:
     A part's keys stand under the name that needs no ``part`` key, else under the type's name.
     """
     yield from model_keys(Frame)
-    for kind in part_types().values():
-        for name in kind.short_for or (kind.name,):
-            yield from model_keys(kind.schema, f"{name}.")
+    short = {kind: name for name, kind in SHORT.items()}
+    for name, kind in part_types().items():
+        yield from model_keys(kind.schema, f"{short.get(name, name)}.")
+
+
+def keys_of(scene: Scene) -> dict[str, Key]:
+    """All keys of one scene by their dotted names, those of its parts under the parts' names."""
+    found = [key for key in model_keys(Frame) if not key.name.startswith("probes.")]
+    for name in scene.probes:
+        found += model_keys(Probe, f"probes.{name}.")
+    for part in scene.parts.values():
+        if part.at != (part.name,):  # else another part's keys say all
+            prefix = ".".join(map(str, part.at or (part.name,)))
+            own = model_keys(type(part.keys), f"{prefix}.")
+            found += [_with_unit(key, getattr(part.keys, "unit", None)) for key in own]
+    return {key.name: key for key in found}
+
+
+def _with_unit(key: Key, unit: Any) -> Key:
+    """``key``, in the unit of its part if it is a number or text whose unit follows from others."""
+    follows = key.unit is None and not key.whole and not key.choices and key.mixed
+    return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key

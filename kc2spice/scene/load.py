@@ -20,9 +20,10 @@ from kc2spice.core.words import did_you_mean
 from kc2spice.scene.budget import BUDGET_KEYS, fill
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import composed
-from kc2spice.scene.keys import model_keys, scene_keys, short_names, submodel
+from kc2spice.scene.keys import model_keys, scene_keys, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
-from kc2spice.scene.parttype import PartType, part_types
+from kc2spice.scene.parttype import PartType, part_type, type_names
+from kc2spice.scene.short import SHORT
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
@@ -58,6 +59,8 @@ def load_scene(
         each other, pins that do not fit.
     """
     if isinstance(name_or_path, Scene):
+        if not overrides:
+            return name_or_path
         source = _Source("scene", name_or_path.name, "", name_or_path.home)
         data = _copied(name_or_path.tables)
     elif isinstance(name_or_path, Mapping):
@@ -82,13 +85,13 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
-    tables = _copied(data)
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
-    for name, part_type in types.items():
+    for name, kind in types.items():
         if "part" not in data[name]:
-            data[name] = {**part_type.defaults(data[name], data), **data[name]}
+            data[name] = {**kind.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
         _drop_budgeted(data, source)
+    tables = _copied(data)  # what the budget sets is left open in them
     data, budgeted = fill(data, types)
     frame = {key: data[key] for key in data if key not in types}
     try:
@@ -105,7 +108,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
                 )  # fmt: skip
             own, at = dict(table), tuple(table.get("at", (name,)))
             own.pop("at", None)
-            parts[name] = _part(name, own, part_types()[own["part"]], source, at)
+            parts[name] = _part(name, own, _type(name, own, source), source, at)
     scene = replace(scene, parts=parts, tables=tables)
     if scene.frame.analysis == Frame.model_fields["analysis"].default:
         asked = [part.type.analysis(part, scene) for part in parts.values()]
@@ -129,7 +132,7 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
-        if not isinstance(table, Mapping) and name in short_names():
+        if not isinstance(table, Mapping) and name in SHORT:
             raise UsageError(
                 "not a table", where=source.where((name,)), got=_shown(table),
                 expected=f"a table, [{name}]",
@@ -156,28 +159,29 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
 
 
 def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
-    types, short = part_types(), short_names()
-    chosen = table.get("part", short.get(name))
+    chosen = table.get("part", SHORT.get(name))
     if chosen is None:
-        near = did_you_mean(name, [*Frame.model_fields, *short])
+        near = did_you_mean(name, [*Frame.model_fields, *SHORT])
         raise UsageError(
             "this table is no part of the grammar and says no part type",
             where=source.where((name,)),
-            expected="part = one of " + ", ".join(types),
+            expected="part = one of " + ", ".join(type_names()),
             hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
         )
-    if not isinstance(chosen, str) or chosen not in types:
+    found = part_type(chosen) if isinstance(chosen, str) else None
+    if found is None:
         raise UsageError(
-            "unknown part type", where=source.where((name, "part")), got=repr(chosen),
-            expected="one of " + ", ".join(types), hint=did_you_mean(str(chosen), types),
+            "unknown part type", where=source.where((name, "part")), got=_shown(chosen),
+            expected="one of " + ", ".join(type_names()),
+            hint=did_you_mean(str(chosen), type_names()),
         )  # fmt: skip
-    return types[chosen]
+    return found
 
 
 def _part(
     name: str,
     table: Mapping[str, Any],
-    part_type: PartType,
+    kind: PartType,
     source: _Source,
     at: KeyPath = (),
 ) -> Part:
@@ -189,11 +193,26 @@ def _part(
             expected='pins = { PIN = "part.pin" } or "gnd"',
         )  # fmt: skip
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
+    keys = _completed(keys, kind.schema)
     try:
-        checked = part_type.schema.model_validate(keys, context={"home": source.folder})
+        checked = kind.schema.model_validate(keys, context={"home": source.folder})
     except ValidationError as error:
-        raise _explain(_first(error), at or (name,), part_type.schema, source) from None
-    return Part(name, part_type, checked, dict(pins))
+        raise _explain(_first(error), at or (name,), kind.schema, source) from None
+    return Part(name, kind, checked, dict(pins), at)
+
+
+def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
+    """``table`` whose tables have what the schema's default for them says and they do not.
+
+    ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
+    """
+    found = dict(table)
+    for name, field_ in schema.model_fields.items():
+        usual = field_.default
+        if isinstance(usual, BaseModel) and isinstance(found.get(name), Mapping):
+            said = {key: getattr(usual, key) for key in usual.model_fields_set}
+            found[name] = said | _completed(found[name], type(usual))
+    return found
 
 
 @dataclass(frozen=True)

@@ -48,12 +48,17 @@ class Terminal:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a scene: its checked keys and the pins that the scene joins by name."""
+    """One part of a scene: its checked keys and the pins that the scene joins by name.
+
+    ``at`` is where the file has the keys of a part that another one brings along, which is under
+    that part's keys; empty for a part with a table of its own.
+    """
 
     name: str
     type: PartType
     keys: Any
     pins: Mapping[str, str] = field(default_factory=dict)
+    at: tuple[str | int, ...] = ()
 
     def __repr__(self) -> str:
         joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())
@@ -74,10 +79,13 @@ class Analysis(Section):
 
 
 class Probe(Section):
-    """A vector of the result and what to take of it; becomes a metric."""
+    """A vector of the result and what to take of it; becomes a metric.
+
+    ``frequency`` is the mean rate of its cycles over the last half of the run.
+    """
 
     of: str = Field(description="a vector of the result, such as disc.i")
-    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing"] = "max"
+    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing", "frequency"] = "max"
     level: Ratio | None = Field(None, description="of a crossing, in the vector's SI unit")
 
 
@@ -151,6 +159,11 @@ class Scene:
                 "no such part", where=where, got=repr(name), expected=", ".join(self.parts)
             )
         return self.parts[name]
+
+    def named(self, part: str, pin: str) -> bool:
+        """Whether the ``pins`` of another part name this one, so that no default joins it."""
+        target = f"{part}.{pin}"
+        return any(target in other.pins.values() for other in self.parts.values())
 
     def net(self, part: str, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""

@@ -1,10 +1,11 @@
 """What a part type is: one class with hooks, registered under its name.
 
-A module defines a subclass of :class:`PartType` and calls :func:`register` with an instance.
+A module, named after the type, defines a subclass of :class:`PartType` and calls :func:`register`
+with an instance.
 Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
-``kc2spice.parts`` are loaded by themselves, those of other packages through the entry point group
-``kc2spice.parts``.
+``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
+``kc2spice.parts``; each is loaded when a scene needs it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kc2spice.core.errors import UsageError
@@ -23,7 +25,9 @@ from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 if TYPE_CHECKING:
     import numpy as np
 
+    from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
+    from kc2spice.scene.gates import FullSolution, Gate, Table
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
@@ -119,13 +123,15 @@ class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
-    of its subcircuit.
+    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
+    somebody changed parameters there: they are asked for no checks and no energy balance.
     """
 
     scene: Scene
     models: Mapping[str, Any]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
+    unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self, part: str | Part) -> Any:
@@ -146,8 +152,8 @@ class PartType:
     name: ClassVar[str]
     title: ClassVar[str]
     schema: ClassVar[type[Section]]
-    #: names of tables that mean this type where a scene has no ``part`` key in them
-    short_for: ClassVar[tuple[str, ...]] = ()
+    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    example: ClassVar[str] = ""
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
@@ -172,6 +178,10 @@ class PartType:
         """Its pins in the order of its subcircuit."""
         raise NotImplementedError
 
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        """Its pins and those that it would have if the scene asked for them."""
+        return self.pins(part, scene)
+
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
         return {}
@@ -179,6 +189,10 @@ class PartType:
     def uses_netlists(self, part: Part) -> bool:
         """Whether it names a subcircuit out of the scene's ``include`` files."""
         return False
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Names of the files beside the scene that it reads."""
+        return ()
 
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
@@ -204,6 +218,13 @@ class PartType:
         """What is wrong with it in this scene, ``where`` a dotted key."""
         return ()
 
+    def implausible(self, part: Part, scene: Scene) -> Iterable[UsageError]:
+        """Keys that can be computed but hardly exist, with the physical reason; often a wrong unit.
+
+        ``checks.plausible`` turns them into warnings or off.
+        """
+        return ()
+
     def analysis(self, part: Part, scene: Scene) -> Analysis | None:
         """The analysis that this part asks for, if the scene has none."""
         return None
@@ -221,6 +242,13 @@ class PartType:
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
         """What its model depends on; parts with equal keys share a model. None: no model."""
         return None
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
+        """What the costly first stage of its model depends on, where that is less: finite elements.
+
+        Parts and sweeps with equal keys share that stage.
+        """
+        return self.model_key(part, scene)
 
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
         """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""
@@ -313,8 +341,34 @@ class PartType:
         """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
         return {}
 
-    def law(self, part: Part, build: Build) -> tuple[Any, ...] | None:
-        """Its equations for the independent reference; None where it has none."""
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
+        """Further files of a run; writes them into ``folder`` and gives their names."""
+        return ()
+
+    def law(self, part: Part, build: Build) -> Equations | None:
+        """Its equations for the independent integrator; None where it has none."""
+        return None
+
+    def gates(self, part: Part, build: Build) -> Iterable[Gate]:
+        """Results that the scene is run for, and how far two solution paths may differ in them."""
+        return ()
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> Any | None:
+        """Its full :class:`kc2spice.rom.linear.LinearModel` that ``verify`` judges the reduced one
+        by; None where it has none."""
+        return None
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        """The scene, or the piece of it that is affordable, solved with this part's full model.
+
+        ``whole`` asks for the costs of every step, not of a timed sample. None where it cannot.
+        """
+        return None
+
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
+        """Figures of this scene over meshes, or None."""
         return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
@@ -335,9 +389,12 @@ class PartType:
         """Errors of its model."""
         return ()
 
+    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
+        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
+        return ()
+
 
 _types: dict[str, PartType] = {}
-_loaded: list[bool] = []
 
 
 def register(part_type: PartType) -> PartType:
@@ -354,15 +411,29 @@ def register(part_type: PartType) -> PartType:
     return part_type
 
 
-def part_types() -> Mapping[str, PartType]:
-    """All known part types by name."""
-    if not _loaded:
-        package = import_module(PACKAGE)
-        for module in pkgutil.iter_modules(package.__path__):
-            import_module(f"{PACKAGE}.{module.name}")
-        for entry in entry_points(group=PACKAGE):
+def type_names() -> tuple[str, ...]:
+    """Names of all part types, without loading any of them.
+
+    A module of ``kc2spice.parts`` is named after its type; one that begins with ``_`` is shared by
+    several.
+    """
+    own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+    foreign = (entry.name for entry in entry_points(group=PACKAGE))
+    return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+
+
+def part_type(name: str) -> PartType | None:
+    """The part type of this name, None where there is none; its module is loaded when needed."""
+    if name not in _types and name in type_names():
+        for entry in entry_points(group=PACKAGE, name=name):
             found = entry.load()
             if isinstance(found, PartType):
                 register(found)
-        _loaded.append(True)
-    return dict(sorted(_types.items()))
+        if name not in _types:
+            import_module(f"{PACKAGE}.{name}")
+    return _types.get(name)
+
+
+def part_types() -> Mapping[str, PartType]:
+    """All part types by name; loads them all."""
+    return {name: found for name in type_names() if (found := part_type(name)) is not None}

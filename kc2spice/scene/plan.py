@@ -21,8 +21,11 @@ class Plan:
     errors: tuple[ErrorRow, ...]
 
 
-def plan(scene: Scene) -> Plan:
-    """Parts, joins and omissions of a checked scene; omissions of several parts stand once."""
+def plan(scene: Scene, *, estimate: bool = False) -> Plan:
+    """Parts, joins and omissions of a checked scene; omissions of several parts stand once.
+
+    ``estimate`` adds the errors that take a computation, as those of meshes.
+    """
     parts = scene.parts.values()
     left_out = [row for part in parts for row in part.type.left_out(part, scene)]
     return Plan(
@@ -30,5 +33,5 @@ def plan(scene: Scene) -> Plan:
         joins=drawing(scene),
         left_out=tuple(dict.fromkeys(left_out)),
         error_budget=scene.error_budget,
-        errors=division(scene),
+        errors=division(scene, estimate=estimate),
     )

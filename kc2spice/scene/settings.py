@@ -59,6 +59,11 @@ class Checks(Section):
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
     penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
     saturation: Action = Field("warn", description="share of the time at the current limit")
+    plausible: Action = Field("fail", description="keys against what exists or can be made")
+    reduction: Action = Field(
+        "off", description="launch or rebound against a model with twice the states, a second run"
+    )
+    start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
 
 
 class Bench(Section):
@@ -88,6 +93,12 @@ class Gates(Section):
     harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
     harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
     harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
+    metrics: Ratio | None = Field(
+        None, gt=0, description="of any metric, ngspice against the laws; 100 solver.reltol"
+    )
+    waves: Ratio | None = Field(
+        None, gt=0, description="rms of any wave, ngspice against the laws; 1000 solver.reltol"
+    )
     superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
     lookup_slope: Ratio = Field(
         0.05, gt=0, description="jump of the EM lookup's slope, of the largest"

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+LEAST = 1e-30  # what "above zero" means for a parameter
+
 
 @dataclass(frozen=True)
 class Pin:
@@ -58,3 +60,8 @@ class Subcircuit:
         pins = " ".join(f"{pin.name}[{pin.unit}/{pin.flow}]" for pin in self.pins)
         params = " ".join(f"{param.name}={param.default:g}" for param in self.params)
         return f"<Subcircuit {self.name}: pins {pins}{'; ' + params if params else ''}>"
+
+
+def positive(name: str, default: float, unit: str, doc: str) -> Param:
+    """A parameter that must stay above zero."""
+    return Param(name, default, unit, doc, low=LEAST)

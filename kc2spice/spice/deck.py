@@ -91,7 +91,9 @@ class Deck:
 
     def __repr__(self) -> str:
         files = ", ".join(self.files)
-        return f"<Deck {self.name}: {self.command.card}; {files}; results {', '.join(self.vectors)}>"
+        return (
+            f"<Deck {self.name}: {self.command.card}; {files}; results {', '.join(self.vectors)}>"
+        )
 
     @property
     def main(self) -> str:

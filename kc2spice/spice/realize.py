@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import BlockModel, block_model
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.spice.cards import distinct
@@ -17,6 +17,9 @@ from kc2spice.spice.cards import name as checked_name
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header, rom_line
 from kc2spice.spice.render import render
+
+if TYPE_CHECKING:
+    from kc2spice.rom.blocks import BlockModel
 
 MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
@@ -157,7 +160,8 @@ def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin,
             for pin in terminal.pins
         ]  # fmt: skip
 
-    electrical, signals = of(("electrical",)), of(("input", "output"))
+    # electrical ports against one cathode share its pin
+    electrical, signals = list(dict.fromkeys(of(("electrical",)))), of(("input", "output"))
     moving = of(("mechanical", "rotational", "acceleration"))
     if not electrical and not moving:
         return (*signals, Pin("ref", "V", "A")), "ref"
@@ -252,11 +256,11 @@ def _resonators(
     scale = np.where(scale > 0, scale, 1.0)
     farads = _farad(omega)
     modes = [
-        _mode(j, omega[j], damp[j], gain[j], scale[j], float(farads[j]), terminals)
+        _mode(j, omega[j], damp[j], gain[j], scale[j], float(farads[j]), terminals, base)
         for j in range(omega.size)
     ]
     wired = [
-        _wired(t, k, terminals, model.D, (omega, damp, gain, scale), mass)
+        _wired(t, k, terminals, model.D, (omega, damp, gain, scale), mass, base)
         for k, t in enumerate(terminals)
     ]
     scale_of_damping = Param("damping", 1.0, "-", "scale of the damping of all modes")
@@ -266,6 +270,7 @@ def _resonators(
         header=_head(header, name, title, pins, params, model.order, model.certificate),
         name=checked_name(name),
         pins=[pin.name for pin in pins],
+        base=base,
         parameters=parameter_list(params),
         ports=wired,
         modes=modes,
@@ -280,7 +285,7 @@ def _resonators(
 
 def _mode(
     j: int, omega: float, damp: float, gain: np.ndarray, scale: float, farad: float,
-    terminals: list[_Terminal],
+    terminals: list[_Terminal], base: str,
 ) -> _Mode:  # fmt: skip
     index = j + 1
     drive = farad * scale * gain / (omega * MICRO)  # A into p per newton or volt
@@ -291,7 +296,7 @@ def _mode(
                 continue
             label = {"electrical": f"Gv{index}{t.tag}", "acceleration": f"Gs{t.pins[0]}_{index}"}
             card = label.get(kind, f"Gf{t.pins[0]}_{index}")
-            drives.append(_Card(card, *t.control("base"), drive[k]))
+            drives.append(_Card(card, *t.control(base), drive[k]))
             if kind == "electrical" and t.clamped:  # uC per um
                 node = f"charge{t.tag}"
                 charges.append(_Card(f"Gc{index}{t.tag}", f"q{index}", node, gain[k] / scale))
@@ -303,29 +308,30 @@ def _mode(
 
 def _wired(
     t: _Terminal, k: int, terminals: list[_Terminal], D: np.ndarray,
-    modal: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], mass: float | None,
+    modal: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], mass: float | None, base: str,
 ) -> _Terminal:  # fmt: skip
     """The terminal with its cards; z_j is ``q_j MICRO / s_j``."""
     omega, damp, gain, scale = modal
-    through = _direct(t, terminals, D, "base") if t.kind != "acceleration" else ()
+    through = _direct(t, terminals, D, base) if t.kind != "acceleration" else ()
     if t.kind == "mechanical":
-        return replace(t, sums=_states("q", gain[:, k] / scale), through=through)
+        return replace(t, sums=_states("q", gain[:, k] / scale, base), through=through)
     amplitude = gain[:, k] * MICRO / scale
     if t.kind == "rotational":
-        return replace(t, sums=_states("q", amplitude), through=through)
+        return replace(t, sums=_states("q", amplitude, base), through=through)
     if t.kind == "electrical":
-        sums = () if t.clamped else _states("p", amplitude * omega)
+        sums = () if t.clamped else _states("p", amplitude * omega, base)
         return replace(t, sums=sums, through=through)
     # Reaction force m a - y'' with y'' = sum_j g_j z_j'' from the modes' own equations.
     row = -(gain[:, k] @ gain)
     row[k] += mass if mass is not None else gain[:, k] @ gain[:, k]
-    sums = _states("q", amplitude * omega**2) + _states("p", amplitude * omega * damp, "d")
-    return replace(t, sums=sums, through=_through(t, terminals, row, "base"))
+    sums = _states("q", amplitude * omega**2, base)
+    sums += _states("p", amplitude * omega * damp, base, "d")
+    return replace(t, sums=sums, through=_through(t, terminals, row, base))
 
 
-def _states(node: str, values: np.ndarray, mark: str = "") -> tuple[_Card, ...]:
+def _states(node: str, values: np.ndarray, base: str, mark: str = "") -> tuple[_Card, ...]:
     return tuple(
-        _Card(f"{mark}{j}", f"{node}{j}", "base", float(value)) for j, value in enumerate(values, 1)
+        _Card(f"{mark}{j}", f"{node}{j}", base, float(value)) for j, value in enumerate(values, 1)
     )
 
 
@@ -406,6 +412,8 @@ def _blocks(rom: LinearModel, name: str, header: Header, title: str, dense: bool
     _check_names(pins, terminals, name)
     top = rom.certificate.band_hz[1] if rom.certificate else (rom.band or (0.0, 1.0))[1]
     farad = 1 / (2 * np.pi * top)
+    from kc2spice.rom.blocks import block_model  # loads what most models do not need
+
     model = _balanced(block_model(rom, dense=dense), 1 / farad)
     mass = rom.facts.get("mass_kg")
     wired = [_block_port(t, terminals, model, base, mass) for t in terminals]
@@ -480,7 +488,7 @@ def _balanced(model: BlockModel, omega: float) -> BlockModel:
         B[rows] /= scale[:, None]
         C[:, rows] *= scale
         blocks.append(block)
-    return BlockModel(tuple(blocks), B, C, model.D)
+    return replace(model, blocks=tuple(blocks), B=B, C=C)
 
 
 def _free(block: np.ndarray, omega: float) -> bool:

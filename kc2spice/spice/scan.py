@@ -90,12 +90,6 @@ def refuse(threats: Iterable[Threat], path: str) -> None:
         raise refusal(first.reason, path, first.where, first.text)
 
 
-def scan(text: str, file: str) -> list[Threat]:
-    """Every line of a netlist that does more than describe a circuit."""
-    lines = [Line(line, f"{file}:{i}", line) for i, line in enumerate(text.split("\n"), 1)]
-    return list(_threats(lines))
-
-
 def _threats(lines: Sequence[Line]) -> Iterator[Threat]:
     hidden = False
     for line in lines:

@@ -34,7 +34,7 @@ def make_deck(build: Build) -> Deck:
     scene = build.scene
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
-    results = _results(build)
+    results = result_vectors(build)
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
@@ -104,12 +104,15 @@ def _seconds(words: tuple[str, ...], where: str) -> float:
 
 
 def libraries(scene: Scene) -> dict[str, str]:
-    """Name of every part's subcircuit; parts that would share a name get one of their own."""
-    names = {part.name: part.type.library(part, scene) for part in scene.parts.values()}
-    low = [name.lower() for name in names.values()]
+    """Name of every part's subcircuit; parts of two types that would share a name get their own."""
+    parts = scene.parts
+    names = {part.name: part.type.library(part, scene) for part in parts.values()}
+    owners: dict[str, set[str]] = {}
+    for part, name in names.items():
+        owners.setdefault(name.lower(), set()).add(parts[part].type.name)
     return {
         part: name
-        if low.count(name.lower()) == 1 or scene.parts[part].type.uses_netlists(scene.parts[part])
+        if len(owners[name.lower()]) == 1 or parts[part].type.uses_netlists(parts[part])
         else part
         for part, name in names.items()
     }
@@ -136,13 +139,19 @@ def replacements(build: Build) -> dict[str, tuple[str, ...]]:
     return {k: v for part in parts for k, v in part.type.instances(part, build).items()}
 
 
-def _results(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own."""
+def result_vectors(build: Build) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own.
+
+    Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
+    which is no response: they are no results there.
+    """
     replaced = replacements(build)
     found: dict[str, Vector] = {}
     for part in build.scene.parts.values():
         if part.name not in replaced:
             found |= part.type.vectors(part, build)
+    if build.scene.analysis.type == "ac":
+        return {name: each for name, each in found.items() if "@" not in each.expression}
     return found
 
 
@@ -196,8 +205,7 @@ def _command(build: Build) -> Command:
         return ac(chosen.start, float(chosen.stop or 0.0), chosen.points, chosen.scale)
     if chosen.type == "op":
         return Command("op", ())
-    name, _, key = str(chosen.sweep).partition(".")
-    part = scene.part(name, "analysis.sweep")
+    part, key, first, last = swept(scene)
     found = part.type.dc(part, key, build)
     if found is None:
         raise UsageError(
@@ -206,8 +214,15 @@ def _command(build: Build) -> Command:
             hint="kc2spice sweep varies any key, one run each",
         )  # fmt: skip
     source, scale = found
-    first, last = part.type.sweep_range(part, scene) or _range(part, key, chosen)
     return dc(source, scale * first, scale * last, chosen.points)
+
+
+def swept(scene: Scene) -> tuple[Part, str, float, float]:
+    """Part and key that a dc analysis moves, first and last value in SI."""
+    name, _, key = str(scene.analysis.sweep).partition(".")
+    part = scene.part(name, "analysis.sweep")
+    first, last = part.type.sweep_range(part, scene) or _range(part, key, scene.analysis)
+    return part, key, first, last
 
 
 def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:

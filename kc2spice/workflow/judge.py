@@ -20,7 +20,7 @@ BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time steppi
 def verdict(waves: Waveforms, build: Build) -> Verdict:
     """The checks that apply to the parts of a scene, without those that it turns off."""
     scene = build.scene
-    parts = scene.parts.values()
+    parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
     checks = [check for part in parts for check in part.type.checks(part, build, waves)]
     balances: dict[str, Balance] = {}
     if scene.checks.energy != "off":
@@ -58,7 +58,7 @@ def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
 
 
 def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
-    """What a probe takes of its vector; None for a crossing that does not happen.
+    """What a probe takes of its vector; None for crossings or cycles that do not happen.
 
     Raises
     ------
@@ -82,7 +82,24 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
         return float(np.ptp(values))
     if probe.take == "rms":
         return float(np.sqrt(np.trapezoid(values**2, scale) / np.ptp(scale)))
+    if probe.take == "frequency":
+        return frequency(scale, values)
     return crossing(scale, values, float(probe.level or 0.0))
+
+
+def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
+    """Mean rate at which ``values`` rise through their mean in the last half of the scale.
+
+    None with fewer than two crossings.
+    """
+    late = scale >= (scale[0] + scale[-1]) / 2
+    x, y = scale[late], values[late]
+    y = y - np.trapezoid(y, x) / np.ptp(x)
+    k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
+    if k.size < 2:
+        return None
+    places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
+    return float((k.size - 1) / (places[-1] - places[0]))
 
 
 def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:

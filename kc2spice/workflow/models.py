@@ -38,3 +38,14 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     parts = build.scene.parts.values()
     facts = {part.name: dict(part.type.facts(part, build)) for part in parts}
     return {name: found for name, found in facts.items() if found}
+
+
+def rom_facts(build: Build) -> dict[str, Any]:
+    """``rom`` of ``result.json``, that of the first part with a reduced model; ``roms`` of all."""
+    parts = build.scene.parts.values()
+    found = {part.name: part.type.rom(part, build) for part in parts}
+    reduced = {name: rom for name, rom in found.items() if rom is not None}
+    if not reduced:
+        return {}
+    first = {"rom": next(iter(reduced.values()))}
+    return first | {"roms": reduced} if len(reduced) > 1 else first

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ from kc2spice.report.figures import draw_all
 from kc2spice.report.plots import Picture
 from kc2spice.report.plotworker import PlotWorker
 from kc2spice.report.run_page import write_run
+from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
@@ -30,8 +31,9 @@ from kc2spice.spice.lint import lint
 from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts
+from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
+from kc2spice.workflow.richer import estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -86,20 +88,28 @@ def complete(
     *,
     trust: bool = False,
     deck: Path | None = None,
+    functions: Mapping[str, Any] | None = None,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+
+    ``functions`` are those of controllers, by part.
 
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    build = build_models(scene, clock, trust=trust)
+    build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         chosen = make_deck(build) if deck is None else edited_deck(build, deck)
         lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
         write_deck(chosen, work)
     with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
         outcome = simulate(build, chosen, work, progress=share)
+    extra = reduction_check(build, outcome.waves, clock)
+    if extra is not None:
+        require((extra,), scene.name)
+        verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
+        outcome = replace(outcome, verdict=verdict)
     warn_of(outcome.verdict.checks)
     return Completed(build, simulator, outcome, clock)
 
@@ -116,7 +126,7 @@ def write_run_files(
         drawn = draw(done.figures)
         record = run_record(done)
         files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
-        files += _arrays(done.build, work)
+        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
         pictures = drawn()
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
@@ -142,6 +152,12 @@ def _arrays(build: Build, directory: Path) -> list[str]:
             np.savez_compressed(directory / name, **arrays)
             names.append(name)
     return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
 
 
 def export(
@@ -198,15 +214,10 @@ def run_record(done: Completed) -> dict[str, Any]:
         },
         "model": model_facts(build),
     }
-    reduced = {
-        part.name: rom
-        for part in build.scene.parts.values()
-        if (rom := part.type.rom(part, build)) is not None
-    }
-    if reduced:
-        record["rom"] = next(iter(reduced.values()))
-        if len(reduced) > 1:
-            record["roms"] = reduced
+    record |= rom_facts(build)
+    if "rom" in record and estimated(build.scene):
+        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        record["rom"]["contact_error"] = next(own, None)
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +21,7 @@ from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.results import save_arrays, write_record
 
 PARTIAL = "waveforms.partial.npz"
+FAILURE = "failure.json"
 
 
 def simulate(
@@ -81,13 +83,23 @@ def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
     try:
         yield
     except SimulationError as error:
-        kept = Path(out).absolute().with_name(f"{Path(out).name}.failed")
+        kept = _kept(Path(out).absolute())
         with contextlib.suppress(OSError):  # a full disk must not hide the first error
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(work, kept)
             _write_failure(error, kept, scene)
             error.where = error.where and error.where.replace(str(work), str(kept))
         raise
+
+
+def _kept(out: Path) -> Path:
+    """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
+    name = f"{out.name}.failed"
+    for number in ("", *range(2, 100)):
+        found = out.with_name(f"{name}{number}")
+        if not os.path.lexists(found) or ((found / FAILURE).is_file() and not found.is_symlink()):
+            return found
+    return found
 
 
 def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
@@ -102,4 +114,4 @@ def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
             save_arrays(failure.partial, kept / PARTIAL)
             scale = next(iter(failure.partial.data.values()))
             record |= {"waveforms": PARTIAL, "last_point": float(scale[-1])}
-    write_record(record, kept, "failure.json")
+    write_record(record, kept, FAILURE)

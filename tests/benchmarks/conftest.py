@@ -7,24 +7,26 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.model import ResonatorModel
-from kc2spice.scene.schema import Scene
+from kc2spice.rom.modal import Resonators
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
-import device
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "spice")]
+import device  # noqa: E402
 
 
 @pytest.fixture(scope="session")
-def model() -> ResonatorModel:
+def model() -> Resonators:
     return device.chip()
 
 
 @pytest.fixture(scope="session")
-def table() -> EMTable:
-    return device.magnets()
+def loop(model: Resonators) -> Build:
+    """The whole loop around the made-up chip and field."""
+    return device.built(load_scene("kick_and_catch"), model, device.magnets())
 
 
 @pytest.fixture(scope="session")
-def scene() -> Scene:
-    return device.loop()
+def bounce(model: Resonators) -> Build:
+    """The same chip with an open anode, and a sphere that is thrown at it."""
+    return device.built(load_scene("impact"), model)

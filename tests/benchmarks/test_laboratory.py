@@ -33,7 +33,8 @@ def run(*words):
 
 
 RATIOS = {
-    "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
+    "loop_cpu_s", "loop_budget_cpu_s", "actuators_power",
+    "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
     "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
     "start_help_s", "start_rerun_s", "start_first_s",

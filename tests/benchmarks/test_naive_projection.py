@@ -4,17 +4,17 @@ import pytest
 
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.naive import naive_poles
 from kc2spice.rom.reduce import reduce
-from kc2spice.scene.schema import Kick
+from laboratory.naive import naive_poles
 
 
 @pytest.mark.parametrize(
     "kick",
     [
-        Kick(),
-        Kick(
+        Chip(),
+        Chip(
             layers=5,
             mesh={
                 "refine": 2, "sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2,

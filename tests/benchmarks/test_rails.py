@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.scene.schema import Catch, Control, Scene, Sphere
+from kc2spice.scene.load import load_scene
 from laboratory.rails import Launch, largest_speed, rails_figure
 
 
@@ -21,12 +21,14 @@ def uniform():
 
 @pytest.fixture(scope="module")
 def scene():
-    return Scene(name="rails", sphere=Sphere(), catch=Catch(), control=Control())
+    return load_scene(
+        {"name": "rails", "kick": {}, "contact": {}, "sphere": {}, "catch": {}, "control": {}}
+    )
 
 
 @pytest.mark.parametrize(("rail", "current"), [(30.0, 0.01), (150.0, 0.05), (900.0, 0.1)])
 def test_braking_work_is_force_times_way(uniform, scene, rail, current):
-    mass = scene.sphere.mass
+    mass = scene.part("sphere").keys.mass
     work = (0.6 * current + mass * scene.gravity) * 6.5e-3  # to the end of the table
     assert largest_speed(rail, scene, uniform, 3000.0) == pytest.approx(
         np.sqrt(2 * work / mass), rel=1e-9

@@ -7,20 +7,13 @@ import pytest
 from device import bench, built, deck_of
 from scipy.signal import lsim
 
-from kc2spice.parts.drivers import (
-    AmplifierKeys,
-    ChargeKeys,
-    HalfBridgeKeys,
-    LinearKeys,
-    Load,
-    PwmKeys,
-    amplifier_subcircuit,
-    charge_drive_subcircuit,
-    half_bridge_subcircuit,
-    linear_subcircuit,
-    pwm_subcircuit,
-)
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts._drivers import Load
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
+from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
+from kc2spice.parts.linear_drive import LinearKeys, linear_subcircuit
+from kc2spice.parts.pwm_drive import PwmKeys, pwm_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck

@@ -8,7 +8,7 @@ import pytest
 from device import built, deck_of
 
 from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.load import load_scene

@@ -17,10 +17,10 @@ import pytest
 import kc2spice
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow import run as run_scene
+from kc2spice.workflow.run import run as run_scene
 from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.workflow.sweep.source import SceneText, scene_text
+from kc2spice.workflow.sweep.point import SceneText, scene_text
+from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 # A kick and its first 0.1 ms of flight: 0.2 s of ngspice.

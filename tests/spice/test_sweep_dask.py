@@ -8,8 +8,8 @@ import time
 import pytest
 
 from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.workflow.sweep.source import SceneText
+from kc2spice.workflow.sweep.point import SceneText
+from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 pytest.importorskip("distributed")

@@ -12,7 +12,7 @@ import pytest
 
 from kc2spice.core import cache
 from kc2spice.core.cache import cached
-from kc2spice.scene.schema import Kick
+from kc2spice.fem.piezo.keys import Chip
 
 
 @dataclass(frozen=True)
@@ -84,14 +84,14 @@ def test_scalars_and_lists():
 @pytest.mark.parametrize(
     "change",
     [
-        {"key": {"kick": Kick(layers=34)}},
-        {"key": {"kick": Kick(), "more": np.float64(1)}},
+        {"key": {"kick": Chip(layers=34)}},
+        {"key": {"kick": Chip(), "more": np.float64(1)}},
         {"sources": ("kc2spice.core.units",)},
         {"kind": "other"},
     ],
 )
 def test_a_change_of_what_it_depends_on_builds_again(change):
-    base = {"kind": "kind", "key": {"kick": Kick()}}
+    base = {"kind": "kind", "key": {"kick": Chip()}}
     build = Builder(1)
     cached(build=build, **base)
     assert cached(build=build, **base)[1]

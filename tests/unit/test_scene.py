@@ -105,7 +105,7 @@ MISTAKES = [
     ("sphere.radius=0.2 mm", ["beyond the sphere"]),
     ("catch.polarity=antiparalel", ["did you mean 'antiparallel'"]),
     ("catch.y_min=8 mm", ["empty range"]),
-    ("catch.ring={height=1}", ["catch.ring.outer is missing"]),
+    ("catch.ring={height=1}", ["beyond the modelled air"]),
     ("catch.ring.y=1 mm", []),  # ring magnet and coil side by side are fine
     ("catch.lower.outer=20 mm", ["beyond the modelled air"]),
     ("catch.lower.inner=0.5 mm", ["does not fit through"]),

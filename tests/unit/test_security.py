@@ -28,7 +28,7 @@ from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.circuit import Pin
 from kc2spice.spice.header import Header, part_header
 from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.source import SceneText, scene_text
+from kc2spice.workflow.sweep.point import SceneText, scene_text
 from kc2spice.workflow.sweep.study import PLAN, Request, make_study, read_plan, write_plan
 from kc2spice.workflow.sweep.table import RowStore
 
@@ -136,7 +136,7 @@ def test_names_keep_to_their_directory(tmp_path):
         with pytest.raises(UsageError):
             write_files({bad: "x"}, tmp_path / "out")
         with pytest.raises(UsageError):
-            SceneText("s", "", ((bad, "x"),))
+            SceneText("s", "", ((bad, b"x"),))
         with pytest.raises(UsageError):
             SceneText(bad, "")
     assert not list(tmp_path.iterdir())
@@ -185,10 +185,11 @@ OWN = 'name = "x"\n[sphere]\n'
         {"scene__name": "line\nbreak", "scene__text": OWN},
         {"scene__name": 3},
         {"scene__text": 3},
-        {"scene__text": OWN, "scene__netlists": [["../parent.lib", "x"]]},
-        {"scene__text": OWN, "scene__netlists": [["/tmp/absolute.lib", "x"]]},
-        {"scene__text": OWN, "scene__netlists": [["a.lib", 3]]},
-        {"scene__netlists": 3},
+        {"scene__text": OWN, "scene__files": [["../parent.lib", "eA=="]]},
+        {"scene__text": OWN, "scene__files": [["/tmp/absolute.lib", "eA=="]]},
+        {"scene__text": OWN, "scene__files": [["a.lib", 3]]},
+        {"scene__text": OWN, "scene__files": [["a.lib", "no base64"]]},
+        {"scene__files": 3},
         {"scene": []},
         {"format": "../../x"},
         {"format": ["csv"]},

@@ -13,8 +13,7 @@ import pytest
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.workflow.sweep import point, run
-from kc2spice.workflow.sweep.point import Job, Outcome, Task, run_point
-from kc2spice.workflow.sweep.source import SceneText
+from kc2spice.workflow.sweep.point import Job, Outcome, SceneText, Task, run_point
 from kc2spice.workflow.sweep.study import Request, make_study
 
 SETS = ("impact.velocity=-1:-2:4",)

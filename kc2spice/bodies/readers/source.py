@@ -71,6 +71,22 @@ def open_source(path: Path, sidecar: Path | None) -> Source:
     return Source(base.name, str(path), said, raw)
 
 
+def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
+    """Existing files of the model at ``path``: all of its name, and those that its sidecar names.
+
+    Raises
+    ------
+    UsageError : a sidecar that is wrong.
+    """
+    base, files = _family(path)
+    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
+    chosen = sidecar or beside
+    said = read_sidecar(chosen) if sidecar is not None or present(beside) else Sidecar()
+    named = [path, chosen, *files.values(), *said.files.values(), said.mesh, said.dofs]
+    named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
+    return tuple(sorted({item for item in named if item is not None and item.is_file()}))
+
+
 def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     """The model's name with its directory, and the files that hold one matrix each."""
     job = abaqus.siblings(path)

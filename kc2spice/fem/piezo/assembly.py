@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.constants import epsilon_0
-from skfem import Basis, BilinearForm, ElementVector
+from skfem import Basis, BilinearForm, ElementVector, FacetBasis
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.keys import Chip, Material
@@ -76,8 +76,9 @@ def _require_definite(matrix: np.ndarray, where: str) -> None:
 def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     """FE model of the quarter chip with ring ports R0, R1, ... and the anode, voltage driven.
 
-    Boundary conditions: u_x = 0 on x = 0, u_y = 0 on y = 0, u_z = 0 on z = 0; even electrode
-    planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
+    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. Even electrode planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
     of nodes lies inside a layer. ``mesh`` is that of ``kick``, made here if not given.
 
     Raises
@@ -88,7 +89,9 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     require_memory(kick)
     mesh = kick_mesh(kick) if mesh is None else mesh
     M, K_uu, K_uphi, K_phi = assemble_matrices(mesh, piezo_material(kick.material))
-    free = free_displacements(mesh)
+    if isinstance(kick.mounting, float):
+        K_uu = _symmetric(K_uu + kick.mounting * bottom_face(mesh))
+    free = free_displacements(mesh, kick.mounting)
     anode, inner = _electrodes(mesh)
     K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
     K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
@@ -108,6 +111,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
         sectors=QUARTERS,
         ring_radii=kick.mesh.ring_spacing * np.arange(len(mesh.rings)),
         mass=float(M.sum()) / _AXES,
+        held=kick.mounting != "free",
     )
 
 
@@ -208,14 +212,29 @@ def _dielectric(eps: np.ndarray) -> BilinearForm:
     return BilinearForm(lambda phi, psi, _: _pair(psi.grad, eps, phi.grad))
 
 
-def free_displacements(mesh: KickMesh) -> np.ndarray:
+def bottom_face(mesh: KickMesh) -> sparse.csc_array:
+    """``int u . v dA`` over the bottom face, displacements ``3 node + axis``: its sum is 3 areas."""
+    facets = mesh.layer.facets_satisfying(lambda x: np.abs(x[2]) < 1e-9 * mesh.heights[-1])
+    basis = FacetBasis(
+        mesh.layer, ElementVector(mesh.element), facets=facets, intorder=2 * mesh.order + 1
+    )
+    local = BilinearForm(lambda u, v, _: np.sum(u * v, axis=0)).assemble(basis).tocoo()
+    dofs = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
+    size = _AXES * len(mesh.plane) * len(mesh.heights)
+    entries = (local.data, (dofs[local.row], dofs[local.col]))
+    return sparse.csc_array(sparse.coo_array(entries, shape=(size, size)))
+
+
+def free_displacements(mesh: KickMesh, mounting: str | float = "roller") -> np.ndarray:
     """Numbers ``3 node + axis`` of the unconstrained displacements, plane by plane."""
     tolerance = 1e-9 * mesh.heights[-1]
     x, y = np.abs(mesh.plane.T) < tolerance
     free = np.ones((len(mesh.heights), len(mesh.plane), _AXES), dtype=bool)
     free[:, x, 0] = False
     free[:, y, 1] = False
-    free[0, :, 2] = False
+    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(mounting), ())
+    for axis in held:
+        free[0, :, axis] = False
     return np.flatnonzero(free)
 
 

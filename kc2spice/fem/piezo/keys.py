@@ -12,6 +12,7 @@ from kc2spice.core.quantities import (
     Density,
     Frequency,
     Length,
+    Mounting,
     Polarisation,
     Pressure,
     Rate,
@@ -70,3 +71,6 @@ class Chip(Section):
     material: Material = Material()
     mesh: ChipMesh = ChipMesh()
     damping: Damping = Damping()
+    mounting: Mounting = Field(
+        "roller", description="of the bottom face: roller, glued, free, or stiffness per area N/m3"
+    )

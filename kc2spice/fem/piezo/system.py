@@ -28,7 +28,7 @@ class PiezoSystem:
     where ``K`` is the stiffness with the potentials eliminated (paper eq. 1 and 2).
     All values are those of the modelled symmetry sector in SI; ``sectors`` of them make the device.
     Row ``i`` of ``B'`` averages the displacement of ring ``i`` with the weights of its force shape.
-    ``mass`` is that of the sector before constraints.
+    ``mass`` is that of the sector before constraints; nothing holds a body that is not ``held``.
     """
 
     M: sparse.csc_array
@@ -45,6 +45,7 @@ class PiezoSystem:
     sectors: int
     ring_radii: np.ndarray
     mass: float
+    held: bool = True
 
     @property
     def unknowns(self) -> int:

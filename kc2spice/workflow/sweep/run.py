@@ -13,11 +13,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.cost import METER, NOTHING, Cost
-from kc2spice.workflow.sweep.engines import Call, Engine, WorkerDied, completed
-from kc2spice.workflow.sweep.point import Outcome, prepare, run_point
-from kc2spice.workflow.sweep.slurm import write_script
-from kc2spice.workflow.sweep.stages import shared_models, slow_blocks, task
+from kc2spice.workflow.sweep.point import Cost, Outcome, cpu_since_last, prepare, run_point, task
+from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, completed
 from kc2spice.workflow.sweep.study import (
     PLAN,
     SHARDS,
@@ -25,6 +22,7 @@ from kc2spice.workflow.sweep.study import (
     check_parameters,
     make_study,
     read_plan,
+    shared_models,
     write_plan,
 )
 from kc2spice.workflow.sweep.table import (
@@ -40,6 +38,25 @@ from kc2spice.workflow.sweep.table import (
 ROWS = "rows.sqlite"
 DIED = "its worker process died, twice"
 NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
+SCRIPT = "sweep.sbatch"
+_SLURM = """\
+#!/bin/bash
+# {points} points of {scene} in {shards} parts. Edit what your site needs, then
+#     sbatch {script}
+# and when all tasks are done
+#     kc2spice sweep --collect .
+# A task that was killed may be submitted again: it runs only what it did not record.
+#SBATCH --job-name=kc2spice
+#SBATCH --array=0-{last}
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --output=slurm-%A_%a.log
+set -euo pipefail
+cd "${{SLURM_SUBMIT_DIR:-$(dirname "$0")}}"
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+exec kc2spice sweep --out . --shard "${{SLURM_ARRAY_TASK_ID}}/{shards}" \\
+    --workers "${{SLURM_CPUS_PER_TASK:-1}}"
+"""
 
 
 @dataclass(frozen=True)
@@ -71,18 +88,11 @@ def sweep(
     if table.exists() and not path.exists():
         return {**_conclude(study, out, progress), "resumed": study.plan.size, **NO_TIME}
     check_parameters(study)
-    rows = RowStore(path, study.plan.size)
-    try:
-        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
-        resumed = int((rows.state != MISSING).sum())
-        spent = _fill(study, rows, engine, progress, None)
-        failed = rows.failed
-    finally:
-        rows.close()
+    found = _filled(study, path, None, engine, progress, retry_failed)
     publish([path], table, study.header, study.kinds)
-    if not failed:
+    if not found["failed"]:
         path.unlink()
-    return {**_conclude(study, out, progress), "resumed": resumed, **spent}
+    return {**found, **_conclude(study, out, progress)}
 
 
 def sweep_shard(
@@ -94,18 +104,7 @@ def sweep_shard(
     if not 0 <= shard.number < shard.count:
         raise UsageError("no such shard", got=shard.number, expected=f"0 … {shard.count - 1}")
     path = directory / SHARDS / f"{shard.number:06d}.sqlite"
-    rows = RowStore(path, study.plan.size)
-    try:
-        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
-        resumed = int((rows.state != MISSING).sum())
-        spent = _fill(study, rows, engine, progress, shard)
-        points, failed = int((rows.state != MISSING).sum()), rows.failed
-    finally:
-        rows.close()
-    return {
-        "points": points, "failed": failed, "resumed": resumed, "table": str(path.absolute()),
-        **spent,
-    }  # fmt: skip
+    return _filled(study, path, shard, engine, progress, retry_failed)
 
 
 def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
@@ -150,9 +149,13 @@ def dry_run_summary(study: Study, out: Path) -> dict[str, Any]:
 def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
     """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
     acquire(study, directory)
-    script = write_script(study, directory, min(shards, study.plan.size))
+    shards, script = min(shards, study.plan.size), directory / SCRIPT
+    text = _SLURM.format(points=study.plan.size, scene=study.base.name, shards=shards,
+                         last=shards - 1, script=SCRIPT)  # fmt: skip
+    script.write_text(text, encoding="utf-8")
+    script.chmod(0o755)
     return {**dry_run_summary(study, directory), "script": str(script.absolute()),
-            "files": [PLAN, script.name]}  # fmt: skip
+            "files": [PLAN, SCRIPT]}  # fmt: skip
 
 
 def planned(directory: Path) -> Study:
@@ -205,6 +208,22 @@ def _table(study: Study, out: Path) -> Path:
     return out / f"sweep.{study.request.format}"
 
 
+def _filled(
+    study: Study, path: Path, shard: Shard | None, engine: Engine, progress: Progress, retry: bool
+) -> dict[str, Any]:
+    """Run the points that the rows in ``path`` lack; what a summary says of them."""
+    rows = RowStore(path, study.plan.size)
+    try:
+        rows.forget(INTERRUPTED, *([BAD] if retry else []))
+        resumed = int((rows.state != MISSING).sum())
+        spent = _fill(study, rows, engine, progress, shard)
+        points = int((rows.state != MISSING).sum())
+        return {"points": points, "failed": rows.failed, "resumed": resumed,
+                "table": str(path.absolute()), **spent}  # fmt: skip
+    finally:
+        rows.close()
+
+
 def _fill(
     study: Study, rows: RowStore, engine: Engine, progress: Progress, shard: Shard | None
 ) -> dict[str, float | None]:
@@ -212,19 +231,18 @@ def _fill(
 
     A point that is interrupted by what happens to the machine is tried once more at the end.
     """
-    start = time.monotonic()
-    METER.since_last()
-    missing = sum(rows.state[index] == MISSING for index in _share(study, shard))
+    start, spent = time.monotonic(), Cost()
+    cpu_since_last()
+    missing = int(sum(rows.state[index] == MISSING for index in _share(study, shard)))
     if not missing:
         return NO_TIME
-    spent = NOTHING
-    meter = _Meter(progress, int(missing), start)
+    meter = _Meter(progress, missing, start)
     for attempt in (1, 2):
         waiting = _calls(study, rows, _share(study, shard), engine, shared=attempt == 1)
         for call, result in completed(engine, waiting):
             if not isinstance(call.name, int):
-                progress("models", None, f"models of the {call.name}")
-                meter.restart()
+                progress("models", None, f"models of {call.name}")
+                meter.start = time.monotonic()  # models took the time so far, points do not
                 continue
             outcome = result
             if isinstance(result, WorkerDied):
@@ -236,19 +254,34 @@ def _fill(
             )  # fmt: skip
             spent += outcome.cost
             meter.count(rows.failed)
-        if not (rows.state == INTERRUPTED).any():
+        again = int((rows.state == INTERRUPTED).sum())
+        if not again or attempt == 2:
             break
-        if attempt == 1:
-            again = np.flatnonzero(rows.state == INTERRUPTED).size
-            progress("again", None, f"{again} points that were interrupted")
-            rows.forget(INTERRUPTED)
-    wall, parent = time.monotonic() - start, Cost(own=METER.since_last().own)
-    return {"wall_s": wall, **(spent + parent).summary(engine.workers, wall)}
+        progress("again", None, f"{again} points that were interrupted")
+        rows.forget(INTERRUPTED)
+    wall = time.monotonic() - start
+    return {"wall_s": wall, **_cost(spent + Cost(own=cpu_since_last().own), engine.workers, wall)}
+
+
+def _cost(spent: Cost, workers: int, wall: float) -> dict[str, float | None]:
+    """``busy_share`` of the workers' time that any CPU was used, ``overhead`` over ngspice.
+
+    ``overhead`` is the CPU of Python per CPU of ngspice; None where nothing was run, or where the
+    system does not tell what child processes used.
+    """
+    available = workers * wall
+    return {
+        "ngspice_cpu_s": spent.simulator,
+        "python_cpu_s": spent.own,
+        "busy_share": (spent.own + spent.simulator) / available if available else None,
+        "overhead": spent.own / spent.simulator if spent.simulator else None,
+    }
 
 
 def _share(study: Study, shard: Shard | None) -> Iterator[int]:
     """Points in the order in which they are run."""
-    order = study.plan.order(slow_blocks(study.plan, study.stages))
+    slow = dict.fromkeys(study.plan.block(key) for key in study.stages.keys)
+    order = study.plan.order(list(slow))
     if shard is None:
         return order
     first, last = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
@@ -269,32 +302,20 @@ def _calls(
 
 
 class _Meter:
-    """Progress in points, with rate and time left."""
+    """Progress in points since ``start``, with rate and time left."""
 
     def __init__(self, progress: Progress, total: int, start: float) -> None:
-        self._progress, self._total, self._done = progress, total, 0
-        self._start = start
-
-    def restart(self) -> None:
-        """Models took the time so far; it says nothing about the points to come."""
-        self._start = time.monotonic()
+        self._progress, self._total, self._done, self.start = progress, total, 0, start
 
     def count(self, failed: int) -> None:
         """One more point is recorded."""
         self._done += 1
-        rate = self._done / max(time.monotonic() - self._start, 1e-9)
-        left = (self._total - self._done) / rate
-        text = (
-            f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, "
-            f"{_duration(left)} left"
-        )
+        rate = self._done / max(time.monotonic() - self.start, 1e-9)
+        minutes, seconds = divmod(round((self._total - self._done) / rate), 60)
+        hours, minutes = divmod(minutes, 60)
+        left = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds} s"
+        text = f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, {left} left"
         self._progress("sweep", self._done / self._total, text)
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
 def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
@@ -308,7 +329,7 @@ def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
     flags = [name for name in study.job.metrics if study.kinds[name] is bool]
     found = yields(data, flags) if study.plan.random else {}
     files = write_sweep(
-        out, study.base, data, study.plan.keys, study.job.metrics, study.plan.random,
+        out, study.base, data, study.units, study.job.metrics, study.plan.random,
         study.describe(), found,
     )  # fmt: skip
     return {

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from scipy.optimize import differential_evolution, minimize
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.engines import Call, Engine, WorkerDied, WorkerPool
-from kc2spice.workflow.sweep.point import Outcome, Task, run_point
-from kc2spice.workflow.sweep.ranges import find_key, number
-from kc2spice.workflow.sweep.stages import task
+from kc2spice.scene.keys import Key
+from kc2spice.workflow.sweep.plan import find_key, number
+from kc2spice.workflow.sweep.point import Outcome, Task, run_point, task
+from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, WorkerPool
+from kc2spice.workflow.sweep.run import ROWS, acquire
 from kc2spice.workflow.sweep.study import Study
 from kc2spice.workflow.sweep.table import MISSING, RowStore
 
@@ -26,7 +28,7 @@ CANDIDATES = 16  # of one generation
 _LIMIT = r"([^<>=]+)(<=|>=)([^<>=]+)"
 SIMPLEX = 0.05  # first edge of the final search, a share of each value
 REFINEMENTS = 60  # candidates of the final search
-ROWS = "rows.sqlite"
+TABLE = "tuned.csv"
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ class Tuned:
     runs: int
 
 
-def bound(text: str) -> Bound:
-    """``KEY=a:b`` of ``--tune``.
+def bound(text: str, keys: Mapping[str, Key]) -> Bound:
+    """``KEY=a:b`` of ``--tune``, KEY one of the scene's ``keys``.
 
     Raises
     ------
@@ -77,7 +79,8 @@ def bound(text: str) -> Bound:
     ends = span.split(":")
     if len(ends) != 2:
         raise UsageError("not bounds", where=f"--tune {text!r}", got=span, expected="KEY=a:b")
-    low, high = (number(f"--tune {text!r}", find_key(name), end.strip()) for end in ends)
+    key = find_key(name, keys)
+    low, high = (number(f"--tune {text!r}", key, end.strip()) for end in ends)
     if not 0 < low < high:
         raise UsageError("no range to search", where=f"--tune {text!r}", got=f"{low:g} … {high:g}",
                          expected="0 < a < b")  # fmt: skip
@@ -98,6 +101,63 @@ def limit(text: str) -> Limit:
     except ValueError:
         raise UsageError("not a constraint", where="--require", got=text,
                          expected="METRIC<=X or METRIC>=X, in SI") from None  # fmt: skip
+
+
+def run_tuning(
+    study: Study, bounds: Sequence[Bound], metric: str, generations: int, out: Path,
+    engine: Engine, progress: Progress = silent, *, limits: Sequence[Limit] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """Tune ``bounds`` for the least ``metric`` over the points of ``study``; write into ``out``.
+
+    ``tuned.csv`` has a row for each condition: the metric of the scene as it is and of the tuned
+    one.
+
+    Raises
+    ------
+    UsageError : nothing to tune, an unknown metric, ``out`` holds something else.
+    """
+    for name, option in ((metric, "--minimise"), *((each.metric, "--require") for each in limits)):
+        if name not in study.job.metrics:
+            raise UsageError("this scene has no such metric", where=option, got=name,
+                             expected=", ".join(study.job.metrics))  # fmt: skip
+    swept = [b.key for b in bounds if b.key in study.plan.keys]
+    if swept or not bounds:
+        raise UsageError("cannot be tuned", where="--tune", got=", ".join(swept) or None,
+                         expected="keys that --set does not sweep")  # fmt: skip
+    acquire(study, out, [*map(asdict, bounds), metric, generations, *map(str, limits)])
+    tuned = tune(study, bounds, metric, generations, out, engine, progress, limits=limits)
+    with (out / TABLE).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*study.plan.keys, metric, f"{metric} tuned"])
+        for index, row in enumerate(zip(tuned.before, tuned.after, strict=True)):
+            writer.writerow([*study.plan.values(index), *(repr(float(value)) for value in row)])
+    ratio = tuned.after / tuned.before
+    return {
+        "scene": study.base.name,
+        "points": tuned.runs,
+        "failed": int(np.isnan(tuned.after).sum()),
+        "resumed": 0,
+        "table": str((out / TABLE).absolute()),
+        "directory": str(out.absolute()),
+        "best": tuned.best,
+        "mean_ratio": float(ratio.mean()),
+        "worst_ratio": float(ratio.max()),
+        "files": [TABLE, *_figure(study, tuned, metric, out)],
+    }
+
+
+def _figure(study: Study, tuned: Tuned, metric: str, out: Path) -> list[str]:
+    from kc2spice.report.sweep_figures import tuning_figure
+
+    first = [study.plan.values(index)[0] for index in range(study.plan.size)]
+    if any(isinstance(value, str) for value in first):
+        return []
+    key = study.plan.keys[0]
+    picture = tuning_figure(
+        out / "tuned.png", key, study.units[key], np.array(first, dtype=float), metric,
+        np.vstack([tuned.before, tuned.after]), tuned.best,
+    )  # fmt: skip
+    return [picture.path.name]
 
 
 def tune(

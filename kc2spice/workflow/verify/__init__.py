@@ -1,5 +1,5 @@
-"""Full model, ROM and ngspice on the emitted file, against each other and against gates."""
+"""Full model, laws of the reduced models and ngspice on the emitted file, against each other."""
 
-from kc2spice.workflow.verify.verify import verifiable, verify
+from kc2spice.workflow.verify.verify import verify
 
-__all__ = ["verifiable", "verify"]
+__all__ = ["verify"]

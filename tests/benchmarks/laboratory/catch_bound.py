@@ -16,10 +16,9 @@ import numpy as np
 
 from kc2spice.core.progress import Clock
 from kc2spice.fem.magnetics.table import EMTable, force
-from kc2spice.report.metrics import SETTLING_BAND, settling_time
+from kc2spice.parts.pid import SETTLING_BAND, settling_time
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.need import need
-from kc2spice.workflow.models import build_models
+from laboratory.setup import keys_of
 
 STEP, STOP = 0.5e-6, 3e-3  # s
 SPEEDS = (0.3, 0.5, 0.7, 0.9, 1.0, 1.05, 1.1, 1.13, 1.15, 1.2, 1.5, 2.0)
@@ -63,8 +62,9 @@ def field(table: EMTable, mass: float, gravity: float) -> Callable[[float, float
 def main() -> None:
     """Print settling from the launch on [ms], and its ratio to the paper's."""
     scene = load_scene("kick_and_catch")
-    sphere, control = need(scene.sphere, "sphere"), need(scene.control, "control")
-    table = need(build_models(scene, Clock()).table, "field table")
+    sphere, control = keys_of(scene, "sphere"), keys_of(scene, "pid")
+    catch = scene.of("ring_magnet_coils")[0]
+    table = catch.type.build(catch, scene, Clock())
     acceleration = field(table, sphere.mass, scene.gravity)
     goal, limit = control.setpoint, control.current_limit
     band = SETTLING_BAND * abs(goal - sphere.radius)

@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.core.progress import Clock
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.report.metrics import metrics
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.header import Header
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from laboratory.rails import Launch, rails_figure
 
@@ -31,12 +30,10 @@ def launches(rail: float) -> list[Launch]:
     for kick in KICKS:
         overrides = [f"catch.driver.linear.rail={rail}", f"kick.drive.voltage={kick}"]
         scene = load_scene("coil_rails", overrides)
-        models = build_models(scene, Clock())
-        deck = scene_deck(scene, Header(scene.name, "-"), models.kick.resonators,
-                          models.kick.ring_radii, models.table)  # fmt: skip
+        build = build_models(scene, Clock())
         with tempfile.TemporaryDirectory() as directory:
-            waves = run_deck(deck, Path(directory), timeout=120)
-        facts = metrics(waves, scene)
+            waves = run_deck(make_deck(build), Path(directory), timeout=120)
+        facts = metrics(waves, build)
         if facts["launch_velocity_m_s"] is not None:
             speed, caught = facts["launch_velocity_m_s"], bool(facts["caught"])
             found.append(Launch(rail, speed, facts["peak_height_m"], caught))
@@ -50,7 +47,7 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(exist_ok=True)
     scene = load_scene("coil_rails")
-    table = build_models(scene, Clock()).table
+    table = build_models(scene, Clock()).model("catch")
     points = [launch for rail in RAILS for launch in launches(rail)]
     rows = [(p.rail, p.speed, p.peak, p.caught) for p in points]
     head = "rail [V],launch velocity [m/s],peak height [m],caught"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eig, lu_factor
 
-from kc2spice.reference.law import Law
+from laboratory.law import Law
 
 
 @dataclass(frozen=True)

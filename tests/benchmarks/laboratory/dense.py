@@ -7,10 +7,9 @@ from functools import partial
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.model import ResonatorModel
-from kc2spice.rom.response import frequency_response
+from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import realize
 from laboratory.forms import FORMS, synthetic, with_form
@@ -63,7 +62,7 @@ def dense(setup: Setup) -> Outcome:
     return Outcome((plane,), tuple(ratios))
 
 
-def ac_deck(model: ResonatorModel, count: int) -> tuple[Deck, np.ndarray]:
+def ac_deck(model: Resonators, count: int) -> tuple[Deck, np.ndarray]:
     """Unit voltage on the anode over ``count`` frequencies to 1 MHz; displacements in closed form.
 
     The second result is (frequencies, rings) in um.
@@ -83,10 +82,9 @@ def ac_deck(model: ResonatorModel, count: int) -> tuple[Deck, np.ndarray]:
         "",
     ]
     vectors = {ring: (f"v({ring.lower()})", 1.0) for ring in rings}  # fmt: skip
-    files = {"dense.cir": "\n".join(lines), part.filename: part.text}
     frequency = np.linspace(step, 1e6, count)
-    exact = 1e6 * frequency_response(model, frequency)[:, : len(rings), -1]
-    return Deck("dense", "dense.cir", files, vectors, None, (part,)), exact
+    exact = 1e6 * model.transfer(frequency)[:, : len(rings), -1]
+    return Deck(name="dense", text="\n".join(lines), vectors=vectors, parts=(part,)), exact
 
 
 def _error(waves: Waveforms, exact: np.ndarray) -> float:

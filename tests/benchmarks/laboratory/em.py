@@ -7,11 +7,10 @@ from functools import partial
 import numpy as np
 
 from kc2spice.fem.magnetics.field import brute_force, catch_table
+from kc2spice.fem.magnetics.keys import Catch
 from kc2spice.fem.magnetics.table import EMTable, em_cases, force
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Catch, Sphere
 from laboratory.points import Outcome, Plane, Point, Ratio, Timing, fastest, timed
-from laboratory.setup import Setup
+from laboratory.setup import Setup, keys_of
 
 HEIGHTS, QUICK_HEIGHTS, MESHES = (41, 21, 81), (5, 9), (1, 2)
 FINE_HEIGHTS, FINE_MESH, CHECKED = 161, 3, 11
@@ -21,24 +20,24 @@ LIMIT = 1e-4  # of the largest force
 def em(setup: Setup) -> Outcome:
     """Error of the interpolated force at any height, from the mesh and from the heights."""
     scene = setup.scene("em_force")
-    catch, sphere = need(scene.catch, "catch"), need(scene.sphere, "sphere")
-    currents = np.array(need(scene.em_force, "em_force").currents)
+    catch, radius = keys_of(scene, "ring_magnet_coils"), keys_of(scene, "sphere").radius
+    currents = np.array(keys_of(scene, "current_cases").currents)
     cases = np.array([(lower, upper) for lower in currents for upper in currents])
-    dense = _table(setup, catch, sphere, 17 if setup.quick else FINE_HEIGHTS, 1)
+    dense = _table(setup, catch, radius, 17 if setup.quick else FINE_HEIGHTS, 1)
     exact, largest = em_cases(dense, cases), float(np.abs(em_cases(dense, cases)).max())
-    mesh = _mesh_errors(setup, catch, sphere, cases, largest)
+    mesh = _mesh_errors(setup, catch, radius, cases, largest)
     all_heights = QUICK_HEIGHTS if setup.quick else HEIGHTS
     points, tables = [], {}
     for heights in all_heights:
         tables[heights], time = timed(
-            partial(_table, setup, catch, sphere, heights, 1), setup.repeats
+            partial(_table, setup, catch, radius, heights, 1), setup.repeats
         )
         between = np.array([force(tables[heights], dense.y, *case) for case in cases])
         error = float(np.abs(between - exact).max() / largest)
         points.append(_point(f"{heights} heights", error, mesh.get(1), time, tables[heights]))
     chosen = all_heights[0]
     if not setup.quick:
-        refined, time = timed(lambda: _table(setup, catch, sphere, chosen, MESHES[1]), 1)
+        refined, time = timed(lambda: _table(setup, catch, radius, chosen, MESHES[1]), 1)
         error = points[0].errors["interpolation"] or 0.0
         points.append(
             _point(f"{chosen} heights, cells halved", error, mesh[MESHES[1]], time, refined)
@@ -47,7 +46,7 @@ def em(setup: Setup) -> Outcome:
     own = catch.model_copy(update={"positions": chosen})
     count = cases.shape[0] * chosen
     with setup.clock.stage("em", f"brute force, {count} cases"):
-        brute, brute_time = timed(lambda: brute_force(own, sphere, cases), 1)
+        brute, brute_time = timed(lambda: brute_force(own, radius, cases), 1)
     equal = float(np.abs(em_cases(table, cases) - brute).max() / largest)
     points.append(
         Point("brute force", f"brute force, {count} solves", points[0].error, brute_time,
@@ -80,20 +79,20 @@ def _point(label: str, between: float, mesh: float | None, time: Timing, table: 
 
 
 def _mesh_errors(
-    setup: Setup, catch: Catch, sphere: Sphere, cases: np.ndarray, largest: float
+    setup: Setup, catch: Catch, radius: float, cases: np.ndarray, largest: float
 ) -> dict[int, float]:
     """Largest force error of each mesh at a few heights against a finer one; not in a quick run."""
     if setup.quick:
         return {}
-    fine = em_cases(_table(setup, catch, sphere, CHECKED, FINE_MESH), cases)
+    fine = em_cases(_table(setup, catch, radius, CHECKED, FINE_MESH), cases)
     errors = {}
     for refine in MESHES:
-        coarse = em_cases(_table(setup, catch, sphere, CHECKED, refine), cases)
+        coarse = em_cases(_table(setup, catch, radius, CHECKED, refine), cases)
         errors[refine] = float(np.abs(coarse - fine).max() / largest)
     return errors
 
 
-def _table(setup: Setup, catch: Catch, sphere: Sphere, heights: int, refine: int) -> EMTable:
+def _table(setup: Setup, catch: Catch, radius: float, heights: int, refine: int) -> EMTable:
     finer = catch.model_copy(update={"positions": heights, "refine": catch.refine * refine})
     with setup.clock.stage("em", f"{heights} heights, cells over {refine}") as share:
-        return catch_table(finer, sphere, lambda done, total: share(done / total))
+        return catch_table(finer, radius, lambda done, total: share(done / total))

@@ -10,14 +10,11 @@ import time
 
 import numpy as np
 
+from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.mesh import kick_mesh
-from kc2spice.rom.facts import condensed_facts
-from kc2spice.rom.reduce import reduce_condensed
-from kc2spice.rom.schur import condense
+from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.need import need
+from laboratory.fullmodel import full_system
 from laboratory.points import Outcome, Plane, Point, Scaling, Timing
 from laboratory.setup import Setup
 
@@ -85,11 +82,9 @@ def _run(sectors: int, outer: int) -> dict[str, float]:
 def _measure(sectors: int, outer: int) -> dict[str, float]:
     sets = [f"kick.mesh.sectors={sectors}", f"kick.mesh.outer_rings={outer}", "rom.tolerance=1e-4"]
     scene = load_scene("harmonic", sets)
-    chip = need(scene.kick, "kick")
-    condensed = condense(assemble_kick(chip, kick_mesh(chip)))
-    reduce_condensed(condensed, scene.rom)
-    seconds = time.process_time()
-    facts = condensed_facts(condensed)
+    model = from_sector(full_system(scene))
+    reduce(model, tolerance=scene.rom.tolerance, band=scene.rom.band)
+    seconds, facts = time.process_time(), model.facts
     return {
         "unknowns": facts["unknowns"], "resonance": facts["resonance_short_hz"], "time": seconds,
         "memory": 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.fem.piezo.system import Port
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.rom.linear import Certificate, Port
+from kc2spice.rom.modal import Resonators
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Deck, Subcircuit
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Deck
 
 STATE = 1e-6  # farad of every state
 FORMS = ("resonators", "second order", "first order")
@@ -29,7 +30,7 @@ class StateSpace:
     clamped: float
 
 
-def state_space(model: ResonatorModel, form: str) -> StateSpace:
+def state_space(model: Resonators, form: str) -> StateSpace:
     """``model`` as decoupled resonators, or turned into other coordinates by a fixed rotation.
 
     *second order* keeps displacements and velocities apart, with dense stiffness and damping;
@@ -63,7 +64,7 @@ def rotation(size: int) -> np.ndarray:
 
 
 def written(
-    model: ResonatorModel, part: Subcircuit, form: str, *, behavioural: bool = False
+    model: Resonators, part: Subcircuit, form: str, *, behavioural: bool = False
 ) -> Subcircuit:
     """``part``, the product's subcircuit of ``model``, with the inside of another form."""
     pins = [pin.name for pin in part.pins]
@@ -109,24 +110,31 @@ def _sources(node: str, terms: list[tuple[str, float]], behavioural: bool) -> li
 
 
 def with_form(
-    deck: Deck, model: ResonatorModel, form: str, *, behavioural: bool = False, name: str = "kick"
+    deck: Deck, model: Resonators, form: str, *, behavioural: bool = False, name: str = "kick"
 ) -> Deck:
     """``deck`` with its part ``name`` written in another form."""
-    part = next(part for part in deck.parts if part.name == name)
+    part = next(part for part in deck.parts if part.filename == f"{name}.lib")
     other = written(model, part, form, behavioural=behavioural)
-    return replace(deck, files={**deck.files, part.filename: other.text})
+    return with_text(deck, name, other.text)
 
 
-def synthetic(modes: int, ports: int) -> ResonatorModel:
+def with_text(deck: Deck, name: str, text: str) -> Deck:
+    """``deck`` with another text in the library of its part ``name``."""
+    file = f"{name}.lib"
+    parts = tuple(replace(p, text=text) if p.filename == file else p for p in deck.parts)
+    return replace(deck, parts=parts)
+
+
+def synthetic(modes: int, ports: int) -> Resonators:
     """A chip-like model of any size: resonances from 270 kHz to 30 MHz, ``ports`` with an anode."""
     rng = np.random.default_rng(modes * 1000 + ports)
     omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)
     gain = rng.uniform(0.2, 1.0, (modes, ports)) * rng.choice((-1.0, 1.0), (modes, ports))
     gain *= 50.0 / np.sqrt(modes)
     gain[:, -1] *= 1e-2
-    rings = tuple(Port(f"R{k}", "mechanical", "um", "N") for k in range(ports - 1))
+    rings = tuple(Port(f"R{k}", "mechanical") for k in range(ports - 1))
     D = np.zeros((ports, ports))
     D[-1, -1] = 35e-9
     certificate = Certificate((0.0, 500e3), 0.0, "synthetic", True, True)
-    named = (*rings, Port("anode", "electrical", "V", "A"))
-    return ResonatorModel(omega, 0.02 * omega, gain, D, named, certificate)
+    named = (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
+    return Resonators(omega, 0.02 * omega, gain, D, named, certificate)

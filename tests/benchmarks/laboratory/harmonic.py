@@ -8,17 +8,13 @@ from functools import partial
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
+from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.harmonic import harmonic as full_harmonic
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.project import certify, project
-from kc2spice.rom.reduce import reduce_condensed
-from kc2spice.rom.response import frequency_response, relative_error
-from kc2spice.rom.schur import CondensedSystem, condense
-from kc2spice.rom.standin import stand_in
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Rom
-from kc2spice.workflow.verify.fullmodel import full_system
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.response import relative_error
+from laboratory.fullmodel import full_system, surrogate
 from laboratory.points import (
     Outcome,
     Plane,
@@ -30,7 +26,8 @@ from laboratory.points import (
     scaled,
     timed,
 )
-from laboratory.setup import Setup
+from laboratory.reductions import projected
+from laboratory.setup import Setup, keys_of
 
 ORDERS = (30, 21, 24, 35, 42)
 TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)
@@ -38,36 +35,36 @@ BALANCED = (20, 14, 17, 24, 28)
 SAMPLED = 3  # direct solves that are timed, unless all are asked for
 LIMIT, TARGET = 1e-5, 20_000.0
 
-Models = Iterator[tuple[str, str, ReducedModel]]
+Models = Iterator[tuple[str, str, LinearModel]]
 
 
 def harmonic(setup: Setup) -> Outcome:
     """Error over all pairs of ports and all frequencies, time of the sweep with that model."""
     scene = setup.scene("harmonic")
-    sweep = need(scene.harmonic, "harmonic")
+    sweep = keys_of(scene, "port_loads")
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
     system = full_system(scene)
-    condensed = condense(system)
+    model = from_sector(system)
     taken = frequency if setup.full_sweep else frequency[:: frequency.size // SAMPLED][:SAMPLED]
     with setup.clock.stage("harmonic", f"full model, {taken.size} direct solves"):
         _, sample = timed(lambda: full_harmonic(system, taken), 1)
     full = scaled(sample, frequency.size / taken.size)
     with setup.clock.stage("harmonic", "surrogate of the full model"):
-        surrogate, certified = stand_in(condensed, (0.0, float(frequency[-1])))
-    exact = frequency_response(surrogate, frequency)
+        large, certified = surrogate(model, (0.0, float(frequency[-1])))
+    exact = large.transfer(frequency)
     points: list[Point] = []
     notes: list[str] = []
     band = (0.0, float(frequency[-1]))
-    for family, label, model in _models(condensed, band, setup):
-        form = resonators(model)
-        response, time = quick_timed(partial(frequency_response, form, frequency), setup.repeats)
+    for family, label, small in _models(model, band, setup):
+        form = resonators(small)
+        response, time = quick_timed(partial(form.transfer, frequency), setup.repeats)
         error = relative_error(response, exact)
-        facts = {"states": float(model.order)}
+        facts = {"states": float(small.order)}
         points.append(Point(family, label, error, time, {"response": error}, facts))
     best = fastest(points, {"response": LIMIT})
     try:
         for label, response, time in balanced(
-            surrogate, setup.some(BALANCED), frequency, setup.repeats
+            large, setup.some(BALANCED), frequency, setup.repeats
         ):
             error = relative_error(response, exact)
             points.append(Point("pyMOR", label, error, time, {"response": error}))
@@ -84,37 +81,38 @@ def harmonic(setup: Setup) -> Outcome:
         "harmonic", f"{scene.title}: {frequency.size} frequencies",
         "largest relative error of any response", "CPU time of the sweep [s]", tuple(points),
         (f"time of the full model from {taken.size} of {frequency.size} solves",
-         f"{surrogate.order} states replace it, within {certified:.1e} of ten direct solves",
+         f"{large.order} states replace it, within {certified:.1e} of ten direct solves",
          *notes),
     )  # fmt: skip
     return Outcome((plane,), (ratio,))
 
 
-def _models(model: CondensedSystem, band: tuple[float, float], setup: Setup) -> Models:
+def _models(model: LinearModel, band: tuple[float, float], setup: Setup) -> Models:
     """Family, label and model of every reduction."""
     for tolerance in setup.some(TOLERANCES):
-        reduced = reduce_condensed(model, Rom(tolerance=tolerance, band=band))
+        reduced = reduce(model, tolerance=tolerance, band=band)
         yield "to tolerance", f"tolerance {tolerance:g}", reduced
     for order in setup.some(ORDERS):
-        reduced = reduce_condensed(model, Rom(order=order, band=band))
+        reduced = reduce(model, order=order, band=band)
         yield "Krylov at s = 0", f"Krylov, order {order}", reduced
     for order in setup.some(ORDERS, 1):
         yield "modal truncation", f"modal, order {order}", modal(model, order)
 
 
-def modal(model: CondensedSystem, order: int) -> ReducedModel:
+def modal(model: LinearModel, order: int) -> LinearModel:
     """The lowest ``order`` modes of the full model with shorted anode, by shift and invert."""
-    n = model.B.shape[0]
-    stiffness = LinearOperator((n, n), matvec=model.stiffness, dtype=float)
-    inverse = LinearOperator((n, n), matvec=model.solve, dtype=float)
+    n, K = model.order, model.pencil.coefficients[0]
+    stiffness = LinearOperator((n, n), matvec=lambda x: K @ x, dtype=float)
+    solve = model.pencil.pencil_solver(0.0).solve
+    inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     _, V = eigsh(stiffness, order, M=model.M, sigma=0.0, OPinv=inverse)
-    return certify(project(model, V), (0.0, 0.0), np.inf, "none")
+    return projected(model, V)
 
 
 def balanced(
-    surrogate: ReducedModel, orders: tuple[int, ...], frequency: np.ndarray, repeats: int
+    large: LinearModel, orders: tuple[int, ...], frequency: np.ndarray, repeats: int
 ) -> Iterator[tuple[str, np.ndarray, Timing]]:
-    """pyMOR's second-order balanced truncation (positions) of the surrogate: label, response, time.
+    """pyMOR's second-order balanced truncation (positions) of a model: label, response, time.
 
     Frequencies count in band ends and every port in its static answer, so that errors in one port
     weigh as much as in another.
@@ -129,17 +127,17 @@ def balanced(
 
     set_log_levels({"pymor": "ERROR"})
     unit = 2 * np.pi * frequency[-1]
-    port = 1 / np.sqrt(np.diag(surrogate.C @ np.linalg.solve(surrogate.K, surrogate.B)))
+    port = 1 / np.sqrt(np.diag(large.C @ np.linalg.solve(large.K, large.B)))
     matrices = (
-        surrogate.M * unit**2,
-        surrogate.E * unit,
-        surrogate.K,
-        surrogate.B * port,
-        (surrogate.B * port).T,
+        large.M * unit**2,
+        large.E * unit,
+        large.K,
+        large.B * port,
+        (large.B * port).T,
     )
     reductor = SOBTpReductor(SecondOrderModel.from_matrices(*matrices))
     for order in orders:
         small = reductor.reduce(order).transfer_function
         small.disable_caching()  # each repeat is to do the work
         answer, time = timed(partial(small.freq_resp, 2 * np.pi * frequency / unit), repeats)
-        yield f"pyMOR, balanced, order {order}", answer / np.outer(port, port) + surrogate.D, time
+        yield f"pyMOR, balanced, order {order}", answer / np.outer(port, port) + large.D, time

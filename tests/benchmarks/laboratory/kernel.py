@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.cache import cache_dir
 from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.reference.law import Law
+from laboratory.law import Law
 
 SOURCE = Path(__file__).with_name("flight.c")
 FLAGS = ("-O3", "-shared", "-fPIC")

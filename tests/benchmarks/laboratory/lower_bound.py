@@ -17,11 +17,11 @@ from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.reference.law import Law, Mode
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
 from laboratory.contactsets import ContactSets, Modes
 from laboratory.kernel import Fly, flyer
-from laboratory.segments import Segment, initial, segments
+from laboratory.law import Law
+from laboratory.segments import Segment, initial, saturation, segments
 
 Values = Callable[[np.ndarray], np.ndarray]
 
@@ -56,8 +56,8 @@ class LowerBound:
         """
         log, x = _Log(), initial(self.law, scene)
         closed = self._penetration(x) > 0.0
-        for segment in segments(self.law, scene.solver.stop):
-            t, saturated = segment.start, self._saturation(x, segment.enabled)
+        for segment in segments(self.law, scene.stop):
+            t, saturated = segment.start, saturation(self.law, x, segment.enabled)
             for _ in range(PIECES):
                 if t >= segment.end:
                     break
@@ -222,13 +222,6 @@ class LowerBound:
                 )
             current = saturated * self.law.control.current_limit
         return self.law.force_map(x[2 * self.law.q] + self.law.radius, current)[0]
-
-    def _saturation(self, x: np.ndarray, enabled: bool) -> int:
-        if not enabled:
-            return 0
-        sphere = np.append(x[2 * self.law.q :], np.zeros(3))
-        demand = float(self.law.demand(sphere))
-        return int(np.sign(demand - float(self.law.current(sphere, Mode(enabled=True)))))
 
     def _penetration(self, x: np.ndarray) -> np.ndarray:
         return self.law.rings @ x[: self.law.q] - x[2 * self.law.q] - self.law.gaps

@@ -6,7 +6,7 @@ The charge-driven model in ``x = [u; p; V]`` has the indefinite stiffness
 
 and a mass that ends at u. A one-sided Krylov projection mixes the three in every state, and the
 reduced pencil no longer is a passive network (paper 2.3, its references 47 to 49). Nothing uses
-this method; it shows why :mod:`kc2spice.rom.schur` eliminates the potentials first.
+this method; it shows why :func:`kc2spice.rom.linear.with_potentials` eliminates them first.
 """
 
 from __future__ import annotations

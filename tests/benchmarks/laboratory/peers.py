@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.reference.law import Law
-from kc2spice.scene.schema import Scene
-from laboratory.segments import SPHERE, Segment, initial, segments
+from kc2spice.scene.model import Scene
+from laboratory.law import EXTRA, Law
+from laboratory.segments import Segment, initial, segments
 
 IMPLICIT = ("Radau", "BDF", "LSODA")
 
@@ -68,7 +68,7 @@ class Peer:
         c = self.law.control
         if c is None or not self.segment.enabled:
             return 0.0, False, 0.0
-        p, _, d, integral = x[-SPHERE:].tolist()
+        p, _, d, integral = x[-EXTRA:].tolist()
         error = c.setpoint - self.law.radius - p
         wanted = c.kp * error + integral + c.kd * d
         current = min(max(wanted, -c.current_limit), c.current_limit)
@@ -87,7 +87,7 @@ def integrate(law: Law, scene: Scene, method: str, rtol: float) -> Waveforms:
     atol = rtol * np.concatenate((np.full(2 * q, 1e-6), (1e-6, 1.0, 1.0, 1e-3)))
     linear = _linear(law)
     times, states = [np.zeros(1)], [x[:, None]]
-    for segment in segments(law, scene.solver.stop):
+    for segment in segments(law, scene.stop):
         peer = Peer(law, segment, linear)
         options = {"jac": peer.jacobian} if method in IMPLICIT else {}
         solution = solve_ivp(
@@ -106,7 +106,7 @@ def integrate(law: Law, scene: Scene, method: str, rtol: float) -> Waveforms:
 
 def _linear(law: Law) -> np.ndarray:
     q = law.q
-    A, diag = np.zeros((2 * q + SPHERE, 2 * q + SPHERE)), np.arange(q)
+    A, diag = np.zeros((2 * q + EXTRA, 2 * q + EXTRA)), np.arange(q)
     A[diag, q + diag], A[q + diag, diag], A[q + diag, q + diag] = law.omega, -law.omega, -law.damp
     if law.electrical == "open":
         A[q : 2 * q, :q] -= np.outer(law.inverse_mass * law.charge, law.charge) / law.c0

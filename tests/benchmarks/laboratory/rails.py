@@ -11,8 +11,8 @@ from scipy.integrate import cumulative_simpson
 
 from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.report.plots import BLACK, BLUE, RED, Picture, legend_above, name_axes, sheet
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
+from laboratory.setup import keys_of
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def largest_speed(rail: float, scene: Scene, table: EMTable, resistance: float) 
     and everywhere, whichever sign of the current gives it; the sphere must climb the largest work
     along its path: ``m v^2 / 2 = max_y integral(m g - min F(y, -i, i)) dy`` from its rest height.
     """
-    sphere, control = need(scene.sphere, "sphere"), need(scene.control, "control")
+    sphere, control = keys_of(scene, "sphere"), keys_of(scene, "pid")
     most = min(rail / resistance, control.current_limit)
     y = np.linspace(sphere.radius, float(table.y[-1]), 2001)
     pull = np.minimum(force(table, y, -most, most), force(table, y, most, -most))

@@ -21,8 +21,8 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.general import reduce_model
 from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
 
 MODULE = "laboratory.reduction_scaling"  # also where its name is __main__
 FOLDER = str(Path(__file__).parents[1])  # where a new process finds it
@@ -107,13 +107,12 @@ def _product(factors: list[sparse.dia_array]) -> sparse.csr_array:
 def _measure(unknowns: int, dimension: int, solver: Solver) -> ScalingPoint:
     model = grid_model(unknowns, dimension)
     begin, worked = time.perf_counter(), time.process_time()
-    rom = reduce_model(
-        model, natural_band(model.pencil, solver), tolerance=TOLERANCE, solver=solver
-    )
+    band = natural_band(model.pencil, solver)
+    rom = reduce(model, band=band, tolerance=TOLERANCE, solver=solver)
     return ScalingPoint(
-        unknowns=model.pencil.size,
+        unknowns=model.order,
         order=rom.order,
-        error_estimate=rom.certificate.error_estimate,
+        error_estimate=rom.certificate.error_estimate if rom.certificate else np.inf,
         time_s=time.perf_counter() - begin,
         cpu_s=time.process_time() - worked,
         memory_bytes=1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,

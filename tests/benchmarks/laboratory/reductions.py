@@ -1,4 +1,4 @@
-"""Methods to choose few states, side by side; :mod:`kc2spice.rom.compress` ships one.
+"""Methods to choose few states, side by side; :mod:`kc2spice.rom.reduce` ships one.
 
 All are congruences ``V'MV, V'EV, V'KV, V'B`` with a real V, so each keeps symmetry, definiteness
 and passivity at any order.
@@ -20,13 +20,11 @@ import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.fem.piezo.operator import ShiftedSolver
 from kc2spice.rom.krylov import block_arnoldi, extend
-from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.project import project, project_again
-from kc2spice.rom.schur import CondensedSystem
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.pencil import Pencil
 
-Candidate = Callable[[int], ReducedModel]
+Candidate = Callable[[int], LinearModel]
 Variant = Literal["position-velocity", "velocity", "free velocity"]
 VARIANTS: tuple[Variant, ...] = ("position-velocity", "velocity", "free velocity")
 POINTS = (0.0, 0.6, 0.96)  # of the band's upper edge: plain multi-point Krylov
@@ -66,7 +64,7 @@ def gramians(M: np.ndarray, E: np.ndarray, K: np.ndarray, B: np.ndarray, C: np.n
     )
 
 
-def balanced(model: ReducedModel, variant: Variant, kept: np.ndarray) -> np.ndarray:
+def balanced(model: LinearModel, variant: Variant, kept: np.ndarray) -> np.ndarray:
     """Directions by falling importance; those of ``kept`` (n, k) are in the model already."""
     B = model.B / np.sqrt(np.einsum("ki,ki->i", model.B, np.linalg.solve(model.K, model.B)))
     found = gramians(model.M, model.E, model.K, B, B.T)
@@ -78,19 +76,20 @@ def balanced(model: ReducedModel, variant: Variant, kept: np.ndarray) -> np.ndar
 
 
 def candidates(
-    model: CondensedSystem, large: ReducedModel, band: tuple[float, float], most: int
+    model: LinearModel, large: LinearModel, band: tuple[float, float], most: int
 ) -> dict[str, Candidate]:
     """Models as functions of the order, up to ``most``; ``large`` is that of the first stage."""
     static = np.linalg.solve(large.K, large.B)
     nothing = static[:, :0]
     lowest = _modes(model, most)
+    K, _, M = model.pencil.coefficients
+    solve = model.pencil.pencil_solver(0.0).solve
+    krylov = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, model.B, most)
     found = {
-        "Krylov at 0 (the paper's)": _of_full(
-            model, block_arnoldi(model.stiffness, model.solve, model.mass, model.B, most)
-        ),
+        "Krylov at 0 (the paper's)": _of_full(model, krylov),
         "Krylov at three points": _of_full(model, _multi_point(model, band, most)),
         "modes": _of_full(model, lowest),
-        "static vectors, modes": _of_full(model, np.hstack([model.solve(model.B), lowest])),
+        "static vectors, modes": _of_full(model, np.hstack([solve(model.B), lowest])),
     }
     for variant in VARIANTS:
         found[f"balanced, {variant}"] = _of_large(large, balanced(large, variant, nothing))
@@ -99,39 +98,58 @@ def candidates(
     return found
 
 
-def _of_full(model: CondensedSystem, directions: np.ndarray) -> Candidate:
+def projected(model: LinearModel, V: np.ndarray) -> LinearModel:
+    """The congruence of a second-order model with C = B' on the columns of ``V``."""
+    return of_pencil(model, model.pencil.project(V))
+
+
+def leading(model: LinearModel, order: int) -> LinearModel:
+    """The model of the first ``order`` states."""
+    return of_pencil(model, model.pencil.leading(order))
+
+
+def of_pencil(model: LinearModel, pencil: Pencil) -> LinearModel:
+    """A reduced pencil with the ports of the model that it was made from."""
+    K, E, M = pencil.coefficients
+    return LinearModel(M=M, E=E, K=K, B=pencil.B, D=pencil.D, ports=model.ports, name=model.name)
+
+
+def _of_full(model: LinearModel, directions: np.ndarray) -> Candidate:
     """Leading columns, made orthonormal in K so that their scales do not matter."""
     empty = np.empty((len(directions), 0))
-    basis, _ = extend(empty, empty, directions, model.stiffness)
-    whole = project(model, basis)
-    return lambda order: project_again(whole, np.eye(whole.order)[:, :order])
+    K = model.pencil.coefficients[0]
+    basis, _ = extend(empty, empty, directions, lambda v: K @ v)
+    whole = projected(model, basis)
+    return lambda order: leading(whole, order)
 
 
-def _of_large(large: ReducedModel, directions: np.ndarray) -> Candidate:
+def _of_large(large: LinearModel, directions: np.ndarray) -> Candidate:
     empty = np.empty((len(directions), 0))
     basis, _ = extend(empty, empty, directions, lambda v: large.K @ v)
-    return lambda order: project_again(large, basis[:, :order])
+    return lambda order: projected(large, basis[:, :order])
 
 
-def _multi_point(model: CondensedSystem, band: tuple[float, float], most: int) -> np.ndarray:
+def _multi_point(model: LinearModel, band: tuple[float, float], most: int) -> np.ndarray:
     """One Krylov block at each of the points in turn, then the second of each, and so on."""
     squares = [(2 * np.pi * share * band[1]) ** 2 for share in POINTS]
-    solvers = [model.static, *(ShiftedSolver(model.system, -w2, 1.0) for w2 in squares[1:])]
+    K, _, M = model.pencil.coefficients
+    solvers = [model.pencil.pencil_solver(w2) for w2 in squares]
     blocks = [solver.solve(model.B) for solver in solvers]
     basis = images = np.empty((len(model.B), 0))
     while basis.shape[1] < most:
         for i, solver in enumerate(solvers):
-            columns, column_images = extend(basis, images, blocks[i], model.stiffness)
+            columns, column_images = extend(basis, images, blocks[i], lambda v: K @ v)
             basis, images = np.hstack([basis, columns]), np.hstack([images, column_images])
-            blocks[i] = solver.solve(model.mass(columns))
+            blocks[i] = solver.solve(M @ columns)
     return basis[:, :most]
 
 
-def _modes(model: CondensedSystem, count: int) -> np.ndarray:
+def _modes(model: LinearModel, count: int) -> np.ndarray:
     """Lowest modes that a port can excite, by Lanczos from a static answer, which sees no other."""
     n = len(model.B)
-    inverse = LinearOperator((n, n), matvec=model.solve, dtype=float)
-    start = model.solve(model.B.sum(axis=1))
+    solve = model.pencil.pencil_solver(0.0).solve
+    inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+    start = solve(model.B.sum(axis=1))
     _, modes = eigsh(inverse, count, M=model.M, sigma=0.0, OPinv=inverse, v0=start)
     return np.asarray(modes)
 

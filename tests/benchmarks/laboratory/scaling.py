@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Deck
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import realize
 from kc2spice.workflow.decks import make_deck
 from laboratory.fem import power
 from laboratory.forms import synthetic
-from laboratory.points import Outcome, Scaling, Timing, timed
+from laboratory.points import Outcome, Ratio, Scaling, Timing, timed
 from laboratory.reduction_scaling import scaling as reductions
-from laboratory.setup import Setup
+from laboratory.setup import Setup, changed
 
 MODES, PORTS, ACTUATORS = (10, 30, 100, 300, 1000), (2, 5, 10, 30, 100), (1, 3, 10, 30, 100)
+FROM, TO, LINEAR = 10, 30, 1.15  # actuators between which the power is taken, and its target
 STOPS = (1e-3, 3e-3, 10e-3, 30e-3, 100e-3)
 UNKNOWNS = (10_000, 20_000, 50_000, 100_000, 200_000)
 STEP, POINTS = 50e-9, 400
@@ -44,7 +47,20 @@ def scaling(setup: Setup) -> Outcome:
             tuple(p.memory_bytes for p in points),
         )
     )  # fmt: skip
-    return Outcome(scalings=tuple(found))
+    return Outcome(ratios=(_actuators(found[2]),), scalings=tuple(found))
+
+
+def _actuators(item: Scaling) -> Ratio:
+    """Power of the time over the number of actuators, beyond what start-up hides."""
+    time = {int(n): t.median for n, t in zip(item.sizes, item.times, strict=True)}
+    shown = ", ".join(f"{n}: {time[n]:.3g} s" for n in (1, FROM, TO) if n in time)
+    pair = (FROM, TO) if {FROM, TO} <= set(time) else (min(time), max(time))
+    power = np.log(time[pair[1]] / time[pair[0]]) / np.log(pair[1] / pair[0])
+    return Ratio(
+        "actuators_power", float(power), None, LINEAR,
+        f"power of the time over actuators in one deck, {pair[0]} to {pair[1]}, fixed steps, whole "
+        f"process ({shown})", at_least=False,
+    )  # fmt: skip
 
 
 def pulse_deck(modes: int, ports: int, copies: int) -> Deck:
@@ -64,18 +80,16 @@ def pulse_deck(modes: int, ports: int, copies: int) -> Deck:
     stop = POINTS * STEP
     lines += [".options trtol=1e12 chgtol=1 reltol=1e-3", f".tran {STEP!r} {stop!r} 0 {STEP!r}",
               f".save v(n0_{rings[0]})", ".end", ""]  # fmt: skip
-    files = {"scaling.cir": "\n".join(lines), part.filename: part.text}
     vectors = {"u": (f"v(n0_{rings[0].lower()})", 1e-6)}
-    return Deck("scaling", "scaling.cir", files, vectors, stop, (part,))
+    return Deck(name="scaling", text="\n".join(lines), vectors=vectors, stop=stop, parts=(part,))
 
 
 def _simulated(setup: Setup) -> Scaling:
     scene = setup.scene("kick_and_catch")
-    models = setup.models(scene)
+    build = setup.build(scene)
 
     def deck(milliseconds: float) -> Deck:
-        solver = scene.solver.model_copy(update={"stop": 1e-3 * milliseconds})
-        return make_deck(scene.model_copy(update={"solver": solver}), models)
+        return make_deck(changed(build, {"solver.stop": 1e-3 * milliseconds}))
 
     stops = tuple(1e3 * stop for stop in STOPS)
     return _table(setup, "simulated time", "ms of kick_and_catch", stops, deck)

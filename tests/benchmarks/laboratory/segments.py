@@ -7,11 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from kc2spice.reference.law import HEIGHT, SPEED, Law
-from kc2spice.reference.statics import rest
-from kc2spice.scene.schema import Scene
-
-SPHERE = 4  # states after the modal ones: height, velocity, rolled-off rate, integral
+from kc2spice.scene.model import Scene
+from laboratory.law import EXTRA, HEIGHT, SPEED, Law, Mode
+from laboratory.statics import rest
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ def segments(law: Law, stop: float) -> list[Segment]:
         d = law.drive
         rise = d.start + np.array([0.0, d.edge, d.width, d.width + d.edge])
         corners, volts = np.append(corners, rise), np.append(volts, [0.0, d.voltage, d.voltage, 0])
-    enable = law.control.enable_at if law.control is not None else np.inf
+    enable = law.control.switching[0][0] if law.control is not None else np.inf
     marks = np.unique(np.concatenate((corners, [enable, stop])))
     marks = marks[marks <= stop]
     level = np.interp(marks, corners, volts)
@@ -44,8 +42,17 @@ def segments(law: Law, stop: float) -> list[Segment]:
 
 def initial(law: Law, scene: Scene) -> np.ndarray:
     """State ``[a, b, p, v, d, I]``: the sphere at rest on the chip, or thrown at it."""
-    if scene.impact is None:
-        return rest(law)[: 2 * law.q + SPHERE]
-    x = np.zeros(2 * law.q + SPHERE)
-    x[2 * law.q + HEIGHT], x[2 * law.q + SPEED] = scene.impact.gap, scene.impact.velocity
+    throw = scene.only("throw")
+    if throw is None:
+        return rest(law)
+    x = np.zeros(2 * law.q + EXTRA)
+    x[2 * law.q + HEIGHT], x[2 * law.q + SPEED] = throw.keys.gap, throw.keys.velocity
     return x
+
+
+def saturation(law: Law, x: np.ndarray, enabled: bool) -> int:
+    """-1, 0 or +1: the limit at which the current is in the state ``x``."""
+    if not enabled:
+        return 0
+    sphere = x[2 * law.q :]
+    return int(np.sign(law.demand(sphere) - law.current(sphere, Mode(enabled=True))))

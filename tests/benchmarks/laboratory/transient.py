@@ -7,18 +7,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from kc2spice import reference
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.pyspice import run_shared
-from kc2spice.reference.law import Law, law
 from kc2spice.report.distance import compare
-from kc2spice.rom.model import ResonatorModel
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Rom, Scene
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+from kc2spice.scene.settings import Rom
+from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import Models
+from laboratory.law import Law, law
+from laboratory.located import located
 from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
 from laboratory.points import Plane, Point, Timing, timed, timing
@@ -29,10 +28,13 @@ REDUCTIONS = (
     Rom(tolerance=1e-4), Rom(tolerance=1e-5), Rom(tolerance=1e-6), Rom(tolerance=2e-7),
     Rom(order=21), Rom(order=42),
 )  # fmt: skip
+BUDGET, BUDGETED = 1e-4, "error_budget 1e-4"
 EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far below all others
 Work = list[tuple[str, Callable[[], Point]]]
 
 LONG = 4.0  # s of CPU from which on a point is measured once
+# As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
+RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
 METHODS = ("Radau", "LSODA", "BDF", "DOP853")
 FACTS = ("accepted", "rejected", "iterations")
 FIELDS = {"launch": "velocity_relative", "position_m": "trajectory_m"}
@@ -43,18 +45,20 @@ class Transient:
 
     def __init__(self, scene: Scene, setup: Setup) -> None:
         self.scene, self.setup = scene, setup
-        self.models = setup.models(scene)
+        self.thrown = scene.only("throw") is not None
+        self.build = setup.build(scene)
         self.decks: dict[str, Waveforms] = {}  # what ngspice gave, by label
-        self.law: Law = law(self._kick(self.models), scene, self.models.table)
+        self.law: Law = law(self.build)
+        self.best: Waveforms | None = None
         with setup.clock.stage(scene.name, "exact solution"):
-            self.exact = self.reference(self.models, 1e-9)
+            self.exact = located(self.law, scene)
 
     def plane(self) -> Plane:
         """All methods on the scene's reduced model, and other reductions of the chip."""
         points, notes = self._rounds(
             [*self._ngspice(), *self._scipy(), *self._lower_bound(), *self._reductions()]
         )
-        what = "launch" if self.scene.impact is None else "rebound"
+        what = "rebound" if self.thrown else "launch"
         notes.append(
             f"errors against the same reduced model, integrated to 1e-9; those of other "
             f"reductions against one of tolerance {EXACT.tolerance:g}"
@@ -62,8 +66,8 @@ class Transient:
         notes.append("time of ngspice is CPU of the whole process, start-up and files included")
         notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
         return Plane(
-            "loop" if self.scene.impact is None else "impact",
-            f"{self.scene.title}: {self.scene.solver.stop * 1e3:g} ms",
+            "impact" if self.thrown else "loop",
+            f"{self.scene.title}: {self.scene.stop * 1e3:g} ms",
             f"relative error of the {what} velocity", "CPU time [s]", tuple(points), tuple(notes),
         )  # fmt: skip
 
@@ -90,13 +94,6 @@ class Transient:
                 seconds.setdefault(label, []).append(point.time.median)
         return [replace(p, time=timing(seconds[label])) for label, p in points.items()], notes
 
-    def reference(self, models: Models, rtol: float) -> Waveforms:
-        """The event-driven solution of the reduced model."""
-        chip = self._kick(models)
-        if self.scene.impact is not None:
-            return reference.impact(chip, self.scene, rtol=rtol).waves
-        return reference.kick_and_catch(chip, self.scene, models.table, rtol=rtol).waves
-
     def point(
         self, family: str, label: str, waves: Waveforms, time: Timing, note: str = "",
         against: Waveforms | None = None,
@@ -112,9 +109,9 @@ class Transient:
         )  # fmt: skip
 
     def _ngspice(self) -> Work:
-        found = [*variants(self.scene, self.models, self.setup)]
-        if self.scene.impact is None:
-            found.append(fixed_steps(self.scene, self.models))
+        found = [*variants(self.build, self.setup)]
+        if not self.thrown:
+            found.append(fixed_steps(self.build))
         work: Work = [(v.label, partial(self._deck, v)) for v in found]
         return [*work, ("shared engine", self._shared)]
 
@@ -127,22 +124,22 @@ class Transient:
         return replace(point, facts={**point.facts, **profile(log)})
 
     def _shared(self) -> Point:
-        deck = make_deck(self.scene, self.models)
+        deck = make_deck(self.build)
         waves, time = timed(lambda: run_shared(deck), 1)
-        note = "within Python through PySpice, each point handed over"
+        note = "libngspice within Python"
         return self.point("ngspice, shared engine", "shared engine", waves, time, note)
 
     def _scipy(self) -> Work:
-        short = self.scene.solver.stop <= SHORT
+        short = self.scene.stop <= SHORT
         work: Work = []
         for method in self.setup.some(METHODS, 1):
             slow = method in ("BDF", "DOP853")
             if slow and not (short or self.setup.full_sweep):
                 continue
-            for rtol in self.setup.some((1e-3, 1e-4, 3e-5, 1e-5, 1e-6)):
+            for rtol in self.setup.some(RTOL):
                 label = f"{method}, rtol {rtol:g}"
                 work.append((label, partial(self._solve_ivp, method, rtol, label)))
-        for rtol in self.setup.some((1e-4, 3e-4, 1e-5, 1e-6)):
+        for rtol in self.setup.some(RTOL[1:]):
             label = f"Radau, events located, modes exact in flight, rtol {rtol:g}"
             work.append((label, partial(self._located, rtol, label)))
         return work
@@ -152,7 +149,7 @@ class Transient:
         return self.point(f"scipy, {method}", label, waves, time, "restarted at the pulse's edges")
 
     def _located(self, rtol: float, label: str) -> Point:
-        waves, time = timed(lambda: self.reference(self.models, rtol), 1)
+        waves, time = timed(lambda: located(law(self.build), self.scene, rtol), 1)
         note = "not a general integrator: knows that nothing but contact couples the modes"
         return self.point("scipy, specialised", label, waves, time, note)
 
@@ -171,27 +168,32 @@ class Transient:
         return [("lower bound", whole), ("lower bound, eigenvectors kept", kept)]
 
     def _reductions(self) -> Work:
-        best: list[Waveforms] = []
+        work: Work = [
+            (f"{rom.order or rom.tolerance}", partial(self._reduced, rom)) for rom in self._roms()
+        ]
+        return work if self.thrown else [*work, (BUDGETED, self._budgeted)]
 
-        def measure(rom: Rom) -> Point:
-            if not best:
-                best.append(self.reference(self.setup.models(self.scene, EXACT), 1e-9))
-            models = self.setup.models(self.scene, rom)
-            order = self._kick(models).order
-            target = (
-                f"order {order}" if rom.order else f"tolerance {rom.tolerance:g}, {order} modes"
-            )
-            variant = Variant("ngspice, reduction", target, make_deck(self.scene, models))
-            return self._deck(variant, best[0])
+    def _reduced(self, rom: Rom) -> Point:
+        build = self.setup.build(self.scene, rom)
+        order = law(build).q
+        target = f"order {order}" if rom.order else f"tolerance {rom.tolerance:g}, {order} modes"
+        variant = Variant("ngspice, reduction", target, make_deck(build))
+        return self._deck(variant, self._best())
 
-        return [(f"{rom.order or rom.tolerance}", partial(measure, rom)) for rom in self._roms()]
+    def _budgeted(self) -> Point:
+        """The scene at the settings that an error budget chooses."""
+        scene = load_scene(self.scene, {"error_budget": BUDGET})
+        deck = make_deck(self.setup.build(scene))
+        return self._deck(Variant("ngspice, error budget", BUDGETED, deck), self._best())
+
+    def _best(self) -> Waveforms:
+        """What stands for the full model, integrated exactly."""
+        if self.best is None:
+            self.best = located(law(self.setup.build(self.scene, EXACT)), self.scene)
+        return self.best
 
     def _roms(self) -> tuple[Rom, ...]:
         return REDUCTIONS[2:3] if self.setup.quick else REDUCTIONS
-
-    @staticmethod
-    def _kick(models: Models) -> ResonatorModel:
-        return need(models.kick, "kick").resonators
 
 
 def profile(log: str) -> dict[str, float]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Scene
-from kc2spice.spice.circuit import Deck
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.parttype import Build
+from kc2spice.spice.cards import number
+from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import Models
-from laboratory.forms import with_form
-from laboratory.setup import Setup
+from laboratory.forms import with_form, with_text
+from laboratory.setup import Setup, changed
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
 CHGTOL = (1e-7, 1e-9, 1e-10)
@@ -35,34 +35,38 @@ class Variant:
     note: str = ""
 
 
-def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
+def variants(build: Build, setup: Setup) -> Iterator[Variant]:
     """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
-    own = make_deck(scene, models)
+    scene, own = build.scene, make_deck(build)
+    catch = scene.only("ring_magnet_coils")
     yield Variant("ngspice, as shipped", AS_SHIPPED, own)
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
-            deck = make_deck(_solver(scene, reltol=reltol, method=method), models)
+            deck = _deck(build, {"solver.reltol": reltol, "solver.method": method})
             yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck)
     for reltol in setup.some((1e-3, 1e-4), 1):
         for chgtol in setup.some(CHGTOL, 1):
-            deck = _option(make_deck(_solver(scene, reltol=reltol), models), "chgtol", chgtol)
+            deck = _option(_deck(build, {"solver.reltol": reltol}), "chgtol", chgtol)
             yield Variant("ngspice, chgtol", f"reltol {reltol:g}, chgtol {chgtol:g}", deck)
-    for ceiling in setup.some(CEILINGS, 0):
-        deck = make_deck(_solver(scene, max_step=ceiling), models)
+    for ceiling in (c for c in setup.some(CEILINGS, 0) if c <= scene.stop):
+        deck = _deck(build, {"solver.max_step": ceiling})
         yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
     for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
-        coarse = _lookup(_solver(scene, reltol=reltol, max_step=ceiling), points)
+        ceiling = min(ceiling, scene.stop)
+        keys = {"solver.reltol": reltol, "solver.max_step": ceiling}
+        if catch is not None:
+            keys[f"{catch.name}.points"] = points
         label = f"reltol {reltol:g}, chgtol {chgtol:g}, steps up to {ceiling * 1e6:g} us"
-        label += f", {points} heights" if scene.catch else ""
-        deck = _option(make_deck(coarse, models), "chgtol", chgtol)
+        label += f", {points} heights" if catch else ""
+        deck = _option(_deck(build, keys), "chgtol", chgtol)
         yield Variant("ngspice, for 1e-4", label, deck)
-    if scene.catch is not None:
+    if catch is not None:
         for points in setup.some(LOOKUPS, 1):
-            deck = make_deck(_lookup(scene, points), models)
+            deck = _deck(build, {f"{catch.name}.points": points})
             yield Variant("ngspice, lookup", f"lookup of {points} heights", deck)
-    model = need(models.kick, "kick").resonators
+    model = resonators(build.model("kick"))
     forms: tuple[str, ...] = ("second order", "first order")
-    if scene.solver.stop > SHORT and not setup.full_sweep:
+    if scene.stop > SHORT and not setup.full_sweep:
         forms = forms[:1]  # the other takes minutes
     for form in setup.some(forms, 0):
         # Rounding in a dense chip is more than ngspice's own abstol of 1 pA lets pass as converged.
@@ -73,32 +77,22 @@ def variants(scene: Scene, models: Models, setup: Setup) -> Iterator[Variant]:
     yield Variant("ngspice, behavioural", "behavioural sources", deck)
 
 
-def fixed_steps(scene: Scene, models: Models) -> Variant:
+def fixed_steps(build: Build) -> Variant:
     """The paper's fixed system step: ngspice with error control and watched contacts taken away."""
-    deck = make_deck(_solver(scene, max_step=PAPER_STEP), models)
+    deck = _deck(build, {"solver.max_step": PAPER_STEP})
     deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
     unwatched = re.sub(r"(?m)^Snear.*\n", "", deck.files["contact.lib"])
-    deck = replace(deck, files={**deck.files, "contact.lib": unwatched})
+    deck = with_text(deck, "contact", unwatched)
     return Variant(
         "fixed 10 us steps", "fixed 10 us steps, as in the paper", deck,
         "no error control; the pulse's corners are still met",
     )  # fmt: skip
 
 
-def _solver(scene: Scene, **changes: object) -> Scene:
-    return scene.model_copy(update={"solver": scene.solver.model_copy(update=changes)})
-
-
-def _lookup(scene: Scene, points: int) -> Scene:
-    """``scene`` with its force, if it has one, looked up between so many heights."""
-    if scene.catch is None:
-        return scene
-    return scene.model_copy(update={"catch": scene.catch.model_copy(update={"points": points})})
+def _deck(build: Build, keys: Mapping[str, object]) -> Deck:
+    return make_deck(changed(build, keys))
 
 
 def _option(deck: Deck, name: str, value: float) -> Deck:
-    """``deck`` with one simulator option set to another value, wherever it was set before."""
-    card = f".options {name}={value!r}"
-    text = re.sub(rf"\b{name}=\S+", "", deck.files[deck.main])
-    text = text.replace("\n.tran ", f"\n{card}\n.tran ", 1)
-    return replace(deck, files={**deck.files, deck.main: text})
+    """``deck`` with one simulator option set to another value."""
+    return deck.with_options({name: number(value)}, "of the laboratory")

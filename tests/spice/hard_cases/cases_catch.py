@@ -9,8 +9,8 @@ from device import chip, magnets
 from hard_cases.kit import HEADER, bench_deck, case, scene
 
 from kc2spice import reference
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import pid_subcircuit
 from kc2spice.report.metrics import compare
 from kc2spice.scene.schema import Control

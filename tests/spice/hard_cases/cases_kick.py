@@ -11,9 +11,10 @@ from hard_cases.kit import HEADER, bench_deck, case, kick, relative, scene
 from scipy.linalg import expm
 
 from kc2spice import reference
-from kc2spice.parts.drivers import charge_drive_subcircuit, half_bridge_subcircuit
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.charge_drive import charge_drive_subcircuit
 from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.parts.half_bridge import half_bridge_subcircuit
 from kc2spice.report.metrics import separation
 from kc2spice.rom.linear import Port
 from kc2spice.scene.drivers import ChargeDrive, HalfBridge

@@ -10,8 +10,8 @@ from device import RADII, chip
 from hard_cases import kit
 from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
 
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.checks import check

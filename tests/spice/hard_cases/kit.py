@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from device import built, chip, edited, magnets
 from device import bench as bench_deck  # noqa: F401
+from device import built, chip, edited, magnets
 
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.waveforms import Waveforms
