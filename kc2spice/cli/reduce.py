@@ -16,8 +16,10 @@ def reduce(
         str,
         typer.Argument(
             metavar="MODEL",
-            help="NAME of Matrix Market files NAME.M .E .K .B .C (first order .A .B .C .D .E), or "
-            "a .mat or .npz file with such matrices; NAME.toml beside it may name ports and band.",
+            help="NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A "
+            ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
+            "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body. NAME.toml "
+            "beside it names ports, units, supports and band; docs/matrices.md lists its keys.",
         ),
     ],
     out: Annotated[
@@ -46,10 +48,6 @@ def reduce(
             "MKL_NUM_THREADS cores.",
         ),
     ] = "scipy",
-    triangular: Annotated[
-        bool,
-        typer.Option("--triangular", help="Accept matrices of which only one triangle is stored."),
-    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
     ] = False,
@@ -66,7 +64,7 @@ def reduce(
         with shown_progress(quiet) as progress:
             found = reduce_study(
                 model, out, band=band, tolerance=tolerance, order=order, solver=solver,
-                triangular=triangular, progress=progress,
+                progress=progress,
             )  # fmt: skip
         if as_json:
             print(json.dumps(found))

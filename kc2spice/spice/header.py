@@ -56,7 +56,8 @@ def rom_line(order: int, certificate: Certificate) -> str:
     low, high = certificate.band_hz
     return (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
-        f"error={number(certificate.error_estimate)} ({comment(certificate.method)})\n"
+        f"error={number(certificate.error_estimate)} ({comment(certificate.method)}); "
+        "above the band not certified; contact excites it\n"
     )
 
 

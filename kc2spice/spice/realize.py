@@ -498,14 +498,15 @@ def _free(block: np.ndarray, omega: float) -> bool:
 def _block_cards(
     model: BlockModel, farad: float, terminals: list[_Terminal], base: str
 ) -> list[_Block]:
-    inputs = sorted((t for t in terminals if t.column is not None), key=lambda t: t.column or 0)
+    found = [(t.column, t) for t in terminals if t.column is not None]
+    inputs = sorted(found, key=lambda pair: pair[0])
 
     def drives(state: int) -> list[_Card]:
         row = farad * model.B[state]
         return [
-            _Card(f"{t.column + 1}", *t.control(base), float(row[t.column]))
-            for t in inputs
-            if row[t.column] != 0
+            _Card(f"{column + 1}", *t.control(base), float(row[column]))
+            for column, t in inputs
+            if row[column] != 0
         ]
 
     found, start = [], 0

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.files import staged
-from kc2spice.core.progress import Progress, silent
+from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.linalg.factor import Solver
-from kc2spice.rom.foreign import read_model
+from kc2spice.parts.linear_body import LinearBody
 from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.scene.load import gallery, load_scene
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.dialect import DIALECTS, translate_text
 from kc2spice.spice.header import Header
@@ -31,24 +35,23 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     solver: str = "scipy",
-    triangular: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
-    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso';
-    ``triangular`` accepts matrices of which one triangle is zero.
+    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+    ``SCENE:PART`` instead of a path is the full model of a scene's body.
 
     Raises
     ------
-    UsageError : see :func:`kc2spice.rom.foreign.read_model`; nothing was written.
+    UsageError : see :func:`kc2spice.bodies.readers.read_model`; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
     MissingToolError : pypardiso is asked for and not installed.
     """
     chosen = _solver(solver)
     progress("reduce", None, "reading matrices")
-    model = read_model(path, triangular=triangular)
+    model = _scene_body(str(path)) or read_model(path)
     name = f"{model.name}_rom"
     directory = Path(name) if out is None else Path(out)
     if tolerance is None and order is None:
@@ -74,6 +77,24 @@ def reduce(
         "rom": str(directory / files[0]),
         "files": files,
     }
+
+
+def _scene_body(text: str) -> LinearModel | None:
+    """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
+    name, colon, wanted = text.rpartition(":")
+    if not colon or Path(text).exists() or not (name in gallery() or name.endswith(".toml")):
+        return None
+    scene = load_scene(name)
+    part = scene.part(wanted, where=text)
+    if not isinstance(part.type, LinearBody):
+        bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
+        raise UsageError(
+            "has no linear model", where=text, got=f"a part of type {part.type.name}",
+            expected=", ".join(bodies) or "a body; this scene has none",
+        )  # fmt: skip
+    full = part.type.full(part, scene, Clock())
+    kept = full.select([port.name for port in part.type.kept(part, scene)])
+    return replace(kept, name=f"{scene.name}_{part.name}")
 
 
 def require_stable(found: dict[str, Any]) -> None:

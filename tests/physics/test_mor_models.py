@@ -9,7 +9,7 @@ from scipy.linalg import eig, eigvals
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.blocks import block_model
-from kc2spice.rom.foreign import make_model
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
 from kc2spice.spice.realize import subcircuit
@@ -29,7 +29,7 @@ FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
 
 def built(name):
     matrices, band = FAMILIES[name]()
-    return matrices, make_model(families.as_files(matrices), None, name, name), (0.0, band)
+    return matrices, LinearModel(**families.as_files(matrices), name=name), (0.0, band)
 
 
 def reduced_matrices(rom):
@@ -170,7 +170,7 @@ HARD = {
 def test_hard_models_work_and_say_what_they_are(name, tmp_path):
     make, stable, passive = HARD[name]
     matrices, top = make(), 0.1
-    model = make_model(families.as_files(matrices), None, name, name)
+    model = LinearModel(**families.as_files(matrices), name=name)
     rom = reduce(model, band=(0.0, top), tolerance=1e-6)
     assert (rom.certificate.stable, rom.certificate.passive) == (stable, passive)
     frequency = np.linspace(top / 50, top, 50)
@@ -191,7 +191,7 @@ def test_hard_models_work_and_say_what_they_are(name, tmp_path):
 def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
     """Proportional damping or any other; the dense form is one block of all states."""
     make, *_ = HARD[name]
-    model = make_model(families.as_files(make()), None, name, name)
+    model = LinearModel(**families.as_files(make()), name=name)
     rom = reduce(model, band=(0.0, 0.1), order=8)
     decoupled, dense = block_model(rom), block_model(rom, dense=True)
     assert max(len(block) for block in decoupled.blocks) <= 2
@@ -204,7 +204,7 @@ def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
 
 def test_defective_pole_stays_in_one_block():
     make, *_ = HARD["defective pole"]
-    model = make_model(families.as_files(make()), None, "jordan", "jordan")
+    model = LinearModel(**families.as_files(make()), name="jordan")
     rom = reduce(model, band=(0.0, 0.1), order=6)
     assert [len(block) for block in block_model(rom).blocks] == [6]
 
@@ -215,7 +215,7 @@ def test_improper_models_are_refused_with_the_reason():
     E[1, 2] = 1.0  # x2' = x1 - ..., 0 = x3 - u: the output is the derivative of the input
     A = np.diag([-1.0, 1.0, 1.0])
     matrices = {"A": A, "E": E, "B": np.array([[1.0], [0.0], [1.0]]), "C": np.eye(n)[[1]]}
-    model = make_model(families.as_files(matrices), None, "index 2", "index 2")
+    model = LinearModel(**families.as_files(matrices), name="index 2")
     with pytest.raises(UsageError, match="derivatives"):
         reduce(model, band=(0.01, 0.1), order=3)
 
@@ -241,7 +241,7 @@ def check_every_order(seed, step):
     """Poles and power of the reduced models, by eigenvalues that share no code with the product."""
     rng = np.random.default_rng(seed)
     matrices, top = random_model(rng)
-    model = make_model(families.as_files(matrices), None, "random", "random")
+    model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
     space = subspace(model.pencil, band, 1e-5, 1e-5, "scipy")
     found = ordered(model, space, band, False, None)

@@ -11,9 +11,9 @@ from scipy import io, sparse
 from scipy.sparse.linalg import splu
 from typer.testing import CliRunner
 
+from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.foreign import read_model
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.memory import factor_bytes

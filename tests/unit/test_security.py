@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
 from kc2spice.fem.piezo.system import Port
-from kc2spice.rom.foreign import read_model
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.model import Certificate, ReducedModel
 from kc2spice.scene.load import load_scene
