@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.gates import FullSolution, Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -106,15 +107,6 @@ class PortLoads(PartType):
                 amplitude.setdefault(source, {})[sink] = np.abs(response).tolist()
         return {"frequency_hz": waves["frequency"].tolist(), "amplitude": amplitude}
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
-        f = waves["frequency"].real / 1e3
-        loads = list(dict.fromkeys(n.partition(">")[0] for n in waves.data if ">" in n))
-        curves = tuple(Curve(f"{load}", f, np.abs(waves[f"{load}>{load}"])) for load in loads)
-        mechanical = tuple(curve for curve in curves if curve.label != "anode")
-        panels = [Panel("frequency in kHz", "|response| in m/N", mechanical, log_y=True)]
-        caption = "Response of every port to a unit load on itself."
-        yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
-
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         """What was asked of the reduction bounds what it may cost."""
         gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
@@ -123,6 +115,56 @@ class PortLoads(PartType):
             "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
         }  # fmt: skip
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+        low = {"rom_vs_fom": gates.harmonic_low}
+        yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        """All ports to all ports. A certified basis of high order replaces the full model, unless
+        ``whole`` asks for a direct solution at every frequency."""
+        from kc2spice.rom.surrogate import surrogate
+
+        body, analysis = body_of(part, build.scene), build.scene.analysis
+        full = body.type.full_model(body, build, clock)
+        if full is None:
+            return None
+        frequency = np.linspace(analysis.start, float(analysis.stop or 0.0), analysis.points)
+        started = time.perf_counter()
+        if whole:
+            with clock.stage("full model", f"{frequency.size} direct solutions"):
+                response = full.transfer(frequency)
+            spent, notes = time.perf_counter() - started, ()
+        else:
+            with clock.stage("full model", "surrogate basis against direct solutions"):
+                small = surrogate(full, (0.0, float(frequency[-1])))
+            response = small.model.transfer(frequency)
+            spent = small.seconds * frequency.size
+            notes = (
+                f"{small.model.order} states replace the full model, within {small.error:.1e} of "
+                f"{small.solved} direct solutions, which its time is taken from",
+            )
+        names = list(full.inputs)
+        if body.keys.electrical == "open":
+            response = charged(response, names.index("anode"))
+        data = {"frequency": frequency}
+        for o, output in enumerate(names):
+            data |= {f"{source}>{output}": response[:, o, i] for i, source in enumerate(names)}
+        peak = np.abs(response[:, 0, 0]).argmax()
+        metrics = {"peak_hz": float(frequency[peak]), "full_wall_s": spent}
+        return FullSolution(
+            Waveforms(data, {}), build, spent, baselines={"refactor": spent}, metrics=metrics,
+            notes=notes,
+        )  # fmt: skip
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        f = waves["frequency"].real / 1e3
+        loads = list(dict.fromkeys(n.partition(">")[0] for n in waves.data if ">" in n))
+        curves = tuple(Curve(f"{load}", f, np.abs(waves[f"{load}>{load}"])) for load in loads)
+        mechanical = tuple(curve for curve in curves if curve.label != "anode")
+        panels = [Panel("frequency in kHz", "|response| in m/N", mechanical, log_y=True)]
+        caption = "Response of every port to a unit load on itself."
+        yield Figure(f"{part.name}_responses", "Frequency response", caption, tuple(panels))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
