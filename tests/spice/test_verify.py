@@ -68,6 +68,8 @@ pins = { a = "ball.a" }
 reltol = 1e-5
 stop = "150 us"
 max_step = "0.5 us"
+[gates]
+launch_velocity = 5e-4            # measured 1.7e-4 at this speed of 8 cm/s
 """
 
 
