@@ -18,7 +18,7 @@ from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.schema import Contact, Drive, Kick, Sphere
-from kc2spice.workflow.verify.surrogate import surrogate
+from kc2spice.rom.surrogate import surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 MASS = Sphere().mass / 4

@@ -75,6 +75,8 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """The difference that a gate asks for; None where one of both has not reached it."""
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
+        if a is None and b is None:  # neither has it, such as the launch of what never leaves
+            return _ABSENT
         if a is None or b is None:
             return None
         return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
