@@ -28,8 +28,9 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import Reduction, ordered
 from kc2spice.rom.response import relative_error
 from kc2spice.rom.subspace import subspace
+from kc2spice.rom.surrogate import surrogate
 from laboratory.candidate_figure import candidate_figure
-from laboratory.fullmodel import as_system, on_reduced, surrogate
+from laboratory.fullmodel import as_system, on_reduced
 from laboratory.reductions import Candidate, candidates, leading, of_pencil
 
 BAND = (0.0, 500e3)
@@ -99,7 +100,7 @@ class Judge:
         self.full = Contacts(system, surface, sphere)
 
         def build() -> dict[str, np.ndarray]:
-            reference, _ = surrogate(model, BAND)
+            reference = surrogate(model, BAND).model
             return {
                 "harmonic": reference.transfer(FREQUENCY),
                 "impact": self.full.impact(),

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
-from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
@@ -17,12 +16,8 @@ from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import TransientResult
 from kc2spice.parts.piezo_stack import chip_of
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import reduce
-from kc2spice.rom.response import relative_error
 from kc2spice.scene.model import Scene
 from laboratory.setup import keys_of
-
-BLOCKS, CHECKS, LIMIT = 10, 10, 1e-10  # Krylov blocks at s = 0, direct solves, largest error
 
 
 def chip(scene: Scene) -> Chip:
@@ -76,25 +71,6 @@ def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
     }  # fmt: skip
     data |= {f"kick.u.R{k}": row for k, row in enumerate(result.spring_displacement.T)}
     return Waveforms(data, {})
-
-
-def surrogate(model: LinearModel, band: tuple[float, float]) -> tuple[LinearModel, float]:
-    """A model that equals the full one over ``band``, and its largest error at direct solves.
-
-    Raises
-    ------
-    SimulationError : the error is beyond ``LIMIT``.
-    """
-    small = reduce(model, order=BLOCKS * len(model.inputs), band=band)
-    golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
-    frequency = band[0] + (band[1] - band[0]) * np.sort(golden * np.arange(1, CHECKS + 1) % 1)
-    error = relative_error(small.transfer(frequency), model.transfer(frequency))
-    if error > LIMIT:
-        raise SimulationError(
-            "the basis cannot replace the full model", where="harmonic",
-            got=f"largest relative error {error:.1e}", expected=f"at most {LIMIT:g}",
-        )  # fmt: skip
-    return small, error
 
 
 def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:

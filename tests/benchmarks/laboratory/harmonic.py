@@ -14,7 +14,8 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
-from laboratory.fullmodel import full_system, surrogate
+from kc2spice.rom.surrogate import surrogate
+from laboratory.fullmodel import full_system
 from laboratory.points import (
     Outcome,
     Plane,
@@ -50,7 +51,8 @@ def harmonic(setup: Setup) -> Outcome:
         _, sample = timed(lambda: full_harmonic(system, taken), 1)
     full = scaled(sample, frequency.size / taken.size)
     with setup.clock.stage("harmonic", "surrogate of the full model"):
-        large, certified = surrogate(model, (0.0, float(frequency[-1])))
+        found = surrogate(model, (0.0, float(frequency[-1])))
+    large, certified = found.model, found.error
     exact = large.transfer(frequency)
     points: list[Point] = []
     notes: list[str] = []
