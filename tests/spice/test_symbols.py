@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from device import deck_of
 
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
 from kc2spice.parts.contact import contact_subcircuit, ring_gaps
-from kc2spice.parts.drivers import AmplifierKeys, amplifier_subcircuit
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit

@@ -7,8 +7,8 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.contact import contact_subcircuit, ring_gaps
-from kc2spice.parts.opamp import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit

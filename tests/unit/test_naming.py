@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.drivers import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.spice.deck import Block, Deck
 from kc2spice.spice.elements import circuit
