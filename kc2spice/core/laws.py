@@ -1165,8 +1165,9 @@ class Equations:
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``); a pin that is missing has no
     counterpart, because another one stands for it or because it feels nothing. Two pins of the part
     may share a pin of a law: a netlist has a velocity and a displacement node where the law has one
-    coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results`` maps the part's results to waves, ``sweeps`` its keys that a dc analysis
-    moves to the name of a source and its value per SI unit of the key.
+    coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results`` maps the
+    part's results to waves, ``sweeps`` its keys that a dc analysis moves to the name of a source
+    and its value per SI unit of the key.
     """
 
     laws: tuple[Law, ...] = ()

@@ -42,7 +42,7 @@ def _summary(found: Mapping[str, Findings]) -> Section:
         "speed-up, refactorised", "speed-up, low rank",
     )  # fmt: skip
     note = (
-        "Errors are the largest relative ones. Speed-ups: full model over the netlist in ngspice."
+        "Errors are the largest relative ones. Speed-ups: full model over ngspice."
     )
     return Section("Summary", rows, head, note)
 

@@ -42,7 +42,8 @@ class Gate:
     * *largest*: by the largest value of all waves together;
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.
 
-    ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` says whether it stands for the scene in ``errors``.
+    ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` says whether
+    it stands for the scene in ``errors``.
     """
 
     words: str

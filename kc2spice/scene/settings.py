@@ -94,10 +94,10 @@ class Gates(Section):
     harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
     harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
     metrics: Ratio | None = Field(
-        None, gt=0, description="of any metric, ngspice against the laws; 100 solver.reltol"
+        None, gt=0, description="of any metric, ngspice against the laws; 20 solver.reltol"
     )
     waves: Ratio | None = Field(
-        None, gt=0, description="rms of any wave, ngspice against the laws; 1000 solver.reltol"
+        None, gt=0, description="rms of any wave, ngspice against the laws; 300 solver.reltol"
     )
     superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
     lookup_slope: Ratio = Field(

@@ -84,7 +84,9 @@ def kicked(tmp_path: Path) -> Path:
     matrices = {"M": m * np.eye(n), "K": K, "E": 1e-8 * K, "B": B, "C": B.T}
     for letter, values in matrices.items():
         mmwrite(tmp_path / f"beam.{letter}.mtx", values)
-    (tmp_path / "beam.toml").write_text('[[port]]\nname = "tip"\nkind = "mechanical"\ndirection = "both"\n')
+    (tmp_path / "beam.toml").write_text(
+        '[[port]]\nname = "tip"\nkind = "mechanical"\ndirection = "both"\n'
+    )
     path = tmp_path / "kicked.toml"
     path.write_text(KICKED)
     return path

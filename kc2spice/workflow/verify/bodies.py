@@ -1,4 +1,4 @@
-"""Each body by itself: reduced model against full model, emitted subcircuit against reduced model."""
+"""Each body by itself: reduced against full model, emitted subcircuit against reduced model."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ from kc2spice.workflow.verify.compare import (
     solution,
 )
 
-METRICS, WAVES = 100.0, 1000.0  # times solver.reltol: gates of a transient unless the scene says
+METRICS, WAVES = 20.0, 300.0  # times solver.reltol: gates of a transient unless the scene says
 STEADY = 1e-6  # the same for analyses without time steps
 BALANCE = 1e-7  # energy that the reference integration may lose
 
