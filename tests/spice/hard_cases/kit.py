@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.rom.modal import Resonators
+from kc2spice.parts.contact import separation
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -25,6 +26,7 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
@@ -149,6 +151,28 @@ def kick(*overrides: str) -> Scene:
         "contact": {"rings": "all"}, "sphere": {}, "solver": {"stop": 40e-6},
     }  # fmt: skip
     return load_scene(tables, overrides)
+
+
+def exact(
+    study: Scene, waves: Waveforms, model: Resonators | None = None, table: EMTable | None = None
+) -> Waveforms:
+    """The scene by the independent integrator in Python, at the points of ``waves``."""
+    return solve(built(study, model or chip(), table), waves).results
+
+
+def rewritten(
+    deck: Deck, text: str, vectors: Mapping[str, tuple[str, float]] | None = None
+) -> Deck:
+    """The deck with the text of its main file replaced, its libraries kept."""
+    return replace(
+        deck, text=text, options=(), vectors=deck.vectors if vectors is None else vectors
+    )
+
+
+def leaves(waves: Waveforms) -> tuple[float, float]:
+    """Time and velocity of the launch or rebound; not numbers where there is none."""
+    found = separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+    return found if found is not None else (np.nan, np.nan)
 
 
 def relative(found: float | None, expected: float | None) -> float:
