@@ -16,7 +16,7 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.read import subcircuits
 from kc2spice.workflow import richer
-from kc2spice.workflow.sweep.parameters import with_parameters
+from kc2spice.workflow.sweep.point import with_parameters
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 
