@@ -77,8 +77,8 @@ class Sphere(PartType):
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
-        small = "grains below stick by adhesion, balls above are no part of a MEMS device"
-        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 50e-3, small)
+        small = "grains below stick by adhesion, no transducer moves balls above"
+        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
         solid = "no solid is lighter than an aerogel or heavier than osmium"
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 

@@ -15,14 +15,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
-from kc2spice.fem.piezo.system import Port
+from kc2spice.rom.foreign import read_model
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.model import Certificate, ReducedModel
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.circuit import Pin
@@ -279,9 +278,11 @@ def test_a_pipe_is_no_shard(tmp_path):
 
 def small_rom():
     one = np.eye(2)
-    port = Port("u1", "signal", "m/s", "-"), Port("y1", "signal", "V", "-")
-    certificate = Certificate((0.0, 1e3), 1e-5, "POD", True, True)
-    return ReducedModel(one, one, one, one[:, :1], one[:1], np.zeros((1, 1)), port, certificate)
+    ports = Port("u1", "input", "m/s", "-"), Port("y1", "output", "V", "-")
+    return LinearModel(
+        M=one, E=one, K=one, B=one[:, :1], C=one[:1], ports=ports,
+        certificate=Certificate((0.0, 1e3), 1e-5, "POD", True, True),
+    )  # fmt: skip
 
 
 EVIL = "x\n.control\nshell touch pwned\n.endc"

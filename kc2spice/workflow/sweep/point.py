@@ -29,7 +29,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome as Simulated
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.circuit import LEAST, Subcircuit
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.included import included_sources
 from kc2spice.workflow.decks import libraries, make_deck, result_vectors
@@ -397,12 +397,8 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
     own = library == _library(part)
-    for param in part.params if own else ():
-        if param.name == name and not (param.low <= value <= param.high and math.isfinite(value)):
-            raise UsageError(
-                "out of range", where=f"param.{library}.{name}", got=f"{value:g} {param.unit}",
-                expected=f"{param.low:g} … {param.high:g}",
-            )  # fmt: skip
+    if own:
+        _require_within(part.text, library, name, value)
     names = dict(zip((card[1] for card in _CARD.finditer(part.text)), _cards(part), strict=True))
     default = re.compile(rf"(?<=\s){name}=\S+")
 
@@ -414,6 +410,24 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     if own:
         text = re.sub(rf"(?m)^(\* @param {name})=\S+", rf"\g<1>={number(value)}", text, count=1)
     return replace(part, text=text)
+
+
+def _require_within(text: str, library: str, name: str, value: float) -> None:
+    """A mass of zero or a negative stiffness has no solution, or a wrong one."""
+    found = re.search(
+        rf"^\* @param {name}=\S+ unit=(\S+)(?: range=(\S+?)\.\.(\S+))?", text, re.MULTILINE
+    )
+    unit, low, high = found.groups() if found else ("", None, None)
+    least, most = float(low or -math.inf), float(high or math.inf)
+    if least <= value <= most and math.isfinite(value):
+        return
+    expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
+    if most == math.inf and least > -math.inf:
+        expected = "above zero" if least == LEAST else f"at least {least:g}"
+    raise UsageError(
+        "outside the range of this parameter", where=f"param.{library}.{name}",
+        got=f"{value:g} {unit}".rstrip(), expected=expected,
+    )  # fmt: skip
 
 
 def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
