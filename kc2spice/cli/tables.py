@@ -118,7 +118,13 @@ def show_plan(plan: Plan) -> None:
     if plan.error_budget is not None:
         title += f"; error_budget {plan.error_budget:g} divided"
     errors = [
-        (each.stage, _ratio(each.share), _ratio(each.expected, "not estimated"), each.settings, each.why)
+        (
+            each.stage,
+            _ratio(each.share),
+            _ratio(each.expected, "not estimated"),
+            each.settings,
+            each.why,
+        )
         for each in plan.errors
     ]
     print_table(title, errors, header=("stage", "share", "expected", "settings", ""))

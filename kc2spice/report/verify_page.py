@@ -41,9 +41,7 @@ def _summary(found: Mapping[str, Findings]) -> Section:
         "scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full",
         "speed-up, refactorised", "speed-up, low rank",
     )  # fmt: skip
-    note = (
-        "Errors are the largest relative ones. Speed-ups: full model over ngspice."
-    )
+    note = "Errors are the largest relative ones. Speed-ups: full model over ngspice."
     return Section("Summary", rows, head, note)
 
 

@@ -9,16 +9,20 @@ from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_surface
-from kc2spice.fem.piezo.transient import Ball, kick_pulse, transient
+from kc2spice.fem.piezo.keys import Chip as Kick
+from kc2spice.fem.piezo.transient import Ball, transient
+from kc2spice.parts._mesh_study import as_system, on_reduced
+from kc2spice.parts.contact import ContactKeys
+from kc2spice.parts.piezo_stack import Drive
+from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
-from kc2spice.scene.schema import Contact, Drive, Kick, Sphere
-from kc2spice.parts._mesh_study import as_system, on_reduced
 
 BAND = (0.0, 500e3)
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
-MASS = Sphere().mass / 4
+MASS = SphereKeys().mass / 4
+PULSE = Drive(start=0.0).waveform
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +61,13 @@ def test_few_states_reach_the_tolerance(default, truth, tolerance, states):
 def test_twenty_states_launch_the_sphere_as_the_full_model_does(default):
     """Same steps on both, so the reduction alone differs."""
     rom = reduce(default, tolerance=2e-7, band=BAND)
-    surface = contact_surface(Kick(), Contact(), Sphere())
+    surface = contact_surface(Kick(), ContactKeys().penalty, SphereKeys().radius)
     full = assemble_kick(Kick())
     reduced, reduced_surface = as_system(rom, full), on_reduced(surface, rom)
     launch = [
         transient(
             system, contact, Ball(MASS, 0.0, 0.0, 9.81), step=20e-9, stop=6.2e-6,
-            voltage=kick_pulse(Drive()), resting=True,
+            voltage=lambda t: float(PULSE(t)), resting=True,
         ).velocity[-1]
         for system, contact in ((full, surface), (reduced, reduced_surface))
     ]  # fmt: skip

@@ -23,6 +23,7 @@ from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Block, Deck, ac
+from kc2spice.spice.realize import LEAK
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable
@@ -85,6 +86,7 @@ def verify_body(
     frequency = waves["frequency"].real
     exact = rom.transfer(frequency)
     found = _matrix(waves, rom)
+    gate = max(gate, leakage(rom, frequency))
     errors["ngspice_vs_rom"] = relative_error(found, exact)
     checks.append(Limit(f"{part.name}: netlist to ROM, all ports", errors["ngspice_vs_rom"], gate))
     checks += electrical_checks(part.name, rom, found, exact, gate)
@@ -93,6 +95,16 @@ def verify_body(
     costs.append(Cost(f"{part.name}: netlist, {POINTS} frequencies", spent))
     curves[f"{part.name}: netlist, ngspice"] = waves
     return BodyFindings(part.name, tuple(checks), errors, tuple(costs), curves, tuple(notes))
+
+
+def leakage(rom: LinearModel, frequency: np.ndarray) -> float:
+    """What the leak of a netlist's floating electrodes does at the lowest of the frequencies,
+    ``10 G / (w C)``: the ten is for antiresonances, where little else conducts."""
+    rows = [k for k, port in enumerate(rom.ports) if port.kind == "electrical"]
+    if not rows:
+        return 0.0
+    smallest = np.abs(np.diagonal(rom.D))[rows].min()
+    return float(10 * LEAK / (2 * np.pi * frequency.min() * smallest)) if smallest else 0.0
 
 
 def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Limit]:
