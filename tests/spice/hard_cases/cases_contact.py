@@ -125,7 +125,7 @@ Xcontact R0 v bottom 0 contact
     return np.abs(bottom / (-MASS * 9.81 / 4e8) - 1.0).max()
 
 
-@case("resting contact", "chatter of nanometres", refused="work")
+@case("resting contact", "chatter of nanometres", refused="energy of")
 def chatter_after_a_kick_of_one_volt(bench):
     """The sphere hops by nanometres, less than the steps resolve: the run must notice."""
     bench.scene(kick("kick.drive.voltage=1 V", "solver.stop=0.2 ms"))

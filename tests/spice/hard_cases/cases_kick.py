@@ -176,7 +176,7 @@ def _order(order, reltol="1e-4"):
 for count in (7, 60, 120):
     _order(count)
 _order(2, "1e-5")
-_order(1, "3e-7")  # all rings on one hard mode: "work" refuses every looser run
+_order(1, "3e-7")  # all rings on one hard mode: "energy of kick" refuses every looser run
 
 
 def _tolerance(reltol, limit):
@@ -193,7 +193,7 @@ for reltol, limit in (("1e-3", 1e-3), ("1e-4", 1e-4), ("1e-5", 5e-5), ("1e-6", 2
     _tolerance(reltol, limit)
 
 
-@case("tolerances 1e-2 to 1e-7", "a launch that is wrong by a percent", refused="work")
+@case("tolerances 1e-2 to 1e-7", "a launch that is wrong by a percent", refused="energy of")
 def reltol_1e_2_is_noticed(bench):
     bench.scene(kick("solver.reltol=3e-2"))
     return 0.0
@@ -242,7 +242,7 @@ def ports_named_like_inner_nodes(bench):
     return 0.0
 
 
-@case("node names that collide", "two ports of one name", refused="name is taken")
+@case("node names that collide", "two ports of one name", refused="each name once")
 def ports_that_differ_by_case_alone(bench):
     model = _renamed(chip(6), ("R0", "r0"))
     realize(model, HEADER, ports=("R0", "r0", "anode"))
