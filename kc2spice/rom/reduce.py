@@ -228,7 +228,9 @@ def ordered(
     tolerance: float | None,
 ) -> Reduction:  # fmt: skip
     """Order the directions of the subspace by what they contribute to the response."""
-    pencil = space.pencil.project(_energy_basis(space.pencil, 2 * np.pi * band[1]))
+    pencil = space.pencil.project(
+        _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
+    )
     response = Response(pencil)
     conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
     first = np.empty((pencil.size, 0)) if space.static else _rigid(pencil, space.rounding)
@@ -249,11 +251,13 @@ def ordered(
     return Reduction(model, pencil, space, band, kept, points, whole)
 
 
-def _energy_basis(pencil: Pencil, omega: float) -> np.ndarray:
+def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
     """Coordinates in which the elastic energy (else that at ``omega``) is the plain square, where
-    there is one."""
+    there is one. A model that is free to move has none at rest, though rounding of its K may let
+    a factor of it pass for one."""
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
-    for energy in (rest, rest + omega**pencil.degree * inertia):
+    moving = rest + omega**pencil.degree * inertia
+    for energy in (rest, moving) if static else (moving,):
         energy = 0.5 * (energy + energy.T)
         try:
             return np.asarray(solve_triangular(cholesky(energy), np.eye(pencil.size)))

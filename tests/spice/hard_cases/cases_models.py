@@ -141,7 +141,7 @@ def included(text: str, directory: Path) -> str:
     path = directory / "mine.toml"
     path.write_text(
         'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'
-        "[kick.drive]\nstart = 1e-5\n[contact]\nrings = \"all\"\n[sphere]\n[solver]\nstop = 4e-5\n"
+        '[kick.drive]\nstart = 1e-5\n[contact]\nrings = "all"\n[sphere]\n[solver]\nstop = 4e-5\n'
     )
     return str(path)
 
