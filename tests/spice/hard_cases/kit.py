@@ -16,8 +16,8 @@ from device import built, chip, edited, magnets
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.rom.modal import Resonators
 from kc2spice.parts.contact import separation
+from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
