@@ -29,6 +29,7 @@ PEAKS, PEAK_ROUNDS = 40, 3
 
 FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
 REPRODUCED = 1e-11
+DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
@@ -105,6 +106,8 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
             A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
             drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
         values, X = np.linalg.eig(A)
+        if np.linalg.cond(X) > DEFECTIVE:
+            return None
         modes = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
     except np.linalg.LinAlgError:
         return None

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from device import chip, deck_of
 from hard_cases import kit
-from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
+from hard_cases.kit import HEADER, Bench, bench_deck, case
 
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.rom.foreign import make_model
