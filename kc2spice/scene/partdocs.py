@@ -27,7 +27,6 @@ class PartDoc:
     keys: tuple[Key, ...]
     example: str
     scene: str | None
-    short_for: tuple[str, ...]
 
 
 def part_docs() -> Iterator[PartDoc]:
@@ -42,7 +41,7 @@ def part_docs() -> Iterator[PartDoc]:
             pins = kind.every_pin(part, scene)
         yield PartDoc(
             name, kind.title, " ".join((kind.schema.__doc__ or "").split()), pins,
-            tuple(model_keys(kind.schema)), kind.example.strip(), scene_name, kind.short_for,
+            tuple(model_keys(kind.schema)), kind.example.strip(), scene_name,
         )  # fmt: skip
 
 
