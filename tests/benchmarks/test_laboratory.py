@@ -13,6 +13,8 @@ import pytest
 
 from laboratory.run import PARTS
 
+pytestmark = pytest.mark.slow  # minutes: other programs, every scene
+
 ENVIRONMENT = {
     **os.environ,
     "PYTHONPATH": os.pathsep.join(

@@ -11,6 +11,8 @@ from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
 from kc2spice.spice.symbol import symbol_files
 
+pytestmark = pytest.mark.slow  # minutes: other programs, every scene
+
 
 @pytest.fixture(scope="module")
 def kicad(program):
@@ -61,7 +63,9 @@ def reordered(main, exported):
 def test_a_wrong_sheet_is_seen(deck_of, kicad, run, tmp_path):
     sheet = project(deck_of("impact"), tmp_path)
     text = (tmp_path / sheet).read_text()
-    (tmp_path / sheet).write_text(text.replace('global_label "contact_bottom"', 'global_label "lost"', 1))
+    (tmp_path / sheet).write_text(
+        text.replace('global_label "contact_bottom"', 'global_label "lost"', 1)
+    )
     with pytest.raises(AssertionError):
         run([kicad, "sch", "erc", "--severity-all", "--exit-code-violations", sheet], tmp_path)
 

@@ -6,6 +6,8 @@ from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
 from kc2spice.spice.dialect import dialect_files
 
+pytestmark = pytest.mark.slow  # minutes: other programs, every scene
+
 
 @pytest.mark.parametrize("name", ["impact", "half_bridge_kick"])
 def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, tmp_path):
