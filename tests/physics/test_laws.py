@@ -252,31 +252,3 @@ def test_bad_compositions_are_refused(
 def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
     with pytest.raises(SimulationError, match="equilibrium"):
         operating_point(assemble([L.Mass("m", 1.0, gravity=9.81)], {}))
-
-
-def test_impact_equals_the_law_written_for_it_alone() -> None:
-    from kc2spice import reference
-    from kc2spice.fem.piezo.system import Port
-    from kc2spice.rom.model import Certificate, ResonatorModel
-    from kc2spice.scene.load import load_scene
-
-    omega, damp = 2 * np.pi * 270e3 * np.array([1.0, 3.0]), np.array([3e4, 9e4])
-    gain = np.array([[136.0, -2.0], [123.0, -0.7]])
-    ports = (Port("R0", "mechanical", "um", "N"), Port("anode", "electrical", "V", "A"))
-    model = ResonatorModel(omega, damp, gain, np.diag([0.0, 35e-9]), ports,
-                           Certificate((0.0, 5e5), 0.0, "exact", True, True))  # fmt: skip
-    scene = load_scene("impact", ["kick.electrical=open"])
-    old = reference.impact(model, scene, rtol=1e-9)
-    throw, sphere = scene.impact, scene.sphere
-    assert throw is not None and sphere is not None and scene.contact is not None
-    body = L.LinearBody("chip", np.ones(2), damp, omega**2, gain, gain.T, model.D,
-                        (L.Port("R0", "displacement"), L.Port("anode", "electrical")))  # fmt: skip
-    hit = L.Contact("hit", ("R0",), np.array([4 * scene.contact.penalty]), np.array([0.0]))
-    ball = L.Mass("ball", sphere.mass, scene.gravity, throw.gap, throw.velocity)
-    system = assemble([body, hit, ball], {"r": ["chip.R0", "hit.R0"], "y": ["hit.b", "ball.a"]})
-    new = transient(system, scene.solver.stop, 1e-9, times=old.waves["time"])
-    y = np.interp(old.waves["time"], new.time, new.waves["ball.a"]) + sphere.radius
-    assert np.abs(y - old.waves["sphere.y"]).max() < 1e-12
-    v = new.waves["ball.a.rate"][-1]
-    assert v == pytest.approx(old.waves["sphere.v"][-1], rel=1e-8)
-    assert [e.time for e in new.events] == pytest.approx([e.time for e in old.events], rel=1e-9)
