@@ -17,6 +17,7 @@ BALANCES = {"sphere", "contact", "kick"}
 ALL = {
     "table_left", "outer_ring", "penetration", "touches", "saturation",
     "kick_drive drives as defined", "control_enable drives as defined",
+    "sphere starts at rest on kick", "field of catch between its positions",
     *(f"energy of {part}" for part in BALANCES),
 }  # fmt: skip
 

@@ -161,7 +161,7 @@ def loop(scene, model, table):
     ],
 )
 def test_nodes_are_given_to_their_parts(node, words, loop):
-    assert words in belongs_to(loop, node)
+    assert words in re.sub(r"_[0-9a-f]{6}\)", ")", belongs_to(loop, node))  # without the design
 
 
 @pytest.mark.parametrize("node", ["xnone.a", "nowhere", "x.y.z", "", "."])

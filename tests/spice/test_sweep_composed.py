@@ -194,13 +194,13 @@ def test_a_helper_is_known_by_its_own_name_in_every_library(loop):
     [("sphere.mass", 0.0), ("sphere.mass", -1e-5), ("sphere.radius", 0.0), ("pid.kp", 0.0)],
 )
 def test_values_outside_a_parameters_range_are_refused(loop, key, value):
-    with pytest.raises(UsageError, match="out of range"):
+    with pytest.raises(UsageError, match="outside the range"):
         with_parameters(loop[2], [(key, value)])
 
 
 def test_a_range_of_a_parameter_is_refused_at_its_worst_value(tmp_path):
     found = study("kick_and_catch", "param.sphere.mass=3e-5,0", *EARLY)
-    with pytest.raises(UsageError, match="out of range"):
+    with pytest.raises(UsageError, match="outside the range"):
         run.sweep(found, tmp_path / "o", Inline())
     with pytest.raises(UsageError, match=r"param.pid.offst") as caught:
         run.sweep(study("kick_and_catch", "param.pid.offst=1,2", *EARLY), tmp_path / "p", Inline())

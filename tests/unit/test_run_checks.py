@@ -61,7 +61,7 @@ def test_parameters_outside_their_range_are_refused():
     assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):
         for value in (0.0, -1.0):
-            with pytest.raises(UsageError, match="out of range"):
+            with pytest.raises(UsageError, match="outside the range"):
                 with_parameters(deck, [(f"sphere.{name}", value)])
     assert with_parameters(deck, [("sphere.gravity", -9.81)]) != deck  # any sign
 

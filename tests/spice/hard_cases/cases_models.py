@@ -11,7 +11,7 @@ from hard_cases import kit
 from hard_cases.kit import HEADER, Bench, bench_deck, case
 
 from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.rom.foreign import make_model
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.realize import subcircuit
@@ -33,7 +33,7 @@ def chain(**changed: np.ndarray) -> dict[str, np.ndarray]:
 
 def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
-    model = make_model(families.as_files(matrices), None, "hard", "hard")
+    model = LinearModel(**families.as_files(matrices), name="hard")
     rom = reduce(model, band=(0.0, top), tolerance=1e-6)
     part = subcircuit(rom, "part", HEADER)
     frequency = np.linspace(top / 50, top, 50)
