@@ -317,6 +317,7 @@ def test_example_of_the_bracket(tmp_path):
     stroke that both patches add to, and a reduced model that keeps its ports."""
     runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
     table = tomllib.loads((EXAMPLE / "bracket.toml").read_text("utf-8"))["bracket"]
+    assert table.pop("part") == "body"
     model = build(Body.model_validate(table), tmp_path)
     frame = (60 * 20 * 2 + 2 * 20 * 18) * 1e-9 * material("aluminium").density
     patches = 2 * 30 * 14 * 0.5e-9 * PZT.density

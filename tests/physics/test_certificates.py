@@ -74,15 +74,15 @@ def check(seed):
     # Rounding of either solution is no error of the reduction.
     assert error <= estimate + 1e-9, (seed, error, estimate)
     assert estimate <= tolerance, (seed, estimate, tolerance)
-    assert estimate <= 3 * error + 1e-9, (seed, error, estimate)
+    assert estimate <= 4 * error + 1e-9, (seed, error, estimate)
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_estimate_is_between_the_error_and_three_times_it(seed):
+def test_estimate_is_between_the_error_and_four_times_it(seed):
     check(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40, 500))
-def test_estimate_is_between_the_error_and_three_times_it_in_all(seed):
+def test_estimate_is_between_the_error_and_four_times_it_in_all(seed):
     check(seed)

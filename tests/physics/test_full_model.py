@@ -155,7 +155,7 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
     lame, shear = young * nu / (1 + nu) / (1 - 2 * nu), young / 2 / (1 + nu)
     stiffness = (lame + 2 * shear, lame, lame, lame + 2 * shear, shear, shear)
     kick = Chip(
-        side=3e-3, layers=40, electrical="short",
+        side=3e-3, layers=40,
         material={"stiffness": stiffness, "coupling": (0, 0, 0)},
         mesh={"rings": 10, "ring_spacing": 25e-6, "outer_rings": 11},
     )  # fmt: skip
