@@ -27,8 +27,8 @@ LOOP = {name: {} for name in ("kick", "contact", "sphere", "catch", "control")}
 
 def test_kick_and_catch_says_what_the_defaults_say():
     scene = load_scene("kick_and_catch")
-    judged = {"metric": scene.bench.metric}
-    bare = load_scene({"name": scene.name, "title": scene.title, "bench": judged} | LOOP)
+    own = {"bench": {"metric": scene.bench.metric}, "gates": {"waves": scene.gates.waves}}
+    bare = load_scene({"name": scene.name, "title": scene.title} | own | LOOP)
     assert scene.frame == bare.frame
     assert {n: p.keys for n, p in scene.parts.items()} == {n: p.keys for n, p in bare.parts.items()}
     assert scene.nets == bare.nets
