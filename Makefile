@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow netlists setup lint clean
+.PHONY: demo test slow bench netlists docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
@@ -16,11 +16,20 @@ test: setup  ## run the test suite
 slow: setup  ## the tests that take minutes
 	$(PYTEST) -n auto -m slow
 
+OUT ?= out/bench
+bench: setup  ## speed against error beside peers: make bench OUT=DIR, 12 minutes on two quiet cores
+	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
+
 netlists: setup  ## write the committed netlists anew
 	for scene in kc2spice/scenes/*.toml; do \
 		name=$$(basename $$scene .toml); rm -rf netlists/$$name; \
 		$(KC2SPICE) export $$name --out netlists/$$name --quiet || exit 1; \
 	done
+
+docs: setup  ## the static site in build/site, every link checked
+	.venv/bin/python -m pip install --quiet --editable '.[docs]'
+	.venv/bin/python tools/architecture_svg.py
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 
 setup:  ## ngspice, system libraries and the virtual environment
 	@./tools/bootstrap.sh

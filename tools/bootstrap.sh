@@ -50,6 +50,8 @@ libstdc++.so.6 libstdc++6
 
 missing_packages() {
     command -v ngspice >/dev/null 2>&1 || echo ngspice
+    # A slow test judges hostile netlists by the system calls that they cause.
+    if [ "$(uname)" = Linux ]; then command -v strace >/dev/null 2>&1 || echo strace; fi
     # Elsewhere than on Linux the wheels bring their libraries along.
     known=$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null) || libraries=
     echo "$libraries" | while read -r soname package; do

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-from kc2spice.errors import MissingToolError
+from kc2spice.core.errors import MissingToolError
 
 
 @contextmanager

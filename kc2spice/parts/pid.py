@@ -2,27 +2,60 @@
 
 from __future__ import annotations
 
-from math import pi
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.header import Header, parameter_list, part_header
-from kc2spice.netlist.render import render
-from kc2spice.parts.opamp import BANDWIDTH
-from kc2spice.scene.schema import Control
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Current, Length, Section, Time, si
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import sphere
+from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
+from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
+SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+HEADROOM = 1.2  # of a supply over what it must give
+# Largest deviation of the flight from that under an ideal PID, of its 1.5 mm, with the usual gains
+# and limits of 0.1 to 1 A; the launch differs by 6e-6 at most.
+OPAMPS, HIGHEST = 6.5e-5, 1.0
+EDGE = 1e-8  # s, of the enabling signal
+SETTLING_BAND = 0.05  # of the step from rest to set point
+SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
 
 
-def pid_current(
-    error: np.ndarray, integral: np.ndarray, slope: np.ndarray, control: Control
-) -> np.ndarray:
-    """Coil current [A], ``clamp(KP e + KI int e + KD e', +-limit)`` of error [m] and its kin."""
-    wanted = control.kp * error + control.ki * integral + control.kd * slope
-    return np.clip(wanted, -control.current_limit, control.current_limit)
+class Control(Section):
+    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+
+    setpoint: Length = 2.5e-3
+    kp: Annotated[float, si("A/m")] = 5e4
+    ki: Annotated[float, si("A/(m s)")] = 10.0
+    kd: Annotated[float, si("A s/m")] = 20.0
+    rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
+    current_limit: Current = Field(0.1, gt=0)
+    enable_at: Time | tuple[Time, ...] = Field(0.5e-3, description="one time or a list")
+    disable_at: tuple[Time, ...] = Field((), description="after each enable_at but the last")
+    of: str | None = Field(None, description="the sphere whose height it controls; the only one")
+    coils: str | None = Field(None, description="the coils that it feeds; the only ones")
+
+    @property
+    def switching(self) -> tuple[tuple[float, float], ...]:
+        """Times [s] and states, 1 enabled and 0 not, in order."""
+        on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
+        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
+        return tuple(sorted(both))
 
 
 def _gains(control: Control) -> tuple[Param, ...]:
@@ -41,34 +74,59 @@ def _gains(control: Control) -> tuple[Param, ...]:
             expected="no gain below zero and at least one above",
         )
     params = (
-        Param("kp", control.kp, "A/m", "proportional gain, above zero"),
-        Param("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
-        Param("kd", control.kd, "A.s/m", "derivative gain, above zero"),
-        Param("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
+        positive("kp", control.kp, "A/m", "proportional gain, above zero"),
+        positive("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
+        positive("kd", control.kd, "A.s/m", "derivative gain, above zero"),
+        positive("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
     )
     present = {"kp": control.kp, "ki": control.ki, "kd": control.kd, "rolloff": control.kd}
     return tuple(param for param in params if present[param.name])
 
 
+def sense_resistance(control: Control, *, output: bool = True) -> float:
+    """Volts of the command for each ampere of coil current.
+
+    Its own output stage measures with a resistor that gives 10 V at the current limit, at most
+    100 Ohm, so that no limit is beyond the rails; to a driver it says 100 V for each ampere.
+    """
+    return min(SENSE, COMMAND / control.current_limit) if output else SENSE
+
+
+def compliance(control: Control, load: float) -> float:
+    """Supply [V] of an output stage that drives the current limit through ``load`` [Ohm] of coils.
+
+    In steps of 100 V, at least 400 V: what is left over slews the current.
+    """
+    needed = HEADROOM * control.current_limit * (load + sense_resistance(control))
+    return max(SUPPLY, 100.0 * math.ceil(needed / 100.0))
+
+
 def pid_subcircuit(
-    header: Header, control: Control, *, output: bool = True, name: str = "pid"
+    header: Header,
+    control: Control,
+    *,
+    output: bool = True,
+    load: float = 0.0,
+    name: str = "pid",
 ) -> Subcircuit:
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
-    Without its ``output`` stage it ends at ``command``, 100 V for each ampere that it wants. Needs
-    the part ``opamp``.
+    ``load`` [Ohm] is what the coils are between them. Without its ``output`` stage it ends at
+    ``command``, 100 V for each ampere that it wants.
     """
+    sense = sense_resistance(control, output=output)
     ends = (
         (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
     )
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
-    supply = Param("compliance", 400.0, "V", "supply of the output stage")
+    supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
+    rail = max(15.0, HEADROOM * sense * control.current_limit)
     params = (
         Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
         *_gains(control),
-        Param("current_limit", control.current_limit, "A", "largest coil current"),
+        positive("current_limit", control.current_limit, "A", "largest coil current"),
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
-        Param("rail", 15.0, "V", "supply of the signal amplifiers"),
+        positive("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
     gains = [param.name for param in params]
@@ -81,9 +139,215 @@ def pid_subcircuit(
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
-        sense=SENSE,
+        sense=sense,
         bandwidth=BANDWIDTH,
-        pi=pi,
+        pi=math.pi,
         output=output,
     )
-    return Subcircuit(name, pins, params, text)
+    part = Subcircuit(name, pins, params, text)
+    return self_contained(part, [opamp_subcircuit(header)])
+
+
+class Pid(PartType):
+    name = "pid"
+    title = "PID controller of a sphere's height, of operational amplifiers"
+    schema = Control
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
+        if len(switching) == 1:
+            wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
+            return {f"{part.name}_enable": {"part": "source", "pulse": wave, "pins": pins}}
+        points, state = [(0.0, 0.0)], 0.0
+        for time, value in switching:
+            points += [(max(time, 1e-9), state), (max(time, 1e-9) + EDGE, value)]
+            state = value
+        return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        ends = (
+            (Terminal("command", "V", "A"),)
+            if _remote(part, scene)
+            else (Terminal("drive", "V", "A"), Terminal("sense", "V", "A"))
+        )
+        return (
+            Terminal("y", "um", "-", required=True),
+            Terminal("enable", "V", "-"),
+            *ends,
+            Terminal("ref", "V", "A", "gnd"),
+        )
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        joins = {}
+        ball = part.keys.of or getattr(scene.only("sphere"), "name", None)
+        if ball is not None:
+            joins["y"] = f"{ball}.y"
+        coils = _coils(part, scene)
+        if not _remote(part, scene):
+            joins |= {"drive": f"{coils.name}.drive", "sense": f"{coils.name}.ret"}
+        return joins
+
+    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        coils = _coils(part, scene)
+        return () if _remote(part, scene) else (f"{coils.name}.drive", f"{coils.name}.ret")
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, coils = part.keys, _coils(part, scene)
+        if not coils.keys.y_min < keys.setpoint < coils.keys.y_max:
+            yield UsageError(
+                "outside the force table", where=f"{part.name}.setpoint",
+                got=f"height {keys.setpoint:g} m",
+                expected=f"between {coils.keys.y_min:g} and {coils.keys.y_max:g} m",
+                hint=f"{coils.name}.y_min and {coils.name}.y_max set the table's range",
+            )  # fmt: skip
+        times = [time for time, _ in keys.switching]
+        states = [state for _, state in keys.switching]
+        if min(times) < 0 or states != [1.0, 0.0] * (len(states) // 2) + [1.0] * (len(states) % 2):
+            yield UsageError(
+                "enable and disable times do not alternate", where=f"{part.name}.enable_at",
+                got=f"{keys.enable_at}, disabled at {keys.disable_at}",
+                expected="an enable time, then a disable time, and so on, all from 0 on",
+            )  # fmt: skip
+        if scene.analysis.type == "transient" and times[0] >= scene.stop:
+            yield UsageError(
+                "the controller starts after the simulation ends",
+                where=f"{part.name}.enable_at", got=f"{times[0]:g} s",
+                expected=f"before the end of the simulation, {scene.stop:g} s",
+            )  # fmt: skip
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        local = not _remote(part, build.scene)
+        table = build.model(_coils(part, build.scene))
+        load = float(table.resistance.sum())
+        name = build.libraries[part.name]
+        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found = {f"{part.name}.error": Vector(f"v(x{part.name.lower()}.e)", 1.0 / SENSOR, "m")}
+        if _remote(part, build.scene):
+            wanted = f"v({build.net(part, 'command')})"
+            found["coil.wanted"] = Vector(wanted, 1.0 / SENSE, "A")
+        return found
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """The ideal law; what the amplifiers add to it is an error of the netlist."""
+        keys, n, scene = part.keys, part.name, build.scene
+        own = [name for name, _ in scene.joined(n, "enable")] == [f"{n}_enable"]
+        if _remote(part, scene) or not own or build.net(part, "ref") != "0":
+            return None
+        on = tuple(t for t, state in keys.switching if state)
+        law = laws.Pid(
+            n, keys.kp, keys.ki, keys.kd, keys.rolloff, keys.current_limit, keys.setpoint,
+            sphere.offset(part, "y", scene), on, tuple(keys.disable_at),
+        )  # fmt: skip
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
+        return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        ball = _ball(part, build.scene)
+        if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
+            return {}
+        t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
+        step = abs(setpoint - ball.keys.radius)
+        settled = settling_time(t, y, setpoint, SETTLING_BAND * step)
+        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        return {
+            "settling_time_s": settled,
+            "final_error_m": float(setpoint - y[-1]),
+            "hold_current_a": None if current is None else tail_mean(t, current),
+            "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
+        }
+
+    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterator[tuple[float, float, str]]:
+        if _ball(part, scene) is moved:
+            step = abs(part.keys.setpoint - moved.keys.radius)
+            yield part.keys.setpoint, SETTLING_BAND * step, "set point, ±5 % of the step"
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        if current is None or "time" not in waves:
+            return
+        t, start = waves["time"], part.keys.switching[0][0]
+        limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
+        share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
+        yield Check(
+            "saturation", share, SATURATED, "of the time",
+            f"the coils cannot give what the controller asks for: raise {part.name}.current_limit",
+            build.scene.checks.saturation,
+        )  # fmt: skip
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        coils = "real coils" if _remote(part, scene) else "current-driven coils"
+        detail = f"op-amp PID, output clamped at {part.keys.current_limit:g} A, {coils}"
+        return Modelled(part.name, "circuit", detail)
+
+    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        keys, usual = part.keys, Control()
+        gains = ("kp", "ki", "kd", "rolloff")
+        known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
+        known = known and usual.current_limit <= keys.current_limit <= HIGHEST
+        yield ErrorRow(
+            "controller",
+            None,
+            OPAMPS if known else None,
+            "op-amps with finite gain",
+            "not part of the budget: what real op-amps do to the trajectory, against an ideal PID",
+        )
+
+
+def _ball(part: Part, scene: Scene) -> Part | None:
+    return scene.parts.get(part.keys.of) if part.keys.of else scene.only("sphere")
+
+
+def _coils(part: Part, scene: Scene) -> Part:
+    """The coils that it feeds.
+
+    Raises
+    ------
+    UsageError : none are named and there are not exactly one pair.
+    """
+    if part.keys.coils is not None:
+        return scene.part(part.keys.coils, f"{part.name}.coils")
+    found = scene.only("ring_magnet_coils")
+    if found is None:
+        raise UsageError(
+            f"{part.name} needs this part", where="catch",
+            hint="add [catch]; an empty table takes the defaults, or name one with coils = NAME",
+        )  # fmt: skip
+    return found
+
+
+def _remote(part: Part, scene: Scene) -> bool:
+    """Whether another circuit drives the coils, so that it ends at ``command``."""
+    targets = [t for other in scene.parts.values() for t in other.pins.values()]
+    return (
+        bool(_coils(part, scene).keys.driver)
+        or f"{part.name}.command" in targets
+        or "command" in part.pins
+    )
+
+
+def _label(part: Part, scene: Scene) -> str:
+    coils = _coils(part, scene)
+    return "coil" if coils.name == "catch" else coils.name
+
+
+def tail_mean(t: np.ndarray, values: np.ndarray) -> float:
+    """Time average over the last twentieth of the run."""
+    tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
+    return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
+
+
+def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
+    """Last entry into ``target`` ± ``band``, interpolated; None if the data end outside."""
+    outside = np.abs(y - target) > band
+    if outside[-1]:
+        return None
+    if not outside.any():
+        return float(t[0])
+    k = int(np.flatnonzero(outside)[-1])
+    edge = target + np.copysign(band, y[k] - target)
+    return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
+
+
+register(Pid())

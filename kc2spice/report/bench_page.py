@@ -1,134 +1,112 @@
-"""The benchmark as tables: Markdown, and one page with its figures."""
+"""The plane of a scene's settings: ``bench.html`` with its figure ``bench.png``."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from kc2spice.report.html import Section, quantity, write_page
-from kc2spice.report.plots import Picture
+from kc2spice.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, RED, Picture, name_axes, sheet
 
-Record = Mapping[str, Any]
-
-
-def bench_tables(record: Record) -> str:
-    """The whole record as Markdown."""
-    parts = [f"# Speed against error\n\n{machine_line(record)}\n"]
-    for section in bench_sections(record, []):
-        parts.append(f"## {section.title}\n\n{_markdown(section)}")
-    return "\n".join(parts)
+HEAD = ("setting", "error", "sum of errors", "CPU time", "spread", "")
+_LEAST = 1e-16  # an error of zero is drawn here
 
 
-def write_bench(path: Path, record: Record, pictures: Sequence[Picture]) -> Path:
-    """``bench.html`` with the same tables and the figures."""
-    return write_page(
-        path, "Speed against error", machine_line(record), bench_sections(record, pictures)
-    )
+def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
+    """Write page and figure of the ``record`` of ``bench``."""
+    picture = _figure(directory / "bench.png", record)
+    sections = [
+        Section("Recommended", recommendation(record)),
+        Section("Error against time", pictures=[picture]),
+        Section(
+            "Settings",
+            point_rows(record),
+            HEAD,
+        ),
+    ]
+    if record["failed"]:
+        rows = [(each["label"], each["why"]) for each in record["failed"]]
+        sections.append(Section("Settings without a result", rows, ("setting", "why")))
+    lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
+    write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
 
 
-def machine_line(record: Record) -> str:
-    """Processor and versions in one line, with a warning where the numbers mean nothing."""
-    m = record["machine"]
-    line = (
-        f"{m['cpu']}, {m['cores']} cores, {m['os']}, Python {m['python']}, numpy {m['numpy']}, "
-        f"scipy {m['scipy']}, ngspice {m['ngspice']}, C compiler {m['compiler']}, "
-        f"kc2spice {m['kc2spice']}; CPU times, medians of {record['repeats']}"
-    )
-    quick = ". Quick run: coarse models, the numbers mean nothing."
-    return line + quick if record["quick"] else line
-
-
-def bench_sections(record: Record, pictures: Sequence[Picture]) -> list[Section]:
-    """Ratios, then each plane, then the scaling table."""
-    sections = []
-    head: tuple[str, ...]
-    if record["ratios"]:
-        head = ("figure", "value", "target", "", "taken at error", "what it is")
-        sections.append(Section("Targets", ratio_rows(record), head))
-    by_name = {picture.path.stem: picture for picture in pictures}
-    for name, points in record["planes"].items():
-        words = record["titles"][name]
-        head = ("road", "setting", "error", "time", "spread", "more")
-        note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
-        drawn = [by_name[f"bench_{name}"]] if f"bench_{name}" in by_name else []
-        sections.append(Section(words["title"], _point_rows(points), head, note, drawn))
-    if record["scaling"]:
-        head = ("size", "of", "time", "memory", "power")
-        drawn = [by_name["bench_scaling"]] if "bench_scaling" in by_name else []
-        note = "The power of the size is fitted to the larger half of the sizes."
-        sections.append(Section("Scaling", _scaling_rows(record), head, note, drawn))
-    return sections
-
-
-def ratio_rows(record: Record) -> list[tuple[str, ...]]:
-    """One row for each figure with a target."""
-    rows: list[tuple[str, ...]] = []
-    for name, ratio in record["ratios"].items():
-        sign, value, unit = "≥" if ratio["at_least"] else "≤", ratio["value"], ratio["unit"]
-        rows.append(
-            (
-                name,
-                "not reached" if value is None else quantity(value, unit, 4),
-                "" if ratio["target"] is None else f"{sign} {quantity(ratio['target'], unit, 4)}",
-                _verdict(ratio),
-                _number(ratio["error"]),
-                ratio["what"],
-            )
-        )
+def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What to use, what the scene uses, and what errors are against."""
+    own = next(point for point in record["points"] if point["own"])
+    best, reference = record["recommended"], record["reference"]
+    rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(own))]
+    if best is None:
+        nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
+        rows.append((f"within {record['limit']:g}", "none of the settings"))
+        rows.append(("nearest", f"{nearest['label']}: {_cost(nearest)}"))
+    else:
+        words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
+        rows.append((f"cheapest within {record['limit']:g}", words))
+        rows.append(("", _cost(best)))
+    rows.append(("reference", f"{reference['label']}: {quantity(reference['time_s'], 's', 3)}"))
+    rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
+    for name, change in record["left_out"].items():
+        why = "no value" if change is None else f"changes by {change:.1e} at the finest settings"
+        rows.append(("left out", f"{name}: {why}"))
     return rows
 
 
-def _verdict(ratio: Record) -> str:
-    if ratio["target"] is None:
-        return ""
-    return "met" if ratio["met"] else "MISSED"
-
-
-def _point_rows(points: Sequence[Record]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for point in points:
-        extra = [f"{key} {_number(value)}" for key, value in point["errors"].items()]
-        extra += [f"{key} {_number(value)}" for key, value in point["facts"].items()]
-        extra += [point["note"]] if point["note"] else []
-        rows.append(
-            (
-                point["family"],
-                f"{point['label']}{' *' if point['pareto'] else ''}",
-                _number(point["error"]),
-                quantity(point["time_s"], "s", 3),
-                f"{(point['time_high_s'] - point['time_low_s']) / point['time_s']:.0%}",
-                "; ".join(extra),
-            )
+def point_rows(record: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row for each setting, the quickest first."""
+    return [
+        (
+            point["label"],
+            f"{point['error']:.1e}",
+            f"{point['bound']:.1e}",
+            quantity(point["time_s"], "s", 3),
+            f"{quantity(point['time_low_s'], 's', 3)} … {quantity(point['time_high_s'], 's', 3)}",
+            "front" if point["front"] else "",
         )
-    return rows
+        for point in record["points"]
+    ]
 
 
-def _scaling_rows(record: Record) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for name, item in record["scaling"].items():
-        memory = item["memory_bytes"] or [None] * len(item["sizes"])
-        for k, (size, time) in enumerate(zip(item["sizes"], item["time_s"], strict=True)):
-            last = k == len(item["sizes"]) - 1
-            power = f"{item['exponent']:.2f}" if last else ""
-            rows.append(
-                (f"{size:g}", f"{name} ({item['what']})", quantity(time, "s", 3),
-                 quantity(memory[k], "B", 3), power)
+def _names(metrics: Sequence[str]) -> str:
+    """Names in one line, those of one group by the group."""
+    groups: dict[str, int] = {}
+    for name in metrics:
+        first = name.partition(".")[0]
+        groups[first] = groups.get(first, 0) + 1
+    return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
+
+
+def _cost(point: Mapping[str, Any]) -> str:
+    bound = f"{point['bound']:.1e} if nothing cancelled"
+    return f"error {point['error']:.1e} ({bound}) in {quantity(point['time_s'], 's', 3)} of CPU"
+
+
+def _figure(path: Path, record: Mapping[str, Any]) -> Picture:
+    points, best = record["points"], record["recommended"]
+
+    def place(chosen: list[Mapping[str, Any]]) -> tuple[list[float], list[float]]:
+        return [max(p["error"], _LEAST) for p in chosen], [p["time_s"] for p in chosen]
+
+    front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
+    with sheet(path, size=(8.0, 4.6)) as axes:
+        axes.plot(*place(points), "o", color=BLUE, ms=5, label="settings")
+        axes.step(*place(front), where="post", color=GREY, lw=1.0, ls="--", label="front", zorder=1)
+        own = [p for p in points if p["own"]]
+        axes.plot(*place(own), "s", color=ORANGE, ms=9, label="the scene as it is")
+        if best is not None:
+            axes.plot(*place([best]), "o", color=BLACK, ms=12, mfc="none", label="recommended")
+        axes.axvline(record["limit"], color=GREEN, lw=1.0, label=f"error {record['limit']:g}")
+        if record["reference"]["error"] > 0.0:
+            axes.axvspan(
+                _LEAST, record["reference"]["error"], color=RED, alpha=0.07, lw=0,
+                label="uncertainty of the reference",
             )  # fmt: skip
-    return rows
-
-
-def _number(value: Any) -> str:
-    if value is None:
-        return "—"
-    return value if isinstance(value, str) else f"{value:.3g}"
-
-
-def _markdown(section: Section) -> str:
-    lines = [_line(section.head), _line(["---"] * len(section.head))]
-    lines += [_line(row) for row in section.rows]
-    return "\n".join([*lines, "", section.note, ""])
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        errors = place(points)[0]
+        axes.set_xlim(0.5 * min(*errors, record["limit"]), 2.0 * max(*errors, record["limit"]))
+        name_axes(axes, "largest relative error", "CPU time of the simulator [s]")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    return Picture(path, "Error against time", "Lower left is better.")

@@ -1,49 +1,82 @@
-"""The figures of one run, by its experiment."""
+"""Draws figures that are data: one sheet of panels each."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.report.loop_figures import force_map, loop_figures
-from kc2spice.report.plots import Picture
-from kc2spice.report.verify_figures import harmonic_figures, impact_figures, imprint_figures
-from kc2spice.scene.need import need
-from kc2spice.scene.schema import Scene
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.core.figure import Figure, Panel
+from kc2spice.report.plots import (
+    BLACK,
+    GREEN,
+    GREY,
+    PALETTE,
+    Picture,
+    legend_above,
+    legend_beside,
+    name_axes,
+    open_sheet,
+    sheet,
+    style,
+)
 
-
-def model_figures(directory: Path, scene: Scene, table: EMTable | None) -> list[Picture]:
-    """Draw what is known before anything is simulated: the force map of a catch."""
-    return [] if table is None else [force_map(directory / "em_force.png", table, scene)]
-
-
-def run_figures(
-    directory: Path, scene: Scene, waves: Waveforms, reference: Waveforms | None = None
-) -> list[Picture]:
-    """Draw what ngspice gave, over the independent ``reference`` where there is one."""
-    if scene.experiment == "em_force":
-        return []
-    if scene.experiment == "loop":
-        return loop_figures(directory, waves, scene, None, reference)
-    roads = {"ngspice": waves} if reference is None else {"scipy": reference, "ngspice": waves}
-    return verify_figures(directory, scene, roads)
+MANY = 4  # labels above the axes; more stand beside them
 
 
-def verify_figures(
-    directory: Path,
-    scene: Scene,
-    roads: Mapping[str, Waveforms],
-    table: EMTable | None = None,
-) -> list[Picture]:
-    """Draw the roads of a verification over each other, the most exact one first."""
-    if scene.experiment == "em_force":
-        return [force_map(directory / "em_force.png", need(table, "catch"), scene)]
-    if scene.experiment == "loop":
-        (_, reference), (_, waves) = roads.items()
-        return loop_figures(directory, waves, scene, table, reference)
-    if scene.experiment == "impact":
-        return impact_figures(directory, roads, need(scene.sphere, "sphere").radius)
-    draw = imprint_figures if scene.experiment == "imprint" else harmonic_figures
-    return draw(directory, roads)
+def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
+    """Draw every figure into ``directory``."""
+    return [draw(directory, figure) for figure in figures]
+
+
+def notebook_figure(figure: Figure) -> Any:
+    """The matplotlib figure of ``figure``, which notebooks show by themselves."""
+    count = len(figure.panels)
+    with style():
+        sheet = open_sheet((7.0, 4.0 if count == 1 else 2.6 * count))
+        rows = sheet.subplots(count, 1, sharex=True, squeeze=False)
+        for (axes,), panel in zip(rows, figure.panels, strict=True):
+            _fill(axes, panel)
+    return sheet
+
+
+def draw(directory: Path, figure: Figure) -> Picture:
+    """Draw one figure as ``NAME.png``."""
+    path, count = directory / f"{figure.name}.png", len(figure.panels)
+    height = 4.0 if count == 1 else 2.6 * count
+    with sheet(path, count, 1, size=(7.0, height), sharex=True, squeeze=False) as rows:
+        for (axes,), panel in zip(rows, figure.panels, strict=True):
+            _fill(axes, panel)
+    return Picture(path, figure.title, figure.caption)
+
+
+def _fill(axes: Any, panel: Panel) -> None:
+    for low, high, label in panel.bands:
+        axes.axhspan(low, high, color=GREEN, alpha=0.15, lw=0, label=label or None)
+    for value, label in panel.levels:
+        axes.axhline(value, color=GREY, lw=0.9, ls=":", label=label or None)
+    for place, label in panel.marks:
+        axes.axvline(place, color=GREEN, lw=1.0, label=label or None)
+    for k, curve in enumerate(panel.curves):
+        colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
+        style: Any = (0, (1, 3)) if curve.style == "reference" else curve.style
+        if curve.style == "o":
+            axes.plot(curve.x, curve.y, "o", ms=4, color=colour, label=curve.label or None)
+        else:
+            axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
+    if panel.log_x:
+        axes.set_xscale("log")
+    if panel.log_y:
+        axes.set_yscale("log")
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    elif panel.span is not None:
+        axes.set_xlim(*panel.span)
+    elif panel.curves:
+        axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
+    name_axes(axes, panel.x, panel.y)
+    labels = len(axes.get_legend_handles_labels()[1])
+    if labels > MANY:
+        legend_beside(axes)
+    elif labels > 1:
+        legend_above(axes)

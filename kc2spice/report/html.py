@@ -11,8 +11,8 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kc2spice import __version__
-from kc2spice.netlist.render import template_directory
 from kc2spice.report.plots import Picture
+from kc2spice.spice.render import template_directory
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 

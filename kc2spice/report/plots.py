@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,13 @@ class Picture:
     caption: str
 
 
+def style() -> Any:
+    """Context in which figures have the look of this project."""
+    import matplotlib
+
+    return matplotlib.rc_context(_STYLE)
+
+
 def load() -> None:
     """Load what draws, which takes longer than a figure."""
     import matplotlib.figure  # noqa: F401
@@ -67,11 +75,10 @@ def sheet(
 
     ``size`` is in inches at 150 dots per inch. ``options`` go to ``Figure.subplots``.
     """
-    import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    with matplotlib.rc_context(_STYLE):
+    with style():
         layout = ConstrainedLayoutEngine()
         figure = Figure(figsize=size, layout=layout)
         axes = figure.subplots(rows, columns, **options)
@@ -83,6 +90,21 @@ def sheet(
             path, format="png", metadata={"Software": "kc2spice"},
             pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
         )  # fmt: skip
+
+
+def open_sheet(size: tuple[float, float]) -> Any:
+    """An empty figure of ``size`` in inches that shows itself in a notebook."""
+    from matplotlib.figure import Figure
+
+    class Shown(Figure):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    return Shown(figsize=size, layout="constrained")
 
 
 def name_axes(axes: Any, x: str, y: str, title: str = "") -> None:
@@ -107,10 +129,3 @@ def legend_above(axes: Any, columns: int = 4) -> None:
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
         handlelength=1.6, columnspacing=1.4,
     )  # fmt: skip
-
-
-def decades(axes: Any, values: Sequence[float], floor: float) -> None:
-    """Logarithmic ordinate from ``floor`` to just over the data."""
-    top = max([v for v in values if v > 0.0], default=10.0 * floor)
-    axes.set_yscale("log")
-    axes.set_ylim(floor, max(top * 3.0, 10.0 * floor))

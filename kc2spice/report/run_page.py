@@ -8,13 +8,13 @@ from typing import Any
 
 from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.plots import Picture
+from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import plan
-from kc2spice.scene.schema import Scene
 
 # Longest suffix first: the key's name says its unit, as in result.json.
 _SUFFIXES = (
-    ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"),
-    ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
+    ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_v_m", "V/m"), ("_pa", "Pa"),
+    ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"), ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
     ("_v", "V"), ("_c", "C"),
 )  # fmt: skip
 
@@ -114,7 +114,7 @@ def _checks(result: Mapping[str, Any]) -> Section:
         for check in result.get("checks", ())
     ]
     note = "Physics that the simulator was not told; the last column is what a violation does."
-    return Section("Truth checks", rows, ("", "check", "value", "limit", "action"), note)
+    return Section("Physics checks", rows, ("", "check", "value", "limit", "action"), note)
 
 
 def _energy(book: str, entries: Mapping[str, float]) -> Section:
@@ -125,17 +125,17 @@ def _energy(book: str, entries: Mapping[str, float]) -> Section:
 def _attempts(result: Mapping[str, Any]) -> Section:
     rows = [
         (
-            attempt["rung"],
+            attempt["setting"],
             attempt["settings"],
-            attempt["cause"] or "held",
+            attempt["cause"] or "succeeded",
             attempt["part"] or "",
             quantity(attempt["wall_s"], "s", 3),
         )
         for attempt in result.get("simulator", {}).get("attempts", ())
     ]
-    head = ("rung", "settings", "outcome", "blamed", "time")
+    head = ("setting", "changes", "outcome", "blamed", "time")
     note = "Every setting that was tried; the last one gave this result."
-    return Section("Retry ladder", rows if len(rows) > 1 else [], head, note)
+    return Section("Retries", rows if len(rows) > 1 else [], head, note)
 
 
 def _wall(result: Mapping[str, Any]) -> Section:
@@ -154,7 +154,7 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
         ("largest step", quantity(solver.max_step, "s")),
-        ("stop", quantity(solver.stop, "s")),
+        ("stop", quantity(scene.stop, "s")),
     ]
     return Section("Simulator", rows)
 

@@ -208,26 +208,23 @@ def _scatter(
 
 
 def tuning_figure(
-    path: Path, key: str, values: np.ndarray, metric: str, rows: np.ndarray,
-    best: Mapping[str, float], units: Mapping[str, str],
+    path: Path, key: str, key_unit: str, values: np.ndarray, metric: str, rows: np.ndarray,
+    best: Mapping[str, float],
 ) -> Picture:  # fmt: skip
-    """``metric`` over one swept key, before and after; ``rows`` (4, n): ngspice, then scipy."""
+    """``metric`` over one swept key, before and after; ``rows`` (2, n)."""
     label, unit = fact(metric, 0)[0], unit_of(metric)
     scaled = _axis(label, rows, unit)
-    before, after, *proof = scaled.values
+    before, after = scaled.values
     order = np.argsort(values)
     words = ", ".join(f"{name.rpartition('.')[2]} = {value:g}" for name, value in best.items())
     with sheet(path, size=(6.0, 3.8)) as axes:
-        axes.plot(values[order], before[order], color=GREY, label="as the scene is")
-        axes.plot(values[order], after[order], color=BLUE, label="tuned")
-        for row, colour in zip(proof, (GREY, BLUE), strict=True):
-            axes.plot(values, row, "o", color=colour, ms=4.5, mfc="none")
-        axes.plot([], [], "o", color="black", ms=4.5, mfc="none", label="scipy reference")
+        axes.plot(values[order], before[order], "o-", color=GREY, ms=3, label="as the scene is")
+        axes.plot(values[order], after[order], "o-", color=BLUE, ms=3, label="tuned")
         axes.set_ylim(bottom=0)
-        name_axes(axes, f"{key} in {units[key]}" if units.get(key) else key, scaled.label)
+        name_axes(axes, f"{key} in {key_unit}" if key_unit else key, scaled.label)
         axes.set_title(f"tuned: {words}")
         axes.legend()
-    return Picture(path, "Tuning", f"{label} before and after tuning; circles: scipy.")
+    return Picture(path, "Tuning", f"{label} before and after tuning.")
 
 
 def share_text(found: Mapping[str, float]) -> str:

@@ -12,8 +12,7 @@ from scipy.stats import binomtest
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.run_page import fact
 from kc2spice.report.sweep_figures import share_text, sweep_figures
-from kc2spice.scene.keys import scene_keys
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
 
 CONFIDENCE = 0.95
 
@@ -41,14 +40,17 @@ def write_sweep(
     directory: Path,
     scene: Scene,
     data: Mapping[str, np.ndarray],
-    keys: Sequence[str],
+    units: Mapping[str, str],
     metrics: Sequence[str],
     random: Sequence[str],
     plan: str,
     found: Mapping[str, Mapping[str, float]],
 ) -> list[str]:
-    """Write figures and page of a finished table into ``directory``; return their names."""
-    units = {key.name: key.unit or "" for key in scene_keys()}
+    """Write figures and page of a finished table into ``directory``; return their names.
+
+    ``units`` are those of the swept keys, in their order.
+    """
+    keys = tuple(units)
     pictures = sweep_figures(directory, data, keys, metrics, random, units)
     sections = [
         Section("Plan", [("points", plan), *(_swept(key, data[key], units) for key in keys)]),

@@ -1,60 +1,13 @@
-"""What a verification found: checks against gates, errors between the roads, and their times."""
+"""What a verification found: checks against gates, errors between the solutions, their times."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
+from kc2spice.core.figure import Figure
 from kc2spice.report.plots import Picture
-from kc2spice.sim.waveforms import Waveforms
-
-
-@dataclass(frozen=True)
-class Check:
-    """One number against its gate. ``value`` None (not reached) fails."""
-
-    name: str
-    value: float | None
-    limit: float
-    unit: str = "1"
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value is within the limit."""
-        return self.value is not None and self.value <= self.limit
-
-
-@dataclass(frozen=True)
-class Road:
-    """One way to the result, its wall time and its errors against ``against``."""
-
-    name: str
-    wall_s: float
-    against: str = ""
-    errors: dict[str, float | None] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class OutputError:
-    """Largest and rms error of one output over all points of one pair of roads, relative to the
-    exact response at each point (harmonic) or to the output's largest value (all others)."""
-
-    pair: str
-    output: str
-    largest: float
-    rms: float
-
-
-@dataclass(frozen=True)
-class StepPoint:
-    """One setting of ngspice: what it cost and how far it is from the exact integration."""
-
-    reltol: float
-    max_step_s: float
-    accepted: int
-    cpu_s: float
-    position: float | None
-    velocity: float | None
+from kc2spice.scene.gates import Cost, Limit
 
 
 @dataclass(frozen=True)
@@ -63,19 +16,18 @@ class Findings:
 
     ``errors`` holds ``rom_vs_fom``, ``ngspice_vs_rom`` and ``ngspice_vs_fom`` (largest relative),
     ``speedup`` the ratios ``refactor`` and ``low_rank`` of a full-model baseline's time to the
-    netlist's, where the scene has them; ``curves`` the waveforms of each road, the
-    most exact one first.
+    netlist's, where the scene has them; ``left_out`` names the parts without a law.
     """
 
-    checks: tuple[Check, ...]
+    checks: tuple[Limit, ...]
     errors: dict[str, float]
     speedup: dict[str, float]
-    roads: tuple[Road, ...]
+    costs: tuple[Cost, ...]
     metrics: dict[str, Any]
-    outputs: tuple[OutputError, ...] = ()
-    steps: tuple[StepPoint, ...] = ()
+    outputs: tuple[Any, ...] = ()
     notes: tuple[str, ...] = ()
-    curves: dict[str, Waveforms] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = field(default=(), repr=False)
     pictures: tuple[Picture, ...] = ()
 
     @property

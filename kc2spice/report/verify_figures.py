@@ -1,227 +1,107 @@
-"""Figures of harmonic response, imprint and impact (paper Figs 7, 8, 9, A1): roads and errors.
-
-A *road* is one way to a result. Each function takes roads by name, the reference first; the others
-are drawn over it, and their errors are against it.
-"""
+"""Figures of a verification as data: solutions over each other, and their differences."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kc2spice.report.metrics import trajectory_difference
-from kc2spice.report.plots import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    PALETTE,
-    RED,
-    Picture,
-    legend_above,
-    name_axes,
-    sheet,
-)
-from kc2spice.report.verdict import StepPoint
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.waveforms import Waveforms
 
-Roads = Mapping[str, Waveforms]
+MOST = 4  # panels of one figure
+FLOOR = 1e-17  # a difference of nothing, on a logarithmic axis
+_SCALES = {"time": ("time in ms", 1e3), "frequency": ("frequency in kHz", 1e-3)}
 
-# Reference wide and pale, the others thin over it, so that coinciding curves all stay visible.
-_LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": GREY, "lw": 3.6, "alpha": 0.6},
-    {"color": BLUE, "lw": 1.4},
-    {"color": BLACK, "lw": 1.5, "ls": (0, (1, 3))},
-)
-_ERRORS = (BLUE, ORANGE, RED)
-_WIDE = (10.0, 3.8)
-_FLOOR = 1e-17  # a difference of nothing, on a logarithmic axis
+Solutions = Mapping[str, Waveforms]
 
 
-def _looks(roads: Roads) -> list[tuple[str, Waveforms, dict[str, Any]]]:
-    looks = _LOOKS if len(roads) > 1 else _LOOKS[1:]
-    return [(*road, look) for road, look in zip(roads.items(), looks, strict=False)]
+def comparison(
+    name: str, title: str, solutions: Solutions, units: Mapping[str, str]
+) -> Iterator[Figure]:
+    """The waves that all solutions have, the first one as the reference, with their differences.
+
+    One panel for each of the largest waves of a unit, one for the differences of all of these.
+    """
+    (first, exact), *others = solutions.items()
+    scale = next(iter(exact.data))
+    label, factor = _SCALES.get(scale, (scale, 1.0))
+    common = [n for n in exact.data if n != scale and all(n in w for _, w in others)]
+    chosen = _chosen(common, exact, units)
+    if not chosen or np.ptp(exact[scale]) == 0:
+        return
+    panels = []
+    for wave in chosen:
+        curves = [_curve(first, exact, scale, wave, factor, "reference")]
+        curves += [_curve(n, w, scale, wave, factor, "-") for n, w in others]
+        unit = units.get(wave, "")
+        panels.append(Panel(label, f"{wave} in {unit}" if unit else wave, tuple(curves)))
+    yield Figure(
+        f"{name}_solutions", f"{title}: solutions over each other",
+        f"Reference (dotted): {first}.", tuple(panels),
+    )  # fmt: skip
+    errors = [
+        Curve(f"{n}, {wave}", factor * x, np.maximum(y, FLOOR))
+        for n, w in others
+        for wave in chosen
+        for x, y in [_difference(w, exact, scale, wave)]
+    ]
+    panel = Panel(label, f"difference to {first} / largest value", tuple(errors), log_y=True)
+    yield Figure(
+        f"{name}_differences", f"{title}: differences",
+        f"Differences to {first}, each over the wave's largest value.", (panel,),
+    )  # fmt: skip
 
 
-def _against(roads: Roads) -> tuple[str, Waveforms, list[tuple[str, Waveforms]]]:
-    (first, reference), *others = roads.items()
-    return first, reference, others
+def responses(name: str, curves: Solutions) -> Iterator[Figure]:
+    """Responses of one body port by port to itself, every solution of it."""
+    if not curves:
+        return
+    last = list(curves.values())[-1]
+    pairs = [n for n in last.data if ">" in n and len({*n.split(">")}) == 1][:MOST]
+    panels = []
+    for pair in pairs:
+        lines = [
+            Curve(label, waves["frequency"].real / 1e3, np.abs(waves[pair]),
+                  "o" if waves["frequency"].size < 60 and len(curves) > 1 else "-")
+            for label, waves in curves.items()
+            if pair in waves
+        ]  # fmt: skip
+        panels.append(
+            Panel("frequency in kHz", f"|{pair}|", tuple(lines), log_y=True,
+                  span=(0.0, float(last["frequency"].real[-1]) / 1e3))
+        )  # fmt: skip
+    if panels:
+        yield Figure(
+            f"{name}_response", f"{name}: response of the emitted subcircuit",
+            "Each port's answer to a unit load on itself; points are direct solutions of the full "
+            "model.", tuple(panels),
+        )  # fmt: skip
 
 
-@contextmanager
-def _beside(path: Path, others: list[tuple[str, Waveforms]]) -> Iterator[tuple[Any, Any]]:
-    """Axes for the result and, where there is something to compare, for the errors."""
-    if others:
-        with sheet(path, 1, 2, size=_WIDE) as (left, right):
-            yield left, right
-    else:
-        with sheet(path) as left:
-            yield left, None
+def _chosen(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
+    """The largest wave of each unit, in order."""
+    best: dict[str, str] = {}
+    for name in names:
+        unit = units.get(name, "")
+        size = np.abs(waves[name]).max(initial=0.0)
+        if size > 0 and (unit not in best or size > np.abs(waves[best[unit]]).max()):
+            best[unit] = name
+    return list(best.values())[:MOST]
 
 
-def pair_error(waves: Waveforms, reference: Waveforms, pair: str) -> np.ndarray:
-    """``|H - H_ref| / |H_ref|`` of one ``INPUT>OUTPUT`` at every frequency."""
-    return np.abs(waves[pair] - reference[pair]) / np.abs(reference[pair])
+def _curve(label: str, waves: Waveforms, scale: str, name: str, factor: float, style: str) -> Curve:
+    values = waves[name]
+    y = np.abs(values) if np.iscomplexobj(values) else values
+    return Curve(label, factor * waves[scale].real, y, style)
 
 
-def ports(waves: Waveforms) -> list[str]:
-    """Names of the inputs of a harmonic result, in order."""
-    return list(dict.fromkeys(name.partition(">")[0] for name in waves.data if ">" in name))
-
-
-def harmonic_figures(directory: Path, roads: Roads) -> list[Picture]:
-    """Response of the first port to itself with its error (Fig. 7), and all inputs (Fig. A1)."""
-    first, reference, others = _against(roads)
-    port = ports(reference)[0]
-    path = directory / "harmonic_response.png"
-    with _beside(path, others) as (left, right):
-        for name, waves, look in _looks(roads):
-            amplitude = 1e6 * np.abs(waves[f"{port}>{port}"])
-            left.semilogy(1e-3 * waves["frequency"], amplitude, label=name, **look)
-        name_axes(left, "frequency in kHz", f"amplitude at {port} in µm/N")
-        legend_above(left)
-        for (name, waves), colour in zip(others, _ERRORS, strict=False):
-            worst = np.max([pair_error(waves, reference, f"{port}>{k}") for k in ports(waves)], 0)
-            f = 1e-3 * waves["frequency"]
-            right.semilogy(f, np.maximum(worst, _FLOOR), color=colour, label=f"{name} − {first}")
-        if right:
-            name_axes(right, "frequency in kHz", "relative error of the worst output")
-            legend_above(right, 2)
-    caption = f"Unit load at {port}: response there, and largest error of all outputs (Fig. 7)."
-    pictures = [Picture(path, "Harmonic response", caption)]
-    for name, waves in others:
-        file = directory / f"harmonic_error_{_slug(name)}.png"
-        pictures.append(harmonic_errors(file, waves, reference, f"{name} − {first}"))
-    return pictures
-
-
-def harmonic_errors(path: Path, waves: Waveforms, reference: Waveforms, title: str) -> Picture:
-    """Relative errors of every output, one panel per input (Figs 7b and A1)."""
-    names = ports(reference)
-    columns = 4
-    rows = -(-(len(names) + 1) // columns)
-    f = 1e-3 * reference["frequency"]
-    with sheet(path, rows, columns, size=(11.0, 2.7 * rows), sharex=True, sharey=True,
-               squeeze=False) as axes:  # fmt: skip
-        for source, panel in zip(names, axes.flat, strict=False):
-            for sink, colour in zip(names, _colours(len(names)), strict=True):
-                error = pair_error(waves, reference, f"{source}>{sink}")
-                panel.semilogy(f, np.maximum(error, _FLOOR), color=colour, lw=1.1, label=sink)
-            panel.set_title(f"input {source}")
-        for panel in axes.flat[len(names) :]:
-            panel.set_axis_off()
-        handles, labels = axes.flat[0].get_legend_handles_labels()
-        axes.flat[len(names)].legend(handles, labels, title="output", loc="center left", ncols=2)
-        for panel in axes[:, 0]:
-            panel.set_ylabel("relative error")
-        for panel in axes.flat[max(len(names) - columns, 0) : len(names)]:
-            panel.set_xlabel("frequency in kHz")
-            panel.tick_params(labelbottom=True)
-    return Picture(path, title, f"{title}: relative error of all outputs for each input (Fig. A1).")
-
-
-def _colours(count: int) -> list[str]:
-    return [PALETTE[k % len(PALETTE)] for k in range(count)]
-
-
-def imprint_figures(directory: Path, roads: Roads, sectors: int = 4) -> list[Picture]:
-    """Force of one sector against imprint depth, and errors; lines where rings close (Fig. 8)."""
-    first, reference, others = _against(roads)
-    path = directory / "imprint.png"
-    with _beside(path, others) as (left, right):
-        for name, waves, look in _looks(roads):
-            load = waves["contact.force"] / sectors
-            left.plot(1e6 * waves["imprint.depth"], load, label=name, **look)
-        name_axes(left, "imprint in µm", "force of the quarter model in N")
-        legend_above(left)
-        force = reference["contact.force"]
-        loaded = force > 0.0
-        depth = 1e6 * reference["imprint.depth"][loaded]
-        for (name, waves), colour in zip(others, _ERRORS, strict=False):
-            error = np.abs(waves["contact.force"] - force)[loaded] / force[loaded]
-            right.semilogy(depth, np.maximum(error, _FLOOR), color=colour, lw=1.2,
-                           label=f"{name} − {first}")  # fmt: skip
-        for start in _activations(reference):
-            (right or left).axvline(1e6 * start, color=GREY, lw=0.8, ls=":")
-        if right:
-            name_axes(right, "imprint in µm", "relative error of the force")
-            legend_above(right, 2)
-    caption = "Static contact force of one quarter; dotted lines: another ring closes (Fig. 8)."
-    return [Picture(path, "Imprint", caption)]
-
-
-def _activations(waves: Waveforms) -> list[float]:
-    rings = [load for name, load in waves.data.items() if name.startswith("contact.force.R")]
-    return [waves["imprint.depth"][np.argmax(load > 0.0)] for load in rings[1:] if load.any()]
-
-
-def impact_figures(directory: Path, roads: Roads, radius: float) -> list[Picture]:
-    """Underside of the sphere during the impact, and errors relative to its travel (Fig. 9)."""
-    first, reference, others = _against(roads)
-    path = directory / "impact.png"
-    travel = float(np.ptp(reference["sphere.y"]))
-    loaded = 1e6 * reference["time"][reference["contact.force"] > 0.0]
-    with _beside(path, others) as (left, right):
-        for name, waves, look in _looks(roads):
-            y = 1e6 * (waves["sphere.y"] - radius)
-            left.plot(1e6 * waves["time"], y, label=name, **look)
-        name_axes(left, "time in µs", "underside of the sphere in µm")
-        legend_above(left)
-        for (name, waves), colour in zip(others, _ERRORS, strict=False):
-            t, difference = trajectory_difference(waves, reference)
-            error = np.maximum(np.abs(difference) / travel, _FLOOR)
-            right.semilogy(1e6 * t, error, color=colour, lw=1.2, label=f"{name} − {first}")
-        for axes in filter(None, (left, right)):
-            if loaded.size:
-                axes.axvspan(loaded[0], loaded[-1], color=GREY, alpha=0.12, lw=0)
-        if right:
-            name_axes(right, "time in µs", "position error / travel")
-            legend_above(right, 2)
-    caption = "Impact of the free sphere, in contact where shaded (Fig. 9)."
-    return [Picture(path, "Impact", caption)]
-
-
-def steps_figure(path: Path, points: Sequence[StepPoint], chosen: tuple[float, float]) -> Picture:
-    """Position error over accepted points, a line per step ceiling; ``chosen`` = (reltol, step)."""
-    with sheet(path, size=(6.4, 4.0)) as axes:
-        for ceiling, colour in zip(sorted({p.max_step_s for p in points}), _ERRORS, strict=False):
-            line = [p for p in points if p.max_step_s == ceiling and p.position is not None]
-            counts, errors = [p.accepted for p in line], [p.position for p in line]
-            axes.loglog(counts, errors, "o-", color=colour, ms=4,
-                        label=f"steps up to {ceiling * 1e9:g} ns")  # fmt: skip
-            for p in line:
-                axes.annotate(f"{p.reltol:g}", (p.accepted, p.position), fontsize=8,
-                              textcoords="offset points", xytext=(5, 4))  # fmt: skip
-                if (p.reltol, p.max_step_s) == chosen:
-                    axes.plot(p.accepted, p.position, "o", ms=12, mfc="none", color=BLACK)
-        name_axes(axes, "accepted time points", "largest position error / travel")
-        legend_above(axes, 2)
-    caption = "What steps buy in the impact; numbers are reltol, the ring is the emitted setting."
-    return Picture(path, "Error against steps", caption)
-
-
-def poles_figure(path: Path, poles: Mapping[str, np.ndarray]) -> Picture:
-    """Poles [1/s] of several projections side by side; the right half plane is shaded."""
-    with sheet(path, 1, len(poles), size=_WIDE, sharey=True, squeeze=False) as axes:
-        for (name, values), panel in zip(poles.items(), axes.flat, strict=True):
-            unstable = values.real > 0.0
-            panel.set_xscale("symlog", linthresh=1e3)
-            panel.set_yscale("symlog", linthresh=1e5)
-            panel.plot(values.real[~unstable], values.imag[~unstable], "o", ms=4, color=BLUE)
-            panel.plot(values.real[unstable], values.imag[unstable], "X", ms=8, color=RED)
-            bound = 3.0 * max(float(np.abs(values.real).max()), 1e4)
-            panel.set_xlim(-bound, bound)
-            panel.axvspan(0.0, bound, color=RED, alpha=0.08, lw=0)
-            name_axes(panel, "real part in 1/s", "", f"{name}: {int(unstable.sum())} unstable")
-            ticks = 10.0 ** np.arange(3, int(np.log10(bound)) + 1, 2)
-            panel.set_xticks([*(-ticks[::-1]), 0.0, *ticks])
-        axes.flat[0].set_ylabel("imaginary part in 1/s")
-    return Picture(path, "Poles", "Poles of the reduced models; crosses grow without end.")
-
-
-def _slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name.lower())
+def _difference(
+    waves: Waveforms, exact: Waveforms, scale: str, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    x, y = exact[scale].real, exact[name]
+    ours = waves[name]
+    if ours.shape != y.shape or scale == "time":
+        t, unique = np.unique(waves[scale].real, return_index=True)
+        ours = np.interp(x, t, ours[unique])
+    return x, np.abs(ours - y) / np.abs(y).max()

@@ -1,4 +1,4 @@
-"""``verify.html``: every scene's checks, roads, paper table and figures on one page."""
+"""``verify.html``: every scene's checks, solutions, paper table and figures on one page."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from kc2spice.report.html import Section, quantity, write_page
 from kc2spice.report.paper import paper_section
 from kc2spice.report.run_page import fact
 from kc2spice.report.verdict import Findings
+from kc2spice.scene.gates import Table
 
 
 def write_verify(path: Path, found: Mapping[str, Findings], more: Sequence[Section] = ()) -> Path:
@@ -40,7 +41,7 @@ def _summary(found: Mapping[str, Findings]) -> Section:
         "scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full",
         "speed-up, refactorised", "speed-up, low rank",
     )  # fmt: skip
-    note = "Errors are the largest relative ones. Speed-ups: full model over reduced model."
+    note = "Errors are the largest relative ones. Speed-ups: full model over ngspice."
     return Section("Summary", rows, head, note)
 
 
@@ -56,7 +57,7 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
     ]
     return [
         Section(f"{scene}: gates", checks, ("check", "value", "limit", "")),
-        _roads(scene, findings),
+        _costs(scene, findings),
         Section(
             f"{scene}: each output",
             [
@@ -68,7 +69,7 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
                 )
                 for error in findings.outputs
             ],
-            ("roads", "output", "largest error", "rms error"),
+            ("solutions", "output", "largest error", "rms error"),
         ),
         paper_section(scene, findings.metrics),
         Section(
@@ -84,20 +85,25 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
     ]
 
 
+def table_section(table: Table) -> Section:
+    """A study of a part."""
+    return Section(table.title, table.rows, table.head, table.note)
+
+
 def _with_unit(value: float | None, unit: str) -> str:
     return quantity(value, "" if unit == "1" else unit, 3)
 
 
-def _roads(scene: str, findings: Findings) -> Section:
-    keys = list(dict.fromkeys(key for road in findings.roads for key in road.errors))
+def _costs(scene: str, findings: Findings) -> Section:
+    keys = list(dict.fromkeys(key for cost in findings.costs for key in cost.errors))
     rows = [
         (
-            road.name,
-            quantity(road.wall_s, "s", 3),
-            road.against,
-            *(fact(key, road.errors[key])[1] if key in road.errors else "" for key in keys),
+            cost.name,
+            quantity(cost.wall_s, "s", 3),
+            cost.against,
+            *(fact(key, cost.errors[key])[1] if key in cost.errors else "" for key in keys),
         )
-        for road in findings.roads
+        for cost in findings.costs
     ]
-    head = ("road", "wall time", "compared with", *(fact(key, 0)[0] for key in keys))
+    head = ("solution", "wall time", "compared with", *(fact(key, 0)[0] for key in keys))
     return Section(f"{scene}: time and error", rows, head)

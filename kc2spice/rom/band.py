@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem.factor import Solver
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.linalg.factor import Solver
 from kc2spice.rom.memory import require_memory
-from kc2spice.rom.pencil import Pencil, factorise_at, poles
+from kc2spice.rom.operators import dense, largest
+from kc2spice.rom.pencil import Pencil
 
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
@@ -39,10 +40,10 @@ def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float
 
 
 def _small(pencil: Pencil) -> np.ndarray:
-    rest, inertia = (P.toarray() for P in (pencil.coefficients[0], pencil.coefficients[-1]))
-    top = np.abs(rest).max() / np.abs(inertia).max()
-    first_order = Pencil((rest, inertia), pencil.B, pencil.C, pencil.D)
-    rates = np.abs(poles(first_order, top))
+    rest, inertia = (dense(P) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    if largest(rest) == 0 or largest(inertia) == 0:
+        return np.empty(0)
+    rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())
     rates = rates[rates > 1e-12 * rates.max(initial=0.0)]
     return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
 
@@ -50,7 +51,7 @@ def _small(pencil: Pencil) -> np.ndarray:
 def _lowest(pencil: Pencil, solver: Solver) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
     require_memory(pencil, solver)
-    solve = factorise_at(pencil, 0.0, solver)[0].solve
+    solve = pencil.solver(0.0, solver)[0].solve
     inertia = pencil.coefficients[-1]
     n = pencil.size
     inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import eigh, lapack, schur
 
 from kc2spice.rom.convert import state_space
-from kc2spice.rom.model import FirstOrderModel, ReducedModel
-from kc2spice.rom.pencil import largest
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.operators import largest
 
 # A decoupling transformation beyond this would cost more than three digits.
 GROWTH = 1e3
@@ -48,7 +48,7 @@ class BlockModel:
         return np.asarray(total)
 
 
-def block_model(model: ReducedModel | FirstOrderModel, *, dense: bool = False) -> BlockModel:
+def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     """The reduced model in decoupled blocks, or as one block if ``dense``.
 
     Raises

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, solve, solve_triangular, svd
-from scipy.signal import StateSpace
 
-from kc2spice.errors import MissingToolError, UsageError
-from kc2spice.rom.model import FirstOrderModel, ReducedModel
-from kc2spice.rom.pencil import largest
+from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.operators import dense, largest
 from kc2spice.rom.structure import semidefinite
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 # Masses and algebraic parts this far below the largest are zero.
@@ -20,12 +22,14 @@ MASSLESS = 1e-13
 COUPLING = 1e-10
 
 
-def to_statespace(model: ReducedModel | FirstOrderModel) -> StateSpace:
+def to_statespace(model: LinearModel) -> StateSpace:
     """``x' = A x + B u``, ``y = C x + D u``; see :func:`state_space`."""
+    from scipy.signal import StateSpace  # a second to import
+
     return StateSpace(*state_space(model))
 
 
-def to_pymor(model: ReducedModel | FirstOrderModel) -> Any:
+def to_pymor(model: LinearModel) -> Any:
     """pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
 
     Raises
@@ -38,14 +42,14 @@ def to_pymor(model: ReducedModel | FirstOrderModel) -> Any:
         raise MissingToolError(
             "pyMOR is not installed", where="to_pymor", hint="pip install 'kc2spice[pymor]'"
         ) from None
-    if isinstance(model, FirstOrderModel):
+    if model.first_order:
         return LTIModel.from_matrices(model.A, model.B, model.C, D=model.D, E=model.E)
     return SecondOrderModel.from_matrices(
         model.M, model.E, model.K, model.B, Cp=model.C, D=model.D
     )  # fmt: skip
 
 
-def state_space(model: ReducedModel | FirstOrderModel) -> ABCD:
+def state_space(model: LinearModel) -> ABCD:
     """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
 
     States are energy coordinates where there is an energy, so ``A + A' <= 0`` for a dissipative
@@ -56,10 +60,12 @@ def state_space(model: ReducedModel | FirstOrderModel) -> ABCD:
     ------
     UsageError : the model answers to derivatives of its input, or its massless part is singular.
     """
-    if isinstance(model, FirstOrderModel):
-        return _first_order(model.E, model.A, model.B, model.C, model.D)
-    M, E, K, B, C, D = model.M, model.E, model.K, model.B, model.C, model.D
-    omega = 2 * np.pi * model.certificate.band_hz[1]
+    if model.first_order:
+        return _first_order(dense(model.E), dense(model.A), model.B, model.C, model.D)
+    K, E, M = model.pencil.dense().coefficients
+    B, C, D = model.B, model.C, model.D
+    top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
+    omega = 2 * np.pi * model.certificate.band_hz[1] if model.certificate else float(np.sqrt(top))
     if semidefinite(M):
         mass = np.linalg.eigvalsh(M)
         if mass[0] <= MASSLESS * mass[-1]:

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 import json
-import zipfile
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from scipy import io
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.system import Port
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.rom.archive import read_archive
+from kc2spice.rom.linear import Certificate, LinearModel, Port, PortKind
 from kc2spice.rom.matrix_market import read_body, read_header
-from kc2spice.rom.model import Certificate, FirstOrderModel, ReducedModel
 
-Reduced = ReducedModel | FirstOrderModel
 MAX_BYTES = 1_000_000_000
-_LETTERS = {ReducedModel: "MEKBCD", FirstOrderModel: "EABCD"}
+MAX_ENTRIES = 50_000_000  # of one matrix
+MAX_TEXT = 64  # characters of a name or unit
 _RECORD = "record"  # the JSON text beside the arrays
 
 
-def write_rom(model: Reduced, directory: Path, name: str) -> list[str]:
+def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     """Write ``name.npz``, ``name.M`` ... (Matrix Market, 17 digits) and ``name.json``.
 
     ``name.json`` holds ports and certificate for readers of the Matrix Market files. Returns the
     file names, the ``.npz`` first.
     """
-    letters = _LETTERS[type(model)]
+    if model.certificate is None:
+        raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
+    letters = _letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     record = json.dumps(
         {"ports": [asdict(p) for p in model.ports], "certificate": asdict(model.certificate)},
@@ -43,7 +46,7 @@ def write_rom(model: Reduced, directory: Path, name: str) -> list[str]:
     return [f"{name}.npz", f"{name}.json", *(f"{name}.{letter}" for letter in letters)]
 
 
-def read_rom(path: Path | str) -> Reduced:
+def read_rom(path: Path | str) -> LinearModel:
     """Read back what :func:`write_rom` wrote: the ``.npz``, or the ``.json`` or any matrix file of
     the Matrix Market family.
 
@@ -69,11 +72,8 @@ def read_rom(path: Path | str) -> Reduced:
 
 
 def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    with zipfile.ZipFile(path) as archive:
-        if sum(item.file_size for item in archive.infolist()) > MAX_BYTES:
-            raise UsageError("too large", where=str(path), expected=f"at most {MAX_BYTES} bytes")
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {key: archive[key] for key in archive.files}
+    known = {_RECORD, *"MEKABCD"}
+    arrays = read_archive(path, known.__contains__, entries=MAX_ENTRIES, total=MAX_BYTES)
     record = arrays.pop(_RECORD)
     return arrays, str(record.item())
 
@@ -88,21 +88,39 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
             if file.stat().st_size > MAX_BYTES:
                 raise UsageError("too large", where=str(file), expected=f"{MAX_BYTES} bytes")
             matrices[letter] = read_body(file, read_header(file))
-    return matrices, record.read_text(encoding="utf-8")
+    return matrices, text_of(read_bounded(record, MAX_BYTES))
 
 
-def _model(matrices: dict[str, Any], record: dict[str, Any]) -> Reduced:
-    ports = tuple(Port(**port) for port in record["ports"])
+def _port(name: str, kind: str, across: str, flow: str, pins: Sequence[str] = ()) -> Port:
+    """A port whose words can stand in a netlist's header, where a line break begins a card."""
+    if kind not in get_args(PortKind):
+        raise ValueError(f"a port of the kind {str(kind)[:40]!r}")
+    for text in (name, across, flow, *pins):
+        if len(_printable(text, MAX_TEXT).split()) != 1:
+            raise ValueError(f"not one word: {text!r}")
+    return Port(name, kind, across, flow, tuple(pins))  # type: ignore[arg-type]
+
+
+def _printable(text: Any, longest: int) -> str:
+    if not isinstance(text, str) or not text.isprintable() or len(text) > longest:
+        raise ValueError(f"not plain text: {str(text)[:40]!r}")
+    return text
+
+
+def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
+    ports = tuple(_port(**port) for port in record["ports"])
     facts = record["certificate"]
+    low, high = (float(frequency) for frequency in facts["band_hz"])
+    if not 0 <= low <= high < np.inf:
+        raise ValueError(f"band {low} … {high} Hz")
     certificate = Certificate(
-        (float(facts["band_hz"][0]), float(facts["band_hz"][1])),
+        (low, high),
         float(facts["error_estimate"]),
-        str(facts["method"]),
+        _printable(facts["method"], 1000),
         bool(facts["stable"]),
         bool(facts["passive"]),
     )
-    kind: type[Reduced] = FirstOrderModel if "A" in matrices else ReducedModel
-    letters = _LETTERS[kind]
+    letters = _letters("A" in matrices)
     arrays = {letter: np.asarray(matrices[letter]) for letter in letters}
     q, m = arrays["B"].shape
     p = arrays["C"].shape[0]
@@ -112,6 +130,10 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> Reduced:
             raise ValueError(f"matrix {letter} is {array.dtype} {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError(f"matrix {letter} is not finite")
-    if len(ports) not in ((m + p,) if m != p else (m, m + p)):
-        raise ValueError(f"{len(ports)} ports for {m} inputs and {p} outputs")
-    return kind(**arrays, ports=ports, certificate=certificate)
+    if not all(np.isfinite([*certificate.band_hz, certificate.error_estimate])):
+        raise ValueError("the certificate is not finite")
+    return LinearModel(**arrays, ports=ports, certificate=certificate)
+
+
+def _letters(first_order: bool) -> str:
+    return "EABCD" if first_order else "MEKBCD"

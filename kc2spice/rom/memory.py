@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from kc2spice.fem.budget import require_bytes
-from kc2spice.fem.factor import Solver
+from kc2spice.linalg.factor import Solver
+from kc2spice.linalg.memory import require_bytes
 from kc2spice.rom.pencil import Pencil
 
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
@@ -16,13 +17,14 @@ ENTRY_BYTES = 24.0  # one complex number, its index, and the work space around i
 
 def factor_bytes(pencil: Pencil) -> float:
     """Estimated memory [B] of one complex factorisation, up to five times too much for plates."""
-    pattern = sum(abs(P) for P in pencil.coefficients).tocsr()
+    pattern = sparse.csr_array(abs(pencil.bordered(1.0, 1.0, 1.0)))
     order = reverse_cuthill_mckee(pattern + pattern.T, symmetric_mode=True)
-    place = np.empty(pencil.size, dtype=np.int64)
-    place[order] = np.arange(pencil.size)
+    rows = pattern.shape[0]
+    place = np.empty(rows, dtype=np.int64)
+    place[order] = np.arange(rows)
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
-    return ENTRY_BYTES * max(FILL * pencil.size * np.sqrt(band), pattern.nnz)
+    return ENTRY_BYTES * max(FILL * rows * np.sqrt(band), pattern.nnz)
 
 
 def require_memory(pencil: Pencil, solver: Solver) -> None:

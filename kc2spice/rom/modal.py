@@ -1,20 +1,58 @@
-"""Reduced models as decoupled resonators: one second-order equation per state."""
+"""A symmetric model as decoupled resonators: one second-order equation per state."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
 
-from kc2spice.errors import UsageError
-from kc2spice.rom.model import ReducedModel, ResonatorModel
+from kc2spice.core.errors import UsageError
+from kc2spice.core.lazy import lazy
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+
+linalg = lazy("scipy.linalg")
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
 
 
-def resonators(rom: ReducedModel) -> ResonatorModel:
+@dataclass(frozen=True)
+class Resonators:
+    """``z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``,
+    ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
+
+    ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). Reciprocal by
+    form, stable for ``damp >= 0`` and passive for ``D`` positive semi-definite.
+    For an electrical port u is the voltage and y the charge.
+    """
+
+    omega: np.ndarray
+    damp: np.ndarray
+    gain: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]
+    certificate: Certificate | None
+
+    @property
+    def order(self) -> int:
+        """Number of second-order states."""
+        return self.omega.size
+
+    def transfer(self, frequency: np.ndarray) -> np.ndarray:
+        """``H(j 2 pi f)`` (frequencies, outputs, inputs), as a sum over modes."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, None]
+        inverse = 1 / (s**2 + self.damp * s + self.omega**2)
+        return np.einsum("jo,fj,ji->foi", self.gain, inverse, self.gain) + self.D
+
+    def linear(self) -> LinearModel:
+        """The same model as matrices; :func:`resonators` takes it back to the bit."""
+        return LinearModel(
+            M=np.eye(self.order), E=np.diag(self.damp), K=np.diag(self.omega**2), B=self.gain,
+            D=self.D, ports=self.ports, certificate=self.certificate,
+        )  # fmt: skip
+
+
+def resonators(rom: LinearModel) -> Resonators:
     """Mass-normalised modes of the symmetric pair (K, M) with damping that they diagonalise.
 
     Solved as ``M phi = mu K phi`` because K is the better conditioned of the two.
@@ -23,38 +61,35 @@ def resonators(rom: ReducedModel) -> ResonatorModel:
     ------
     UsageError : M or K not positive definite, C not B', or damping that couples the modes.
     """
-    if not (rom.certificate.stable and np.array_equal(rom.C, rom.B.T)):
-        raise UsageError(
-            "not a symmetric positive definite model",
-            where="resonator form",
-            expected="M, K > 0, E >= 0 and C = B'",
+    if rom.first_order or not rom.symmetric:
+        raise _unfit("not a symmetric second-order model", "M, K > 0, E >= 0 and C = B'")
+    K, E, M = rom.pencil.dense().coefficients
+    one = np.eye(rom.order)
+    if np.array_equal(M, one) and all(np.array_equal(P, P * one) for P in (E, K)):
+        return Resonators(
+            np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate
         )
-    mu, phi = eigh(rom.M, rom.K)
+    try:
+        mu, phi = linalg.eigh(M, K)
+    except np.linalg.LinAlgError:
+        mu = np.zeros(1)
+    if mu[0] <= 0:
+        raise _unfit("M or K is not positive definite", "M, K > 0, E >= 0 and C = B'")
     mu, phi = mu[::-1], phi[:, ::-1] / np.sqrt(mu[::-1])
-    damping = phi.T @ rom.E @ phi
+    damping = phi.T @ E @ phi
     damp = np.diag(damping).copy()
-    scale = np.sqrt(np.outer(damp, damp)) + np.finfo(float).tiny
+    scale = np.sqrt(np.abs(np.outer(damp, damp))) + np.finfo(float).tiny
     coupling = np.abs(damping - np.diag(damp)) / scale
     if coupling.max(initial=0.0) > COUPLING_LIMIT:
-        raise UsageError(
-            "damping couples the modes",
-            where="resonator form",
-            got=f"relative coupling {coupling.max():.1e}",
-            expected="damping proportional to mass and stiffness",
-        )
+        raise _unfit(
+            "damping couples the modes", "damping proportional to mass and stiffness",
+            f"relative coupling {coupling.max():.1e}",
+        )  # fmt: skip
     gain = phi.T @ rom.B
     # A mode has no sign of its own; this one makes the same model the same netlist everywhere.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
-    return ResonatorModel(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
+    return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
 
-def whole_device(model: ResonatorModel, sectors: int) -> ResonatorModel:
-    """All symmetry sectors moving alike, as one device.
-
-    A force on a whole ring is shared by the sectors, which all answer with the displacement of
-    one; the anode sees the charges of all at one voltage. With the modal amplitude scaled by
-    sqrt(sectors) the form stays reciprocal: mechanical gains shrink by it, electrical ones grow.
-    """
-    root = np.sqrt(sectors)
-    factor = np.array([root if port.kind == "electrical" else 1 / root for port in model.ports])
-    return replace(model, gain=model.gain * factor, D=model.D * np.outer(factor, factor))
+def _unfit(why: str, expected: str, got: str | None = None) -> UsageError:
+    return UsageError(why, where="resonator form", got=got, expected=expected)

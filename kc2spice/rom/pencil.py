@@ -1,41 +1,63 @@
-"""Linear models of any origin as one polynomial pencil: ``P(s) x = B u``, ``y = C x + D u``."""
+"""A linear model as one polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``: what solvers see."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import eigvals
 
-from kc2spice.errors import SimulationError
-from kc2spice.fem.factor import Factor, Solver, inverses
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
+from kc2spice.linalg.factor import Factor, Solver, factorise
+from kc2spice.rom.operators import (
+    Matrix,
+    Schur,
+    Sum,
+    congruence,
+    dense,
+    factor,
+    largest,
+    same,
+    symmetric,
+    two_sided,
+)  # fmt: skip
 
-Matrix: TypeAlias = Any  # np.ndarray or sparse.csc_array; scipy brings no types
+sparse = lazy("scipy.sparse")
+linalg = lazy("scipy.linalg")
 
-# Two matrices whose entries differ by less than this of the largest one are the same matrix.
-SAME = 1e-12
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
+BATCH_BYTES = 8e6  # of matrices solved at once
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pencil:
-    """``P(s) = sum_k s^k coefficients[k]``, sparse (full model) or dense (reduced model).
+    """``P(s) = sum_k s^k coefficients[k]``.
 
-    Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``.
-    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are dense.
+    Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
+    :class:`Schur` complement. ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K``.
+    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays.
     """
 
     coefficients: tuple[Matrix, ...]
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
+    rayleigh: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.rayleigh is not None:
+            K, _, M = self.coefficients
+            alpha, beta = self.rayleigh
+            terms = Sum(((alpha, M), (beta, K)))
+            plain = isinstance(K, np.ndarray) and isinstance(M, np.ndarray)
+            E = terms.toarray() if plain else terms
+            object.__setattr__(self, "coefficients", (K, E, M))
 
     @property
     def size(self) -> int:
-        """Number n of equations."""
+        """Number n of unknowns."""
         return int(self.B.shape[0])
 
     @property
@@ -43,119 +65,236 @@ class Pencil:
         """1 for a first-order model, 2 for a second-order one."""
         return len(self.coefficients) - 1
 
-    @property
+    @cached_property
     def symmetric(self) -> bool:
         """Every coefficient equals its transpose."""
-        return all(largest(P - P.T) <= SAME * largest(P) for P in self.coefficients)
+        return all(symmetric(P) for P in self.coefficients)
 
-    @property
+    @cached_property
     def collocated(self) -> bool:
         """Outputs are taken where inputs act: ``C = B'``."""
         return self.B.shape == self.C.T.shape and np.array_equal(self.B, self.C.T)
 
-    @property
+    @cached_property
     def undamped(self) -> bool:
         """Second order without first-order terms: real on the whole imaginary axis."""
         return self.degree == 2 and largest(self.coefficients[1]) == 0
 
-    def at(self, s: complex) -> Matrix:
-        """``P(s)``, real wherever it can be."""
-        powers = [s**k for k in range(self.degree + 1)]
-        if self.undamped and powers[2].imag == 0:
-            return self.coefficients[0] + powers[2].real * self.coefficients[2]
-        real = complex(s).imag == 0
-        return sum(
-            (p.real if real else p) * P
-            for p, P in zip(powers, self.coefficients, strict=True)
-        )  # fmt: skip
+    @property
+    def is_dense(self) -> bool:
+        """Every coefficient is an array."""
+        return all(isinstance(P, np.ndarray) for P in self.coefficients)
 
-    def slope(self, s: complex) -> Matrix:
-        """``P'(s)``, real where ``P(s)`` is: of an undamped model the derivative by ``s^2``."""
+    def dense(self) -> Pencil:
+        """The same model with arrays throughout."""
+        parts = tuple(dense(P) for P in self.coefficients)
+        return replace(self, coefficients=parts, rayleigh=None)
+
+    def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
+        """``k K + e E + m M`` (first order: ``k (-A) + e E``), eliminated unknowns kept as rows.
+
+        Potentials get a unit that makes both diagonal blocks equally large.
+        """
+        if self.rayleigh is not None:
+            alpha, beta = self.rayleigh
+            k, e, m = k + e * beta, 0.0, m + e * alpha
+        K = self.coefficients[0]
+        leading = K.uu if isinstance(K, Schur) else K
+        total = k * leading
+        for factor_, P in zip((e, m), self.coefficients[1:], strict=False):
+            if factor_ != 0:
+                total = total + factor_ * P
+        if not isinstance(K, Schur):
+            return total
+        volt = np.sqrt(largest(K.uu) / largest(K.pp))
+        blocks = [[total, k * volt * K.up], [k * volt * K.pu, k * volt**2 * K.pp]]
+        return sparse.csc_array(sparse.block_array(blocks))
+
+    def at(self, s: complex) -> Matrix:
+        """``P(s)`` with eliminated unknowns kept as rows, real wherever it can be."""
+        powers = [s**k for k in range(3)]
+        if self.undamped and complex(powers[2]).imag == 0:
+            return self.bordered(1.0, 0.0, complex(powers[2]).real)
+        if complex(s).imag == 0:
+            powers = [complex(p).real for p in powers]
+        return self.bordered(*powers)
+
+    def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
+        """``P'(s) x``, real where ``P(s)`` is: of an undamped model the derivative by ``s^2``."""
         if self.undamped:
-            return self.coefficients[2]
+            return self.coefficients[2] @ x
         s = complex(s).real if complex(s).imag == 0 else s
-        return sum(k * s ** (k - 1) * P for k, P in enumerate(self.coefficients) if k)
+        return sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
+
+    def solver(self, s: complex, solver: Solver = "scipy") -> tuple[Inverse, Inverse]:
+        """Solvers with ``P(s)`` and with its transpose.
+
+        Raises
+        ------
+        SimulationError : ``s`` is a pole.
+        MissingToolError : pypardiso is asked for and not installed.
+        """
+        try:
+            both = two_sided(self.at(s), symmetric=self.symmetric, solver=solver)
+        except SimulationError as error:
+            raise SimulationError(
+                error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
+            ) from None
+        return Inverse(both[0], self.size), Inverse(both[1], self.size)
+
+    def pencil_solver(self, square: float, solver: Solver = "scipy") -> Inverse:
+        """Solver with ``K - square M``, real; at zero K must be definite.
+
+        Raises
+        ------
+        SimulationError : singular, or K not positive definite.
+        """
+        if square == 0 and not isinstance(self.coefficients[0], Schur) and solver == "scipy":
+            K = sparse.csc_array(self.coefficients[0])
+            return Inverse(factorise(K, definite=True), self.size)
+        found = factor(self.bordered(1.0, 0.0, -square), symmetric=True, solver=solver)
+        return Inverse(found, self.size)
 
     def project(self, V: np.ndarray) -> Pencil:
         """Congruence ``V'PV``, ``V'B``, ``CV``; what is symmetric or skew stays so to the bit."""
-        reduced = tuple(_congruence(P, V) for P in self.coefficients)
+        if self.rayleigh is None:
+            reduced = tuple(congruence(P, V) for P in self.coefficients)
+        else:
+            alpha, beta = self.rayleigh
+            K, M = (congruence(self.coefficients[k], V) for k in (0, 2))
+            reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
 
+    def leading(self, order: int) -> Pencil:
+        """The pencil of the first ``order`` unknowns."""
+        q = slice(order)
+        reduced = tuple(P[q, q] for P in self.coefficients)
+        return Pencil(reduced, self.B[q], self.C[:, q], self.D)
+
+    def transposed(self) -> Pencil:
+        """The dual model: inputs and outputs change places."""
+        flipped = tuple(P.T for P in self.coefficients)
+        return Pencil(flipped, self.C.T, self.B.T, self.D.T)
+
     def scaled(self, omega: float) -> Pencil:
         """The same transfer function in unknowns whose energies at ``omega`` are alike."""
-        rows = [omega**k * abs(P).max(axis=1) for k, P in enumerate(self.coefficients)]
-        dense = [r.toarray() if sparse.issparse(r) else r for r in rows]
-        size = np.sum([np.asarray(r, dtype=float).ravel() for r in dense], axis=0)
+        size = np.zeros(self.size)
+        for k, P in enumerate(self.coefficients):
+            for c, term in P.terms if isinstance(P, Sum) else ((1.0, P),):
+                plain = term.uu if isinstance(term, Schur) else term
+                rows = abs(plain).max(axis=1)
+                rows = rows.toarray() if sparse.issparse(rows) else rows
+                size += abs(c) * omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
         T = sparse.diags_array(t)
-        coefficients = tuple(sparse.csc_array(T @ P @ T) for P in self.coefficients)
+
+        def both(P: Matrix) -> Matrix:
+            if isinstance(P, Sum):
+                return Sum(tuple((c, both(term)) for c, term in P.terms))
+            if isinstance(P, Schur):
+                return P.scaled(t)
+            return t[:, None] * P * t if isinstance(P, np.ndarray) else sparse.csc_array(T @ P @ T)
+
+        parts = tuple(both(P) for P in self.coefficients)
         B = t[:, None] * self.B
-        return Pencil(coefficients, B, B.T.copy() if self.collocated else self.C * t, self.D)
+        C = B.T.copy() if self.collocated else self.C * t
+        return Pencil(parts, B, C, self.D, self.rayleigh)
+
+    def states(self, s: np.ndarray) -> np.ndarray:
+        """``P(s)^-1 B`` (len(s), n, m) complex.
+
+        Raises
+        ------
+        SimulationError : one of ``s`` is a pole.
+        """
+        s = np.asarray(s, dtype=complex)
+        found = np.empty((len(s), *self.B.shape), dtype=complex)
+        if not self.is_dense:
+            for k, each in enumerate(s):
+                found[k] = self.solver(each)[0].solve(self.B)
+            return found
+        step = max(1, int(BATCH_BYTES / (16 * max(self.size, 1) ** 2)))
+        for begin in range(0, len(s), step):
+            part = s[begin : begin + step, None, None]
+            P = sum(part**k * P for k, P in enumerate(self.coefficients))
+            try:
+                found[begin : begin + step] = np.linalg.solve(P, self.B.astype(complex)[None])
+            except np.linalg.LinAlgError:
+                raise SimulationError("a frequency is a pole", where="transfer function") from None
+        return found
+
+    def transfer(self, s: np.ndarray) -> np.ndarray:
+        """``C P(s)^-1 B + D`` (len(s), outputs, inputs) complex."""
+        if self.is_dense:
+            return np.asarray(self.C @ self.states(s) + self.D)
+        return np.stack([self.C @ self.states(each[None])[0] + self.D for each in np.asarray(s)])
+
+    def poles(self, omega: float | None = None) -> np.ndarray:
+        """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
+        q, one = self.size, np.eye(self.size)
+        full = self.coefficients if self.is_dense else self.dense().coefficients
+        sizes = [largest(P) for P in full]
+        if omega is None:
+            tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
+            omega = float(tops ** (1 / self.degree))
+        P = [omega**k * each for k, each in enumerate(full)]
+        scale = 1 / max([largest(each) for each in P] + [np.finfo(float).tiny])
+        if self.degree == 1:
+            values = linalg.eigvals(-scale * P[0], scale * P[1])
+        else:
+            left = np.block([[np.zeros((q, q)), one], [-scale * P[0], -scale * P[1]]])
+            values = linalg.eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
+        return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
 
 
-def largest(matrix: Matrix) -> float:
-    """Largest absolute entry."""
-    return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
+@dataclass(frozen=True)
+class Inverse:
+    """Solves with a factorised pencil; ``size`` leading unknowns are those of the model."""
+
+    factor: Factor
+    size: int
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Solution (n,) or (n, k) of the unknowns that were not eliminated."""
+        extra = self.factor.matrix.shape[0] - self.size
+        if not extra:
+            return self.factor.solve(rhs)
+        free = np.zeros((extra, *rhs.shape[1:]))
+        return self.factor.solve(np.concatenate([rhs, free]))[: self.size]
 
 
-def _congruence(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """``V'PV``, its symmetric and skew parts each from that part of P alone."""
-    total = np.zeros((V.shape[1],) * 2)
-    for sign in (1, -1):
-        part = 0.5 * (P + sign * P.T)
-        if largest(part) > SAME * largest(P):
-            R = V.T @ (part @ V)
-            total += 0.5 * (R + sign * R.T)
-    return total
+def eliminated(pencil: Pencil) -> Pencil:
+    """Without the unknowns that no inertia and no damping holds: an exact Schur complement.
 
-
-def factorise_at(pencil: Pencil, s: complex, solver: Solver = "scipy") -> tuple[Factor, Factor]:
-    """Solvers with ``P(s)`` and its transpose; the full model must be sparse.
-
-    Without pivoting the fill of a symmetric model stays the least; a trial solution shows whether
-    that is accurate, and partial pivoting follows where it is not (indefinite, saddle points).
-
-    Raises
-    ------
-    SimulationError : ``s`` is a pole.
-    MissingToolError : pypardiso is asked for and not installed.
+    Potentials of a piezoelectric model, algebraic equations of a first-order one. Where their
+    block is singular (index two) or a complement is there already, the pencil stays as it is.
     """
-    matrix = sparse.csc_array(pencil.at(s))
-    norm = float(abs(matrix).sum(axis=0).max())
-    for symmetric in (True, False) if pencil.symmetric else (False,):
-        try:
-            apply, apply_transposed = inverses(matrix, symmetric=symmetric, solver=solver)
-            forward = Factor(matrix, norm, apply)
-            forward.solve(pencil.B[:, :1])
-            return forward, Factor(sparse.csc_array(matrix.T), norm, apply_transposed)
-        except (RuntimeError, MemoryError, SimulationError) as error:
-            reason = error
-    raise SimulationError(
-        "matrix cannot be factorised", where="direct solver", got=f"{reason} at s = {s:.6g} 1/s"
-    )
-
-
-def states(pencil: Pencil, s: np.ndarray) -> np.ndarray:
-    """``P(s)^-1 B`` of a dense pencil, (len(s), n, m) complex."""
-    s = np.asarray(s, dtype=complex)[:, None, None]
-    P = sum(s**k * P for k, P in enumerate(pencil.coefficients))
-    return np.linalg.solve(P, np.broadcast_to(pencil.B, (len(s), *pencil.B.shape)))
-
-
-def response(pencil: Pencil, s: np.ndarray) -> np.ndarray:
-    """``C P(s)^-1 B + D`` of a dense pencil, (len(s), outputs, inputs) complex."""
-    return np.asarray(pencil.C @ states(pencil, s) + pencil.D)
-
-
-def poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """Finite poles [1/s] of a dense pencil; ``omega`` is a frequency that matters."""
-    q, one = pencil.size, np.eye(pencil.size)
-    P = [omega**k * P for k, P in enumerate(pencil.coefficients)]
-    scale = 1 / max(largest(matrix) for matrix in P) if q else 1.0
-    if pencil.degree == 1:
-        values = eigvals(-scale * P[0], scale * P[1])
-    else:
-        left = np.block([[np.zeros((q, q)), one], [-scale * P[0], -scale * P[1]]])
-        values = eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
-    return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
+    rest, *others = pencil.coefficients
+    if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
+        return pencil
+    used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
+    free = np.asarray(used) == 0
+    if not free.any() or free.all():
+        return pencil
+    keep, p = np.flatnonzero(~free), np.flatnonzero(free)
+    rest = sparse.csc_array(rest)
+    blocks = [
+        sparse.csc_array(rest[i][:, j]) for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))
+    ]
+    schur = Schur(*blocks)
+    if not blocks[3].nnz:
+        return pencil
+    try:
+        lift = schur.inner.solve(pencil.B[p])
+        back = factor(sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)).solve(
+            pencil.C[:, p].T
+        )
+    except SimulationError:
+        return pencil
+    B = pencil.B[keep] - schur.up @ lift
+    C = pencil.C[:, keep] - (schur.pu.T @ back).T
+    C = B.T.copy() if pencil.collocated and pencil.symmetric else C
+    D = pencil.D + pencil.C[:, p] @ lift
+    parts = tuple(sparse.csc_array(P)[keep][:, keep] for P in others)
+    return Pencil((schur, *map(sparse.csc_array, parts)), B, C, D)

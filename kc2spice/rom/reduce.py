@@ -1,55 +1,330 @@
-"""Reduction of the kick actuator: condensed model in, small certified symmetric model out."""
+"""Reduction of any linear model: a tolerance (or an order) and a band in, a certified model out.
+
+Two stages. A *subspace model* that is far more accurate than asked comes first: all of a model of
+up to a thousand unknowns or so, else block Krylov vectors (symmetric definite models: at zero,
+then at real shifts) or multi-point rational Krylov vectors with their derivatives (all others).
+Inside it the proper orthogonal decomposition of its own response orders the directions, and the
+first q of them make the model of order q. Static answers come first, so static gains are exact as
+soon as q covers them; a model that is free to move has its rigid body motions there instead.
+Everything is a congruence with one real basis, so symmetry, definiteness and skewness survive, and
+with them stability and passivity, at every order.
+
+Errors are differences to the subspace model at every resonance, its flanks and every notch, plus
+the subspace model's own error in the full model.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
+from scipy import sparse
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from kc2spice.fem.system import PiezoSystem
-from kc2spice.rom.compress import reduce_to_tolerance
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.linalg.factor import Solver, inverses
+from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
-from kc2spice.rom.model import ReducedModel
-from kc2spice.rom.project import certify, project, project_again
-from kc2spice.rom.response import frequency_response, relative_error
-from kc2spice.rom.schur import CondensedSystem, condense
-from kc2spice.scene.schema import Rom
+from kc2spice.rom.linear import Certificate, LinearModel
+from kc2spice.rom.memory import require_memory
+from kc2spice.rom.pencil import Pencil, eliminated
+from kc2spice.rom.response import (
+    Response,
+    around,
+    grid,
+    largest_error,
+    telling,
+)  # fmt: skip
+from kc2spice.rom.structure import Structure, structure
+from kc2spice.rom.subspace import Subspace, is_definite, subspace
 
-BAND_SAMPLES = 201
+ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
+LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
+FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
+SAFETY = 1.15  # on differences at samples, for what lies between them
+RIGID = 100.0  # times the rounding of the projected stiffness
+RANK = 1e-13  # singular values of the response below this are rounding
+FIT = 101
+TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
+TAIL_SAMPLES = 150
+TAIL_DECAY = 4  # power of the fall of the tail's weight: contact forces are smooth on the whole
+TAIL_WEIGHTS = 4e-3, 1e-2  # less makes launches erratic, more costs states within the band
+TAIL_PER_ROOT = 8.0  # ... and per root of the tolerance, as errors go with its square
 
 
-def reduce_kick(system: PiezoSystem, rom: Rom) -> ReducedModel:
-    """Reduced model of one symmetry sector: ``rom.order`` states, or as few as ``rom.tolerance``
-    takes over ``rom.band``."""
-    return reduce_condensed(condense(system), rom)
+def reduce(
+    model: LinearModel,
+    *,
+    tolerance: float | None = None,
+    order: int | None = None,
+    band: tuple[float, float] | None = None,
+    solver: Solver = "scipy",
+) -> LinearModel:
+    """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
-
-def reduce_condensed(model: CondensedSystem, rom: Rom) -> ReducedModel:
-    """Reduce by order (paper 2.3: block Arnoldi at s0 = 0) or by tolerance.
-
-    Either way a congruence keeps symmetry and definiteness, hence stability and passivity, at any
-    order; static gains are exact as soon as the order covers the ports.
+    The result has the same ports, and a certificate of its error in ``model``. An order of a
+    symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
+    Without a band it is the model's own, else up to a little above the fifth natural frequency.
 
     Raises
     ------
-    SimulationError : the tolerance cannot be reached.
+    UsageError : not one of tolerance and order, an empty band, a tolerance below rounding, an order
+        beyond what the response has, a model too large for this machine, one that answers to
+        derivatives of its input.
+    SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
-    if rom.tolerance is not None:
-        return reduce_to_tolerance(model, rom.band, rom.tolerance)
-    assert rom.order is not None  # the schema fills it in
-    return reduce_to_order(model, rom.band, rom.order)
-
-
-def reduce_to_order(model: CondensedSystem, band: tuple[float, float], order: int) -> ReducedModel:
-    """The paper's model of ``order`` states, certified against one Krylov block more.
-
-    Convergence is so fast that the larger model's own error hardly counts: for 21 states and more
-    the estimate has been found within 0.97 to 1.10 of the truth.
-    """
-    larger_order = order + model.B.shape[1]
-    V = block_arnoldi(model.stiffness, model.solve, model.mass, model.B, larger_order)
-    larger = project(model, V)
-    reduced = project_again(larger, np.eye(V.shape[1])[:, :order])
-    frequency = np.linspace(*band, BAND_SAMPLES)
-    error = relative_error(
-        frequency_response(reduced, frequency), frequency_response(larger, frequency)
+    if (tolerance is None) == (order is None):
+        raise UsageError("give either a tolerance or an order", where="reduction")
+    if tolerance is not None and not LOWEST <= tolerance < 1:
+        raise UsageError(
+            "not a tolerance that can be certified", where="tolerance", got=tolerance,
+            expected=f"between {LOWEST:g} and 1; less is out of reach of double precision",
+        )  # fmt: skip
+    if order is not None and order < 1:
+        raise UsageError("not an order", where="order", got=order, expected="1 or more")
+    pencil = eliminated(model.pencil)
+    if not pencil.B.any() or not pencil.C.any():
+        raise UsageError("has no effective input or output", where=model.name)
+    band = band or model.band or natural_band(pencil, solver)
+    if not (0 <= band[0] < band[1] and np.isfinite(band[1])):
+        raise UsageError(
+            "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
+        )
+    band = float(band[0]), float(band[1])
+    if solver != "scipy":  # a library that is missing is said before anything else fails
+        inverses(sparse.eye_array(2, format="csc"), symmetric=True, solver=solver)
+    require_memory(pencil, solver)
+    if order is not None and is_definite(pencil, solver):
+        return _krylov(model, pencil, band, order)
+    target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
+    limit = np.inf if tolerance is None else 0.5 * tolerance
+    space = subspace(pencil, band, target, limit, solver)
+    sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
+    found = [ordered(model, space, band, two_sided, tolerance) for two_sided in sides]
+    if order is None:
+        assert tolerance is not None
+        orders = [each.smallest(tolerance) for each in found]
+        best = int(np.argmin(orders))
+        return found[best].model(orders[best])
+    if order > max(each.size for each in found):
+        raise UsageError(
+            "no model of this order", where="--order", got=order,
+            expected=f"1 to {max(each.size for each in found)}",
+        )  # fmt: skip
+    return min((each for each in found if order <= each.size), key=lambda r: r.error(order)).model(
+        order
     )
-    return certify(reduced, band, error, f"difference to {larger.order} states")
+
+
+def _krylov(
+    model: LinearModel, pencil: Pencil, band: tuple[float, float], order: int
+) -> LinearModel:
+    """The paper's model of ``order`` states, certified against one that is two blocks richer."""
+    K, _, M = pencil.coefficients
+    solve = pencil.pencil_solver(0.0).solve
+    richer = order + 2 * pencil.B.shape[1]
+    V = block_arnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B, richer)
+    large = pencil.project(V)
+    reduced = large.leading(order)
+    reference = Response(large)
+    frequency = telling(reference, band, True)
+    error = SAFETY * largest_error(Response(reduced), reference, frequency, band)
+    method = f"difference to {large.size} states at resonances, flanks and notches"
+    return _certified(model, reduced, band, error, method, structure(reduced, band))
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """The subspace model in ordered directions, so that the model of order q is its leading part,
+    and the frequencies [Hz] where errors are measured.
+
+    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are static
+    answers that conservative ports keep.
+    """
+
+    full: LinearModel
+    pencil: Pencil
+    space: Subspace
+    band: tuple[float, float]
+    first: int
+    frequency: np.ndarray
+    whole: Response
+
+    @property
+    def size(self) -> int:
+        """Largest order."""
+        return self.pencil.size
+
+    def error(self, order: int) -> float:
+        """Estimated largest relative error of any transfer function over the band."""
+        found = Response(self.pencil.leading(order))
+        difference = largest_error(found, self.whole, self.frequency, self.band)
+        error = self.space.error + SAFETY * difference
+        return max(error, ROUNDING)
+
+    def structure(self, order: int) -> Structure:
+        """Stability and passivity of the model of this order."""
+        return structure(self.pencil.leading(order), self.band)
+
+    def smallest(self, tolerance: float) -> int:
+        """Bisect for an order whose estimate is within ``tolerance`` while one less is not.
+
+        A stable subspace model must not lose its stability on the way.
+
+        Raises
+        ------
+        SimulationError : not even all directions meet the tolerance.
+        """
+        keep = self.structure(self.size).stable
+
+        def good(order: int) -> bool:
+            return self.error(order) <= tolerance and (not keep or self.structure(order).stable)
+
+        low, high = max(0, min(self.first, self.size) - 1), self.size
+        if not good(high):
+            raise SimulationError(
+                "the tolerance is out of reach", where="reduction",
+                got=f"estimate {self.error(high):.1e} with {high} states",
+                expected=f"at most {tolerance:g}",
+                hint="ask for a larger tolerance or a narrower band",
+            )  # fmt: skip
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if good(middle) else (middle, high)
+        return high
+
+    def model(self, order: int) -> LinearModel:
+        """The reduced model with its certificate."""
+        found = self.structure(order)
+        method = f"difference to {self.size} states at resonances, flanks and notches; "
+        method += f"those {self.space.proof}; stability from {found.proof}"
+        if not self.space.static:
+            method += "; free to move at zero frequency"
+        reduced = self.pencil.leading(order)
+        return _certified(self.full, reduced, self.band, self.error(order), method, found)
+
+
+def _certified(
+    model: LinearModel, reduced: Pencil, band: tuple[float, float], error: float, method: str,
+    found: Structure,
+) -> LinearModel:  # fmt: skip
+    certificate = Certificate(band, max(error, ROUNDING), method, found.stable, found.passive)
+    rest, *others = reduced.coefficients
+    letters = {"A": -rest, "E": others[0]} if reduced.degree == 1 else {
+        "K": rest, "E": others[0], "M": others[1],
+    }  # fmt: skip
+    result = LinearModel(
+        **letters, B=reduced.B, C=reduced.C, D=reduced.D, ports=model.ports,
+        certificate=certificate, facts=model.facts, name=model.name, band=band,
+    )  # fmt: skip
+    from kc2spice.rom.convert import state_space  # one level up: it reads models
+
+    state_space(result)  # refuses what no netlist can hold before it is certified
+    return result
+
+
+def ordered(
+    model: LinearModel, space: Subspace, band: tuple[float, float], two_sided: bool,
+    tolerance: float | None,
+) -> Reduction:  # fmt: skip
+    """Order the directions of the subspace by what they contribute to the response."""
+    pencil = space.pencil.project(
+        _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
+    )
+    response = Response(pencil)
+    conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
+    first = np.empty((pencil.size, 0)) if space.static else _rigid(pencil, space.rounding)
+    if space.static and (band[0] == 0 or conservative):
+        first = _range(response.states(np.zeros(1))[0].real)
+    frequency, weight = _snapshots(response, band, space.static, conservative, tolerance)
+    sets = [_weighted(response, frequency, weight)]
+    if two_sided:
+        sets.append(_weighted(Response(pencil.transposed()), frequency, weight))
+    pencil = pencil.project(_directions(np.hstack(sets), first))
+    if not space.static:
+        rest = pencil.coefficients[0].copy()
+        rest[: first.shape[1]] = rest[:, : first.shape[1]] = 0.0
+        pencil = replace(pencil, coefficients=(rest, *pencil.coefficients[1:]))
+    whole = Response(space.pencil)  # the same response, in coordinates that may decouple
+    points = telling(whole, band, space.static)
+    kept = first.shape[1] if conservative else 0
+    return Reduction(model, pencil, space, band, kept, points, whole)
+
+
+def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
+    """Coordinates in which the elastic energy (else that at ``omega``) is the plain square, where
+    there is one. A model that is free to move has none at rest, though rounding of its K may let
+    a factor of it pass for one."""
+    rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
+    moving = rest + omega**pencil.degree * inertia
+    for energy in (rest, moving) if static else (moving,):
+        energy = 0.5 * (energy + energy.T)
+        try:
+            return np.asarray(solve_triangular(cholesky(energy), np.eye(pencil.size)))
+        except LinAlgError:
+            continue
+    return np.eye(pencil.size)  # no definite energy: the scaled unknowns must do
+
+
+def _snapshots(
+    response: Response, band: tuple[float, float], static: bool, conservative: bool,
+    tolerance: float | None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Frequencies [Hz] and their weights: the band, its resonances and, where contact may act, a
+    tail above the band; a basis fitted to the band alone is erratic there."""
+    frequency = grid(band, FIT, static)
+    at, ratio = response.within(band)
+    frequency = np.union1d(frequency, around(at, ratio, np.array([0.0, 1.0])))
+    weight = np.ones(frequency.size)
+    if conservative:
+        share = np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS)
+        tail = np.linspace(band[1], TAIL * band[1], TAIL_SAMPLES)
+        far = share * (band[1] / tail) ** TAIL_DECAY * np.sqrt(FIT / TAIL_SAMPLES)
+        frequency, weight = np.r_[frequency, tail], np.r_[weight, far]
+    return frequency, weight
+
+
+def _weighted(response: Response, frequency: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts of the states, each relative to the root of its port's response
+    (an energy) where ports have one, else to its own length."""
+    x = response.states(2j * np.pi * frequency)
+    P = response.pencil
+    if P.symmetric and P.collocated:
+        own = np.abs(np.einsum("ki,fki->fi", P.B, x) + np.diag(P.D))
+        own = np.sqrt(np.maximum(own, 1e-6 * own.max(axis=0)) + np.finfo(float).tiny)
+    else:
+        own = np.linalg.norm(x, axis=1) + np.finfo(float).tiny
+    x = x * (weight[:, None] / own)[:, None, :]
+    columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
+    return np.hstack([columns.real, columns.imag])
+
+
+def _rigid(pencil: Pencil, rounding: float) -> np.ndarray:
+    """Directions of a symmetric model that cost no energy at rest, within rounding of its K."""
+    rest = pencil.coefficients[0]
+    if np.abs(rest - rest.T).max(initial=0.0) > 0:
+        return np.empty((pencil.size, 0))
+    values, vectors = np.linalg.eigh(rest)
+    return vectors[:, np.abs(values) <= RIGID * rounding]
+
+
+def _directions(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Orthonormal directions: ``first``, then the principal ones of all others."""
+    for _ in range(2):
+        columns = columns - first @ (first.T @ columns)
+    both = np.hstack([first, _principal(columns)[0]])
+    return np.asarray(np.linalg.qr(both)[0])
+
+
+def _range(columns: np.ndarray) -> np.ndarray:
+    """Principal directions of the columns, those beyond rounding of the largest."""
+    U, size = _principal(columns)
+    return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
+
+
+def _principal(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Left singular vectors and values."""
+    if columns.shape[1] > 2 * columns.shape[0]:  # a thinner matrix of the same directions
+        columns = np.linalg.qr(columns.T, mode="r").T
+    U, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return U, size

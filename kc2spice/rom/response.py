@@ -1,41 +1,261 @@
-"""Frequency response of reduced models in displacement form, and how far two of them differ."""
+"""Frequency responses of dense pencils at many frequencies, where to look, and how far two differ."""
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import TypeAlias
+
 import numpy as np
+from scipy.linalg import LinAlgError, eigh
 
-from kc2spice.rom.model import ReducedModel, ResonatorModel
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.pencil import Pencil
 
-# Entries this far below their own peak are left out of relative errors: they are zeros.
+# Errors of entries this far below their own peak are measured against this part of the peak.
 FLOOR = 1e-6
+# A response this far below the sum of its terms is what their cancellation leaves: a zero.
+CANCELLED = 1e-13
+# Off-diagonal modal damping below this is rounding of damping that decouples.
+COUPLING = 1e-9
+# A resonance sharper than this cannot be hit by a frequency that is not exact to rounding; errors
+# are then measured on its flanks, at this relative distance.
+SHARPEST = 3e-7
+FLANK = 1e-4
+CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
+GRID = 200
+NOTCHES, ZOOM, ROUNDS = 60, 9, 4
+PEAKS, PEAK_ROUNDS = 40, 3
 
 
-def frequency_response(model: ReducedModel | ResonatorModel, frequency: np.ndarray) -> np.ndarray:
-    """``H(j 2 pi f)`` from inputs to outputs, (frequencies, outputs, inputs), complex.
+FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
+REPRODUCED = 1e-11
+DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
+Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
-    Displacement per force and charge per voltage; times ``s`` they are velocities and currents.
+
+class Response:
+    """A dense pencil with coordinates in which it is diagonal, where it has such.
+
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``decoupled`` says that T is a real congruence (``L = T'``).
     """
-    s = 2j * np.pi * np.asarray(frequency, dtype=float)
-    if isinstance(model, ResonatorModel):
-        s = s[:, None]
-        inverse = 1 / (s**2 + model.damp * s + model.omega**2)
-        return np.einsum("jo,fj,ji->foi", model.gain, inverse, model.gain) + model.D
-    return model.C @ states(model, frequency) + model.D
+
+    def __init__(self, pencil: Pencil) -> None:
+        self.pencil = pencil
+        self.modes = _decoupled(pencil)
+        self.decoupled = self.modes is not None
+        if self.modes is None and FEW < pencil.size <= MANY:
+            self.modes = _eigenvectors(pencil)
+
+    def states(self, s: np.ndarray) -> np.ndarray:
+        """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
+        if self.modes is None:
+            return self.pencil.states(s)
+        return np.asarray(self.modes[0] @ self._modal(s))
+
+    def transfer(self, s: np.ndarray) -> np.ndarray:
+        """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
+        if self.modes is None:
+            return self.pencil.transfer(s)
+        return np.asarray((self.pencil.C @ self.modes[0]) @ self._modal(s) + self.pencil.D)
+
+    def cancelled(self, s: np.ndarray) -> np.ndarray:
+        """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
+        s = s[:: max(1, len(s) // 100)]
+        x = self.states(s)
+        terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
+        size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
+        return np.asarray(size <= CANCELLED * terms)
+
+    def _modal(self, s: np.ndarray) -> np.ndarray:
+        _, L, diagonals = self.modes  # type: ignore[misc]
+        s = np.asarray(s, dtype=complex)[:, None]
+        return (1 / sum(s**k * d for k, d in enumerate(diagonals)))[:, :, None] * (
+            L @ self.pencil.B
+        )
+
+    @cached_property
+    def resonances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequency [Hz] and damping ratio of the oscillating poles."""
+        if not self.decoupled or self.pencil.degree == 1:
+            found = np.empty(0)
+            if not self.decoupled:
+                found = self.pencil.poles() if self.modes is None else -self.modes[2][0]
+            found = found[found.imag > 0]
+            return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
+        k, e, m = self.modes[2]  # type: ignore[index]
+        oscillating = (k > 0) & (m > 0) & (e**2 < 4 * k * m)
+        k, e, m = k[oscillating], e[oscillating], m[oscillating]
+        omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
+        return omega * np.sqrt(1 - ratio**2) / (2 * np.pi), ratio
+
+    def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The resonances inside the band."""
+        frequency, ratio = self.resonances
+        inside = (frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1])
+        return frequency[inside], ratio[inside]
 
 
-def states(model: ReducedModel, frequency: np.ndarray) -> np.ndarray:
-    """``x(j 2 pi f) = (s^2 M + s E + K)^-1 B``, (frequencies, states, inputs)."""
-    s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, None, None]
-    return np.linalg.solve(s * s * model.M + s * model.E + model.K, model.B)
+def _eigenvectors(pencil: Pencil) -> Modes | None:
+    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
+    n, inertia = pencil.size, pencil.coefficients[-1]
+    try:
+        inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
+        A, drive = -inner[:, :n], inner[:, n:]
+        if pencil.degree == 2:
+            A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
+            drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
+        values, X = np.linalg.eig(A)
+        if np.linalg.cond(X) > DEFECTIVE:
+            return None
+        modes = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
+    except np.linalg.LinAlgError:
+        return None
+    found = Response.__new__(Response)
+    found.pencil, found.modes, found.decoupled = pencil, modes, False
+    size = np.abs(values)
+    top = float(np.median(size)) or 1.0
+    s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * top
+    try:
+        exact = pencil.states(s)
+    except SimulationError:
+        return None
+    error = np.abs(found.states(s) - exact).max(axis=1) / np.abs(exact).max(axis=1)
+    return modes if np.isfinite(error).all() and error.max() < REPRODUCED else None
+
+
+def _decoupled(pencil: Pencil) -> Modes | None:
+    """Solved as ``M phi = mu K phi`` where K is definite: it is the better conditioned of the two."""
+    if not pencil.symmetric or not pencil.size:
+        return None
+    rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
+    try:
+        mu, T = eigh(inertia, rest)
+        ends = np.ones(pencil.size), mu
+    except LinAlgError:
+        try:
+            k, T = eigh(rest, inertia)
+        except LinAlgError:
+            return None
+        ends = k, np.ones(pencil.size)
+    if pencil.degree == 1:
+        return T, T.T, ends
+    damping = T.T @ pencil.coefficients[1] @ T
+    diagonal = np.diag(damping).copy()
+    scale = np.sqrt(np.abs(np.outer(diagonal, diagonal)))
+    scale += 1e-3 * COUPLING * np.abs(damping).max(initial=0.0)
+    if (np.abs(damping - np.diag(diagonal)) > COUPLING * scale).any():
+        return None
+    return T, T.T, (ends[0], diagonal, ends[1])
+
+
+def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
+    """Frequencies [Hz] over the band, half linear, half logarithmic over four decades at most.
+
+    Zero is one of them if the band starts there and the static answer exists.
+    """
+    low, high = band
+    start = max(low, 1e-4 * high)
+    frequency = np.r_[np.linspace(start, high, count), np.geomspace(start, high, count)]
+    if low == 0 and static:
+        frequency = np.r_[0.0, frequency]
+    return np.unique(frequency)
+
+
+def around(frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTER) -> np.ndarray:
+    """Frequencies [Hz] on and beside resonances, at multiples of their half width."""
+    sharp = ratio < SHARPEST
+    width = np.where(sharp, FLANK, ratio)[:, None] * frequency[:, None]
+    both = np.concatenate([-widths[::-1], widths])
+    points = frequency[:, None] + width * both
+    points[sharp] = np.where(both == 0, points[sharp] + width[sharp], points[sharp])
+    points[sharp] = np.where(
+        np.abs(points[sharp] - frequency[sharp, None]) < 0.99 * width[sharp],
+        frequency[sharp, None] + np.where(both < 0, -1, 1) * width[sharp],
+        points[sharp],
+    )
+    return np.unique(points)
+
+
+def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """``points`` without those that come closer than ``FLANK`` to an all but undamped resonance."""
+    sharp = frequency[ratio < SHARPEST]
+    if not sharp.size:
+        return points
+    nearest = np.abs(points[:, None] - sharp).min(axis=1)
+    gap = sharp[np.abs(points[:, None] - sharp).argmin(axis=1)] * FLANK
+    return points[nearest >= 0.98 * gap]
+
+
+def telling(response: Response, band: tuple[float, float], static: bool) -> np.ndarray:
+    """Frequencies [Hz] at which relative errors show: a grid, every resonance with its flanks, and
+    every deep notch of any entry, found by zooming in."""
+    near = 0.9 * band[0], 1.1 * band[1]
+    at, ratio = response.within(near)
+    frequency = np.union1d(grid(band, GRID, static), around(at, ratio))
+    frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
+    frequency = clear_of_poles(frequency, at, ratio)
+    size = np.abs(response.transfer(2j * np.pi * frequency))
+    for _ in range(ROUNDS):
+        depth = size / (size.max(axis=0) + np.finfo(float).tiny)
+        inner = (depth[1:-1] < depth[:-2]) & (depth[1:-1] <= depth[2:])
+        lowest = np.where(inner, depth[1:-1], np.inf).reshape(len(depth) - 2, -1).min(axis=1)
+        lowest = np.where(lowest < 0.1 * FLOOR, 0.1 * FLOOR + 1e-3 * lowest, lowest)
+        deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
+        if not deepest.size:
+            break
+        spans = [np.linspace(frequency[k], frequency[k + 2], ZOOM) for k in deepest]
+        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+        if not new.size:
+            break
+        size = np.concatenate([size, np.abs(response.transfer(2j * np.pi * new))])
+        frequency = np.concatenate([frequency, new])
+        order = np.argsort(frequency)
+        frequency, size = frequency[order], size[order]
+    return frequency
+
+
+def largest_error(
+    found: Response, exact: Response, frequency: np.ndarray, band: tuple[float, float]
+) -> float:
+    """:func:`relative_error` over the band: at ``frequency`` [Hz], then closer and closer around
+    where it is largest. Entries of ``exact`` that are zero but for rounding do not count."""
+    s = 2j * np.pi * frequency
+    reference = exact.transfer(s)
+    counted = ~exact.cancelled(s)
+    floor = FLOOR * np.abs(reference).max(axis=0)
+
+    def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
+        difference = np.abs(found.transfer(2j * np.pi * points) - H)
+        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+        return np.asarray((difference / base * counted).max(axis=(1, 2)))
+
+    at, ratio = exact.within((0.9 * band[0], 1.1 * band[1]))
+    error = sizes(frequency, reference)
+    for _ in range(PEAK_ROUNDS):
+        inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
+        top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
+        low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
+        spans = [
+            np.linspace(frequency[i], frequency[j], ZOOM) for i, j in zip(low, high, strict=True)
+        ]
+        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+        if not new.size:
+            break
+        error = np.r_[error, sizes(new, exact.transfer(2j * np.pi * new))]
+        frequency = np.r_[frequency, new]
+        order = np.argsort(frequency)
+        frequency, error = frequency[order], error[order]
+    return float(error.max())
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Largest ``|H - H_ref| / |H_ref|`` of all pairs and frequencies above the ``FLOOR``."""
+    """Largest ``|H - H_ref| / max(|H_ref|, FLOOR peak)`` of all pairs and frequencies."""
     return float(relative_size(response - reference, reference).max(initial=0.0))
 
 
 def relative_size(difference: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """``|difference| / |reference|``, zero where the reference is below ``FLOOR`` of its peak."""
+    """``|difference|`` over ``|reference|``, or over ``FLOOR`` of its peak where that is more."""
     size = np.abs(reference)
-    counted = size > FLOOR * size.max(axis=0)
-    return np.divide(np.abs(difference), size, out=np.zeros_like(size), where=counted)
+    base = np.maximum(size, FLOOR * size.max(axis=0))
+    return np.divide(np.abs(difference), base, out=np.zeros_like(size), where=base > 0)

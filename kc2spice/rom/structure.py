@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.rom.pencil import Pencil, largest, poles
+from kc2spice.rom.operators import largest
+from kc2spice.rom.pencil import Pencil
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
 ROUNDING = 1e-12
@@ -26,7 +27,7 @@ class Structure:
     proof: str
 
 
-def structure(pencil: Pencil, omega: float) -> Structure:
+def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
     """Stability and passivity of a dense pencil, from its form where the form shows it.
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
@@ -44,7 +45,8 @@ def structure(pencil: Pencil, omega: float) -> Structure:
     if dissipative:
         passive = pencil.collocated and semidefinite(0.5 * (pencil.D + pencil.D.T))
         return Structure(True, passive, "definite matrices")
-    values = poles(pencil, omega)
+    omega = 2 * np.pi * band[1]
+    values = pencil.poles(omega)
     limit = GROWTH * np.maximum(np.abs(values), omega)
     return Structure(bool((values.real <= limit).all()), False, "poles")
 

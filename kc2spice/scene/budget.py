@@ -18,10 +18,13 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from kc2spice.errors import UsageError
-from kc2spice.units import quantity
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
+from kc2spice.scene.parttype import PartType
 
-TRANSIENT = ("loop", "impact")
+BUDGET_KEYS = (
+    "rom.order", "rom.tolerance", "rom.band", "solver.reltol", "solver.chgtol",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,50 +67,65 @@ FEWEST_CELLS, MOST_CELLS = 20, 2000
 LOOKUP_SHARE = 0.05  # of the budget is left to the lookup at least
 
 
-def divide(experiment: str, parts: tuple[str, ...], budget: float) -> dict[str, Setting]:
-    """The cheapest setting of each stage that a scene with these ``parts`` has.
+@dataclass(frozen=True)
+class Stages:
+    """What a scene has that costs accuracy: a transient, a reduced body, a lookup.
+
+    ``lookup`` is the dotted key of the lookup's points, None where there is none. A lookup's error
+    grows over a ``flight``.
+    """
+
+    transient: bool
+    reduced: bool
+    lookup: str | None
+    flight: bool
+
+
+def divide(stages: Stages, budget: float) -> dict[str, Setting]:
+    """The cheapest setting of each stage that a scene has.
 
     Their errors add up to at most ``budget``, unless that is below :func:`smallest`.
     """
-    if experiment not in TRANSIENT:  # one stage, and its tolerance is that of the result itself
-        if "kick" in parts:
+    if not stages.transient:  # one stage, and its tolerance is that of the result itself
+        if stages.reduced:
             return {"reduction": Setting(budget, {"rom.tolerance": budget})}
-        return {"lookup": _lookup(experiment, budget)}
-    stages = _rows(parts)
-    looked_up = "catch" in parts
-    left = budget * (1 - LOOKUP_SHARE * looked_up)
-    choices = list(product(*stages.values()))
+        return {} if stages.lookup is None else {"lookup": _lookup(stages, budget)}
+    rows = _rows(stages)
+    left = budget * (1 - LOOKUP_SHARE * (stages.lookup is not None))
+    choices = list(product(*rows.values()))
     affordable = [choice for choice in choices if _sum(choice) <= left]
     best = min(affordable, key=_cost) if affordable else min(choices, key=_sum)
-    found = dict(zip(stages, best, strict=True))
-    if looked_up:
-        found["lookup"] = _lookup(experiment, max(budget - _sum(best), LOOKUP_SHARE * budget))
+    found = dict(zip(rows, best, strict=True))
+    if stages.lookup is not None:
+        found["lookup"] = _lookup(stages, max(budget - _sum(best), LOOKUP_SHARE * budget))
     return found
 
 
-def smallest(experiment: str, parts: tuple[str, ...]) -> float:
+def smallest(stages: Stages) -> float:
     """The smallest budget that :func:`divide` keeps."""
-    if experiment not in TRANSIENT:
-        return 0.0 if "kick" in parts else lookup_error(experiment, MOST_CELLS + 1)
-    tightest = sum(min(row.error for row in rows) for rows in _rows(parts).values())
-    return tightest / (1 - LOOKUP_SHARE * ("catch" in parts))
+    if not stages.transient:
+        if stages.reduced or stages.lookup is None:
+            return 0.0
+        return lookup_error(stages, MOST_CELLS + 1)
+    tightest = sum(min(row.error for row in rows) for rows in _rows(stages).values())
+    return tightest / (1 - LOOKUP_SHARE * (stages.lookup is not None))
 
 
-def lookup_error(experiment: str, points: int) -> float:
+def lookup_error(stages: Stages, points: int) -> float:
     """Estimated error of a result whose force is looked up between ``points`` heights."""
-    gain = FLIGHT if experiment == "loop" else 1.0
+    gain = FLIGHT if stages.flight else 1.0
     return gain * LOOKUP_ERROR * (LOOKUP_CELLS / (points - 1)) ** 3
 
 
-def _lookup(experiment: str, share: float) -> Setting:
-    cells = LOOKUP_CELLS * (lookup_error(experiment, LOOKUP_CELLS + 1) / share) ** (1 / 3)
+def _lookup(stages: Stages, share: float) -> Setting:
+    cells = LOOKUP_CELLS * (lookup_error(stages, LOOKUP_CELLS + 1) / share) ** (1 / 3)
     points = 1 + min(MOST_CELLS, max(FEWEST_CELLS, math.ceil(cells)))
-    return Setting(lookup_error(experiment, points), {"catch.points": points})
+    return Setting(lookup_error(stages, points), {str(stages.lookup): points})
 
 
-def _rows(parts: tuple[str, ...]) -> dict[str, tuple[Setting, ...]]:
+def _rows(stages: Stages) -> dict[str, tuple[Setting, ...]]:
     rows: dict[str, tuple[Setting, ...]] = {"reduction": REDUCTION, "time stepping": STEPPING}
-    return rows if "kick" in parts else {"time stepping": STEPPING}
+    return rows if stages.reduced else {"time stepping": STEPPING}
 
 
 def _sum(choice: tuple[Setting, ...]) -> float:
@@ -131,22 +149,39 @@ def _meets(value: Any, limit: Any) -> bool:
     return value is not None and value <= limit
 
 
-def fill(data: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+def stages_of(data: Mapping[str, Any], types: Mapping[str, PartType]) -> Stages:
+    """Stages of a scene, from its raw tables and the types of its parts."""
+    asked = [kind.analysis_type for kind in types.values() if kind.analysis_type]
+    table = data.get("analysis")
+    own = table.get("type", "transient") if isinstance(table, Mapping) else None
+    lookups = [f"{name}.{kind.lookup_key}" for name, kind in types.items() if kind.lookup_key]
+    transient = (own or (asked[0] if asked else "transient")) == "transient"
+    return Stages(
+        transient=transient,
+        reduced=any(kind.reduced for kind in types.values()),
+        lookup=lookups[0] if len(lookups) == 1 else None,
+        flight=transient,
+    )
+
+
+def fill(
+    data: Mapping[str, Any], types: Mapping[str, PartType]
+) -> tuple[dict[str, Any], frozenset[str]]:
     """A scene's raw ``data`` with the keys that its error_budget sets, and their names.
 
     What the scene says itself stays; order and tolerance of the reduction stand for each other.
     """
     filled = dict(data)
+    if data.get("error_budget") is None:
+        return filled, frozenset()
     try:
-        budget = quantity(data.get("error_budget"), "")
+        budget = quantity(data["error_budget"], "")
     except UsageError:
-        return filled, ()  # left for the schema to complain about
+        return filled, frozenset()  # left for the schema to complain about
     if not budget > 0:
-        return filled, ()
-    experiment = data.get("experiment", "loop")
-    parts = tuple(part for part in ("kick", "catch") if data.get(part) is not None)
+        return filled, frozenset()
     names: list[str] = []
-    for setting in divide(experiment, parts, budget).values():
+    for setting in divide(stages_of(data, types), budget).values():
         for name, value in setting.keys.items():
             section, key = name.split(".")
             table = filled.get(section, {})
@@ -154,4 +189,4 @@ def fill(data: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
             if isinstance(table, Mapping) and not any(each in table for each in taken):
                 filled[section] = {**table, key: value}
                 names.append(name)
-    return filled, tuple(names)
+    return filled, frozenset(names)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
 
 
 def scene_hash(scene: Scene) -> str:
@@ -14,7 +14,11 @@ def scene_hash(scene: Scene) -> str:
     Names and titles are free, and so is what is done about a run that fails. Floats enter with
     all their digits, so equal hashes mean bit-equal netlists.
     """
-    content = scene.model_dump(mode="json", exclude={"name", "title", "checks"})
+    content = scene.frame.model_dump(mode="json", exclude={"name", "title", "checks", "bench"})
     del content["solver"]["retries"]
+    content["parts"] = {
+        part.name: [part.type.name, part.keys.model_dump(mode="json"), dict(part.pins)]
+        for part in scene.parts.values()
+    }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

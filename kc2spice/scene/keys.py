@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, get_args
 
@@ -12,18 +11,25 @@ from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Frame, Probe, Scene
+from kc2spice.scene.parttype import part_types
+from kc2spice.scene.short import SHORT
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none."""
+    """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none.
+
+    ``whole`` marks whole numbers, ``mixed`` numbers whose unit follows from other keys.
+    """
 
     name: str
     unit: str | None
     default: Any
     choices: tuple[str, ...]
     doc: str
+    whole: bool = False
+    mixed: bool = False
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -47,24 +53,52 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return tuple(arg for arg in get_args(annotation) if isinstance(arg, str))
 
 
-def scene_keys(model: type[BaseModel] = Scene, prefix: str = "") -> Iterator[Key]:
-    """All keys in the order of the schema."""
+def _kinds(annotation: Any) -> Iterator[Any]:
+    """Types and choices that an annotation is made of."""
+    inner = get_args(annotation)
+    yield from (kind for arg in inner for kind in _kinds(arg)) if inner else (annotation,)
+
+
+def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """All keys of a schema in its order, those of its tables by dotted names."""
     for name, field in model.model_fields.items():
         section = submodel(field.annotation)
-        dotted = f"{prefix}{name}"
+        dotted = f"{prefix}{field.alias or name}"
         if section is not None:
-            yield from scene_keys(section, f"{dotted}.")
+            yield from model_keys(section, f"{dotted}.")
             continue
         default = None if field.default is PydanticUndefined else field.default
-        yield Key(
-            dotted, _unit(field), default, _choices(field.annotation), field.description or ""
-        )
+        choices, doc = _choices(field.annotation), field.description or ""
+        kinds = set(_kinds(field.annotation))
+        whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds
+        yield Key(dotted, _unit(field), default, choices, doc, whole, mixed)
 
 
-def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
-    """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
-    leaves: dict[str, str] = {}
-    for choice in choices:
-        leaves.setdefault(choice.rpartition(".")[2], choice)
-    near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
-    return f"did you mean {leaves[near[0]]!r}?" if near else None
+def scene_keys() -> Iterator[Key]:
+    """All keys of all scenes: those of no part, then those of each part type.
+
+    A part's keys stand under the name that needs no ``part`` key, else under the type's name.
+    """
+    yield from model_keys(Frame)
+    short = {kind: name for name, kind in SHORT.items()}
+    for name, kind in part_types().items():
+        yield from model_keys(kind.schema, f"{short.get(name, name)}.")
+
+
+def keys_of(scene: Scene) -> dict[str, Key]:
+    """All keys of one scene by their dotted names, those of its parts under the parts' names."""
+    found = [key for key in model_keys(Frame) if not key.name.startswith("probes.")]
+    for name in scene.probes:
+        found += model_keys(Probe, f"probes.{name}.")
+    for part in scene.parts.values():
+        if part.at != (part.name,):  # else another part's keys say all
+            prefix = ".".join(map(str, part.at or (part.name,)))
+            own = model_keys(type(part.keys), f"{prefix}.")
+            found += [_with_unit(key, getattr(part.keys, "unit", None)) for key in own]
+    return {key.name: key for key in found}
+
+
+def _with_unit(key: Key, unit: Any) -> Key:
+    """``key``, in the unit of its part if it is a number or text whose unit follows from others."""
+    follows = key.unit is None and not key.whole and not key.choices and key.mixed
+    return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key

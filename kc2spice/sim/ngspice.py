@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import shutil
+import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,14 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.errors import MissingToolError, SimulationError
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.foreign import name_threat
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
-from kc2spice.sim.rungs import own_reltol
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.sim.settings import own_reltol
+from kc2spice.spice.deck import Deck, terms
 
+ANSWERS = 20.0  # s that ngspice may take to tell its version
+SPARE = 1_000_000  # bytes; a disk with less is full
+_PDEATHSIG = 1  # of prctl: the signal that a child gets when its parent dies
+_prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
 POLL = 0.05  # s between two looks at the growing raw file
 
 
@@ -51,13 +59,41 @@ def find_ngspice() -> Simulator:
             expected="the program ngspice, version 39 or later",
             hint="Debian or Ubuntu: apt-get install ngspice; else https://ngspice.sourceforge.io",
         )
-    said = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
+    said = _version(path)
     version = re.search(r"ngspice-(\S+)", said)
     if version is None:
         raise MissingToolError(
             "this ngspice does not tell its version", where=path, got=said.strip()[:80]
         )
     return Simulator("ngspice", version.group(1), path)
+
+
+def _version(path: str) -> str:
+    """What the program says of itself.
+
+    Raises
+    ------
+    MissingToolError : it does not run, or says nothing for so long that it hangs.
+    """
+    try:
+        done = subprocess.run(
+            [path, "--version"], capture_output=True, check=False, timeout=ANSWERS,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        hangs = isinstance(error, subprocess.TimeoutExpired)
+        reason = f"no answer within {ANSWERS:g} s" if hangs else str(error)
+        raise MissingToolError(
+            "this ngspice does not run", where=path, got=reason,
+            hint="install it again; kc2spice doctor checks it",
+        ) from None  # fmt: skip
+    return done.stdout.decode(errors="replace")
+
+
+def _die_with_parent() -> None:
+    """In the child, before ngspice starts: a kill of this process must not leave it running."""
+    if _prctl is not None:
+        _prctl(_PDEATHSIG, signal.SIGKILL)
 
 
 def write_deck(deck: Deck, directory: Path) -> Path:
@@ -67,7 +103,15 @@ def write_deck(deck: Deck, directory: Path) -> Path:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write texts under their names, which may have folders in them, into ``directory``."""
+    """Write texts under their names, which may have folders in them, into ``directory``.
+
+    Raises
+    ------
+    UsageError : a name that leads out of ``directory``; nothing was written.
+    """
+    for filename in files:
+        if reason := name_threat(filename):
+            raise UsageError(f"is {reason}", where="file name", got=repr(filename[:120]))
     directory.mkdir(parents=True, exist_ok=True)
     for filename, text in files.items():
         path = directory / filename
@@ -111,6 +155,14 @@ def run_deck(
         facts = {**statistics(text), "reltol": own_reltol(deck)}
         waveforms = Waveforms(_named(deck, vectors), facts)
         unfinished.rename(raw)
+    except SimulationError as error:
+        free = shutil.disk_usage(directory).free
+        if free < SPARE:
+            raise SimulationError(
+                "the disk is full", where=str(directory), got=f"{free} bytes left",
+                hint="make room, or set TMPDIR or --out to another disk",
+            ) from error  # fmt: skip
+        raise
     finally:
         unfinished.unlink(missing_ok=True)
     return waveforms
@@ -138,6 +190,7 @@ def _execute(
             stdin=subprocess.DEVNULL,
             stdout=sink,
             stderr=subprocess.STDOUT,
+            preexec_fn=_die_with_parent,
         ) as process,
     ):
         # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
@@ -222,7 +275,7 @@ def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     scale = names[0] if names[0] in ("time", "frequency") else "sweep"
     data = {scale: vectors[names[0]].real.copy()}
     for key, (expression, factor) in deck.vectors.items():
-        parts = [_vector(deck, vectors, v) for v in expression.split("+")]
+        parts = [sign * _vector(deck, vectors, v) for sign, v in terms(expression)]
         data[key] = factor * np.sum(parts, axis=0)
     return data
 

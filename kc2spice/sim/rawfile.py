@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 
 _BINARY = b"Binary:\n"
 _HEAD = 1 << 20  # bytes in which the header must end

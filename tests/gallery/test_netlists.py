@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.study import export
+from kc2spice.workflow.run import export
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_])")

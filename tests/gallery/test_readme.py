@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.report.bench_page import bench_tables
 from kc2spice.report.html import quantity
+from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]
+RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
 LINES = [line for block in BLOCKS for line in block.splitlines()]
 # NAME stands for the reader's own files.
@@ -25,29 +26,82 @@ def test_readme_shows_the_commands_of_its_table():
     assert {"make demo", "make test"} <= {line.split("#")[0].strip() for line in LINES}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_command_works(command, tmp_path):
-    words = shlex.split(command, comments=True)[1:]
-    done = subprocess.run(
+def run(words, folder, **options):
+    return subprocess.run(
         [sys.executable, "-m", "kc2spice", *words],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        cwd=folder, capture_output=True, text=True, check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}, **options,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """One directory for all commands, as a reader has: some use files of others."""
+    return tmp_path_factory.mktemp("reader")
+
+
+def test_commands_work_in_their_order(folder):
+    for command in COMMANDS:
+        done = run(shlex.split(command, comments=True)[1:], folder)
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/journeys/matrices.md"])
+def test_python_blocks_run(page, tmp_path):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert blocks
+    (tmp_path / "block.py").write_text("\n".join(blocks), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "block.py"], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+
+
+def test_buzzer_of_the_journey_runs(tmp_path):
+    page = (ROOT / "docs" / "journeys" / "device.md").read_text(encoding="utf-8")
+    scene, probes = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "buzzer.toml").write_text(scene + probes, encoding="utf-8")
+    done = run(["run", "buzzer.toml", "-o", "out", "--json"], tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["metrics"]["resonance_hz"] == pytest.approx(6300, rel=0.1)
+    assert "peak_a" in done.stdout
+
+
+def test_numbers_of_the_main_job_are_those_of_a_run(tmp_path):
+    done = run(["run", "kick_and_catch", "-o", "out", "--json"], tmp_path)
+    result = json.loads(done.stdout)
+    metrics, chip = result["metrics"], result["model"]["kick"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for shown in (f"{metrics['launch_velocity_m_s']:.2f} m/s",
+                  f"{1e3 * metrics['settling_time_s']:.2f} ms",
+                  f"{chip['unknowns']:,} equations".replace(",", " ")):  # fmt: skip
+        assert shown in readme, shown
+    cells = dict(re.findall(r"(?m)^\| ([^|\n]+) \| ([^|\n]+) \|[^|\n]*\|$", RESULTS))
+    stroke = 1e6 * chip["free_stroke_m_per_100v"]
+    wanted = {
+        "free stroke at 100 V (data sheet 2.2 µm)": f"{stroke:.3f} µm",
+        "inside ±5 % of the step from": f"{1e3 * metrics['settling_time_s']:.2f} ms on",
+        "position at 5 ms, above the set point": f"{1e9 * abs(metrics['final_error_m']):.0f} nm",
+        "coil current that holds the sphere": f"{1e3 * metrics['hold_current_a']:.2f} mA",
+        "launch velocity, 5.7 µs after the kick begins":
+            f"{metrics['launch_velocity_m_s']:.3f} m/s",
+    }  # fmt: skip
+    assert {name: cells.get(name) for name in wanted} == wanted
 
 
 def test_pictures_are_there():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
-        assert (ROOT / picture).stat().st_size > 5_000, picture
+        assert (ROOT / picture).stat().st_size > 3_000, picture
 
 
 def test_speed_table_is_that_of_the_committed_benchmark():
     record = json.loads((ROOT / "docs" / "bench" / "bench.json").read_text(encoding="utf-8"))
     assert not record["quick"]
     assert (ROOT / "docs" / "bench" / "bench.md").read_text("utf-8") == bench_tables(record)
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \| ([^|]+) \|", text)
+    rows = re.findall(r"(?m)^\| `(\w+)` \|[^|]*\| ([^|]+) \| ([^|]+) \|$", RESULTS)
     assert len(rows) >= 10
     for name, value, error in rows:
         ratio = record["ratios"][name]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.netlist.circuit import Deck
 from kc2spice.scene.load import gallery
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps
@@ -23,8 +23,7 @@ def committed(name: str) -> Deck:
     files = {path.name: path.read_text() for path in folder.glob("*.lib")}
     main = (folder / f"{name}.cir").read_text()
     main, found = re.subn(r"(?m)^\.tran \S+ \S+ 0 \S+", f".tran 1e-7 {SHORT} 0 1e-7", main)
-    files[f"{name}.cir"] = main
-    return Deck(name, f"{name}.cir", files, {}, SHORT if found else None)
+    return Deck(name=name, text=main, more=files, stop=SHORT if found else None)
 
 
 @pytest.mark.parametrize("options", ["ours", "ngspice's own"])
@@ -32,8 +31,8 @@ def committed(name: str) -> Deck:
 def test_operating_point_is_silent(name, options, tmp_path):
     deck = committed(name)
     if options != "ours":
-        main = re.sub(r"(?m)^\.options (?!acct).*\n", "", deck.files[deck.main])
-        deck = dataclasses.replace(deck, files=deck.files | {deck.main: main})
+        main = re.sub(r"(?m)^\.options (?!acct).*\n", "", deck.text)
+        deck = dataclasses.replace(deck, text=main)
     run_deck(deck, tmp_path)
     report = classify((tmp_path / f"{name}.log").read_text())
     assert not report.struggles

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import sparse
 
-from kc2spice.netlist.circuit import Deck
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
 
 
 def beam(elements=40, free=False):
@@ -124,7 +124,7 @@ def spice_response(part, inputs, outputs, frequency, directory):
             f".ac lin {count} {float(first)!r} {float(last)!r}", f".save {probes}", ".end", "",
         ])  # fmt: skip
         vectors = {pin: (f"v({pin.lower()})", 1.0) for pin in pins[inputs : inputs + outputs]}
-        files = {"ac.cir": text, part.filename: part.text}
-        waves = run_deck(Deck("ac", "ac.cir", files, vectors, None), directory)
+        deck = Deck(name="ac", text=text, more={part.filename: part.text}, vectors=vectors)
+        waves = run_deck(deck, directory)
         columns.append(np.stack([waves.data[pin] for pin in vectors], axis=1))
     return np.stack(columns, axis=2)

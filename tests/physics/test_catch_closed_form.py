@@ -11,18 +11,19 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magnetics import catch_table
-from kc2spice.scene.schema import Catch, Part, Sphere
+from kc2spice.fem.magnetics.field import catch_table
+from kc2spice.fem.magnetics.keys import Catch, Ring
+from kc2spice.fem.magnetics.table import EMTable
 
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.
+RADIUS = 1e-3
 FREE = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=21)
 
 
 def dipole_moment(catch: Catch) -> float:
     """Moment [A m^2] of a sphere of remanence B_r: V M with M = 3 B_r / (mu0 (mu_r + 2))."""
-    volume = 4 / 3 * np.pi * Sphere().radius ** 3
+    volume = 4 / 3 * np.pi * RADIUS ** 3
     return volume * 3 * catch.remanence / (MU0 * (catch.mu_r + 2))
 
 
@@ -38,7 +39,7 @@ def ring_force(catch: Catch, y: np.ndarray) -> np.ndarray:
     return dipole_moment(catch) * catch.remanence / MU0 * (outer - inner)
 
 
-def coil_field(coil: Part, turns: int, y: np.ndarray) -> np.ndarray:
+def coil_field(coil: Ring, turns: int, y: np.ndarray) -> np.ndarray:
     """Axial field [T] of 1 A in a thick solenoid."""
     density = turns / ((coil.outer - coil.inner) * coil.height)
 
@@ -50,14 +51,14 @@ def coil_field(coil: Part, turns: int, y: np.ndarray) -> np.ndarray:
     return MU0 * density / 2 * (half(z + coil.height / 2) - half(z - coil.height / 2))
 
 
-def coil_force(catch: Catch, coil: Part, y: np.ndarray) -> np.ndarray:
+def coil_force(catch: Catch, coil: Ring, y: np.ndarray) -> np.ndarray:
     """Force on the dipole [N] per A."""
     step = 1e-6  # central difference at a scale of 1 mm: 1e-7 of the slope
     above, below = (coil_field(coil, catch.turns, y + s) for s in (step, -step))
     return dipole_moment(catch) * (above - below) / (2 * step)
 
 
-def coil_inductance(one: Part, other: Part, turns: int) -> float:
+def coil_inductance(one: Ring, other: Ring, turns: int) -> float:
     """Self or mutual inductance [H] of two equal coils, from the Hankel form of A_phi.
 
     ``M = mu0 pi n^2 int P(k)^2 Z(k) dk`` with ``P = int a J1(k a) da`` over the thickness and ``Z``
@@ -88,7 +89,7 @@ def worst(got: np.ndarray, expected: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def table() -> EMTable:
-    return catch_table(FREE, Sphere())
+    return catch_table(FREE, RADIUS)
 
 
 def test_ring_pulls_the_sphere_like_current_sheets_pull_a_dipole(table: EMTable) -> None:
@@ -128,16 +129,16 @@ def test_inductances_agree_with_the_hankel_integral(table: EMTable) -> None:
 
 def test_moment_of_a_permeable_sphere() -> None:
     # Ring reduced to a far sliver: only the sphere is permeable, and outside it is a dipole.
-    sliver = Part(height=0.2e-3, outer=8.2e-3, inner=8e-3, y=2.5e-3)
+    sliver = Ring(height=0.2e-3, outer=8.2e-3, inner=8e-3, y=2.5e-3)
     catch = FREE.model_copy(update={"mu_r": 1.5, "ring": sliver, "positions": 5})
-    table = catch_table(catch, Sphere())
+    table = catch_table(catch, RADIUS)
     assert worst(table.c1, coil_force(catch, catch.lower, table.y)) < 1e-4
 
 
 def test_the_default_air_cylinder_shifts_the_ring_force_by_a_fortieth() -> None:
     # Truncation, not mesh: 2.5 % of max|F0| here, while the mesh error above is 2e-4.
     catch = FREE.model_copy(update={"air_radius": 10e-3, "air_height": 30e-3})
-    table = catch_table(catch, Sphere())
+    table = catch_table(catch, RADIUS)
     assert worst(table.c0, ring_force(catch, table.y)) == pytest.approx(0.025, abs=0.002)
     assert worst(table.c1, coil_force(catch, catch.lower, table.y)) < 1e-3
 
@@ -147,7 +148,7 @@ def test_force_converges_with_the_fourth_power_of_the_mesh_size() -> None:
     for refine in (1, 2):
         span = {"refine": refine, "y_min": 0.0, "y_max": 3e-3, "positions": 4}
         catch = FREE.model_copy(update=span)
-        table = catch_table(catch, Sphere())
+        table = catch_table(catch, RADIUS)
         errors.append(worst(table.c1, coil_force(catch, catch.lower, table.y)))
     # P2 with curved edges: energy, and with it virtual work, is of order 4; 8 would be order 3.
     assert errors[1] < errors[0] / 8

@@ -5,18 +5,20 @@ import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
 
-from kc2spice.fem import magforms, magmesh, magsystem
-from kc2spice.fem.emtable import EMTable, current_pairs, em_cases
-from kc2spice.fem.magnetics import brute_force, catch_table
-from kc2spice.scene.schema import Catch, Sphere
-from kc2spice.study.models import mounted
+from kc2spice.fem.magnetics import forms as magforms
+from kc2spice.fem.magnetics import mesh as magmesh
+from kc2spice.fem.magnetics import system as magsystem
+from kc2spice.fem.magnetics.field import brute_force, catch_table
+from kc2spice.fem.magnetics.keys import Catch
+from kc2spice.fem.magnetics.table import EMTable, current_pairs, em_cases
+from kc2spice.parts.ring_magnet_coils import mounted
 
-RADIUS = Sphere().radius
+RADIUS = 1e-3
 
 
 @pytest.fixture(scope="module")
 def table() -> EMTable:
-    return catch_table(Catch(), Sphere())
+    return catch_table(Catch(), RADIUS)
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +47,14 @@ def test_meshes_fill_cylinder_and_sphere(bore: magmesh.Bore) -> None:
 def test_superposition_equals_brute_force(polarity: str) -> None:
     catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
     cases = current_pairs()[[0, 1, 2, 4, 5]]
-    force = brute_force(catch, Sphere(), cases)
-    quick = em_cases(catch_table(catch, Sphere()), cases)
+    force = brute_force(catch, RADIUS, cases)
+    quick = em_cases(catch_table(catch, RADIUS), cases)
     assert np.max(np.abs(force - quick)) < 1e-12 * np.max(np.abs(force))
 
 
 def test_polarity_turns_the_ring_and_nothing_else(table: EMTable) -> None:
     span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
-    turned = catch_table(Catch(polarity="antiparallel", **span), Sphere())
+    turned = catch_table(Catch(polarity="antiparallel", **span), RADIUS)
     coarse = slice(None, None, 10)
     # The ring's pull on the sphere as magnetised by a coil turns too: 3e-3 of c1 at mu_r 1.06.
     np.testing.assert_allclose(turned.c1, table.c1[coarse], rtol=1e-2)
@@ -72,7 +74,7 @@ def test_actuator_is_symmetric_about_its_middle(table: EMTable) -> None:
 
 def test_force_is_the_slope_of_flux_and_inductance() -> None:
     # Positions every 62.5 um so that the derivative of a spline is no limit.
-    table = catch_table(Catch(y_min=-0.5e-3, y_max=1.5e-3, positions=33), Sphere())
+    table = catch_table(Catch(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS)
     inner = slice(3, -3)
     flux = CubicSpline(table.y, table.flux0)(table.y, 1)[inner]
     inductance = CubicSpline(table.y, table.inductance)(table.y, 1)[inner]
@@ -138,7 +140,7 @@ def test_coil_is_pushed_back() -> None:
 
 def test_positions_off_the_lattice_get_lattices_of_their_own(table: EMTable) -> None:
     # 0.0625 mm is half a cell: every second position is on a shifted lattice and another mesh.
-    fine = catch_table(Catch(y_min=1e-3, y_max=1.5e-3, positions=9), Sphere())
+    fine = catch_table(Catch(y_min=1e-3, y_max=1.5e-3, positions=9), RADIUS)
     from_nodes = table.splines(fine.y)
     largest = np.max(np.abs(em_cases(table, current_pairs())))
     for column, (name, scale) in enumerate({"c0": 1, "c1": 0.1, "c2": 0.1, "c11": 0.01}.items()):
@@ -169,7 +171,7 @@ def test_remanence_and_mounting_need_no_new_field():
     moved = catch.model_copy(update={
         **higher, "remanence": 0.3, "y_min": catch.y_min + shift, "y_max": catch.y_max + shift,
     })  # fmt: skip
-    want, have = catch_table(moved, Sphere()), mounted(catch_table(catch, Sphere()), 0.3, shift)
+    want, have = catch_table(moved, RADIUS), mounted(catch_table(catch, RADIUS), 0.3, shift)
     np.testing.assert_allclose(have.y, want.y, rtol=0, atol=1e-15)
     for name in ("c0", "c1", "c2", "c11", "c12", "c22"):
         exact = getattr(want, name)

@@ -9,18 +9,23 @@ from scipy.linalg import eigh
 from scipy.sparse import block_array
 from scipy.sparse.linalg import eigsh, spsolve
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.mesh import kick_mesh
-from kc2spice.fem.piezo import assemble_kick, assemble_matrices, piezo_material, ring_shapes
-from kc2spice.scene.schema import Kick, Material
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.assembly import (
+    assemble_kick,
+    assemble_matrices,
+    piezo_material,
+    ring_shapes,
+)
+from kc2spice.fem.piezo.keys import Chip, Material
+from kc2spice.fem.piezo.mesh import kick_mesh
 
 # Rings wide enough for quadratic cells: strong grading would fold them.
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 VARIANTS = [{}, {"refine": 2}, {"order": 2}]
 
 
-def small_kick(layers: int = 3, **mesh) -> Kick:
-    return Kick(layers=layers, mesh={**SMALL, **mesh})
+def small_kick(layers: int = 3, **mesh) -> Chip:
+    return Chip(layers=layers, mesh={**SMALL, **mesh})
 
 
 def nodes(mesh) -> np.ndarray:
@@ -88,7 +93,7 @@ def test_constant_strain_and_field_are_reproduced_exactly(change):
 
 
 def test_an_unsupported_chip_has_six_rigid_body_modes_and_no_more():
-    mesh = kick_mesh(Kick(layers=2, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
+    mesh = kick_mesh(Chip(layers=2, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
     M, K, _, _ = assemble_matrices(mesh, piezo_material(Material()))
     x, y, z = nodes(mesh).T
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -140,13 +145,13 @@ def test_clamped_stack_stores_eps_s(change):
 
 
 def test_permittivity_at_strain_is_taken_as_it_is():
-    kick = Kick(material={"permittivity_at": "strain"}, layers=3, mesh=SMALL)
+    kick = Chip(material={"permittivity_at": "strain"}, layers=3, mesh=SMALL)
     assert 4 * assemble_kick(kick).c_VV == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
 
 
 def test_slender_stack_rings_at_the_bar_frequency():
     """Clamped-free bar, anode shorted: f = sqrt(1 / (s33 rho)) / (4 h), up to lateral inertia."""
-    kick = Kick(
+    kick = Chip(
         side=0.2e-3, height=2e-3, layers=25,
         mesh={"sectors": 4, "rings": 1, "ring_spacing": 40e-6, "outer_rings": 1},
     )  # fmt: skip
@@ -160,7 +165,7 @@ def test_slender_stack_rings_at_the_bar_frequency():
 
 def test_quadratic_and_refined_meshes_approach_one_resonance():
     def first(**mesh) -> float:
-        system = assemble_kick(Kick(layers=4, mesh={**SMALL, "rings": 1, **mesh}))
+        system = assemble_kick(Chip(layers=4, mesh={**SMALL, "rings": 1, **mesh}))
         assert mesh == {} or system.K_pp.shape[0] > 0
         return np.sqrt(eigsh(system.K_uu, 1, M=system.M, sigma=0.0)[0][0])
 
@@ -170,7 +175,7 @@ def test_quadratic_and_refined_meshes_approach_one_resonance():
 
 
 def test_ring_shapes_average_and_share_equally():
-    mesh = kick_mesh(Kick())
+    mesh = kick_mesh(Chip())
     shapes = ring_shapes(mesh)
     np.testing.assert_allclose(shapes.sum(axis=0), 1, rtol=1e-14)
     x, y, _ = nodes(mesh).T

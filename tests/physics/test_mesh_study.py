@@ -3,33 +3,34 @@
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.budget import factor_bytes
-from kc2spice.fem.contact import contact_surface
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.fem.statics import imprint
-from kc2spice.fem.transient import Ball, transient
-from kc2spice.rom.meshstudy import STOP, mesh_study
-from kc2spice.scene.schema import Contact, Impact, Kick, Sphere
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.contact import contact_surface
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.memory import factor_bytes
+from kc2spice.fem.piezo.statics import imprint
+from kc2spice.fem.piezo.transient import Ball, transient
+from kc2spice.parts._mesh_study import STOP, Load, mesh_study
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
+LOAD = Load(radius=1e-3, mass=32.88e-6)
 
 
 def test_figures_of_a_mesh_are_those_of_its_full_model():
-    kick = Kick(layers=3, mesh=SMALL)
+    kick = Chip(layers=3, mesh=SMALL)
     variants = {"linear": {}, "quadratic": {"order": 2}}
     step = 15e-9  # one node in contact is stiff: 50 ns would gain energy here
-    study = mesh_study(kick, Contact(), Sphere(), Impact(), 20e-6, step=step, variants=variants)
+    study = mesh_study(kick, LOAD, step=step, variants=variants)
     assert [point.label for point in study] == ["linear", "quadratic"]
     for point, change in zip(study, variants.values(), strict=True):
-        changed = Kick(layers=3, mesh={**SMALL, **change})
+        changed = Chip(layers=3, mesh={**SMALL, **change})
         system = assemble_kick(changed)
-        surface = contact_surface(changed, Contact(), Sphere())
+        surface = contact_surface(changed, LOAD.stiffness, LOAD.radius)
         assert point.unknowns == system.unknowns
         force = imprint(system, surface, np.array([20e-6])).force[0]
         assert point.imprint_force_n == pytest.approx(force, rel=1e-9)
         # Steps in which a spring opens amplify the reduction's error; measured 5e-4.
-        ball = Ball(Sphere().mass / 4, 1e-6, -1.0)
+        ball = Ball(LOAD.mass / 4, LOAD.gap, LOAD.velocity)
         full = transient(system, surface, ball, step=step, stop=STOP, voltage=None)
         assert point.rebound_velocity_m_s == pytest.approx(full.velocity[-1], abs=1e-3)
         assert point.min_position_m == pytest.approx(full.height.min(), rel=1e-3)
@@ -38,8 +39,8 @@ def test_figures_of_a_mesh_are_those_of_its_full_model():
 
 def test_a_mesh_beyond_the_memory_is_refused_at_once():
     with pytest.raises(UsageError, match="memory"):
-        assemble_kick(Kick(mesh={"refine": 6, "order": 2}))
+        assemble_kick(Chip(mesh={"refine": 6, "order": 2}))
 
 
 def test_memory_estimate_of_the_default_is_what_its_band_takes():
-    assert factor_bytes(Kick()) == pytest.approx(16721 * 534 * 8, rel=0.15)
+    assert factor_bytes(Chip()) == pytest.approx(16721 * 534 * 8, rel=0.15)

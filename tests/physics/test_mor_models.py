@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.linalg import eig, eigvals
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.header import Header
-from kc2spice.netlist.realize_signal import realize_signal
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.blocks import block_model
-from kc2spice.rom.foreign import make_model
-from kc2spice.rom.general import ordered, reduce_model, sample_model
-from kc2spice.rom.model import FirstOrderModel
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import ordered, reduce
+from kc2spice.rom.subspace import subspace
+from kc2spice.spice.realize import subcircuit
 
 sys.path.insert(0, str(Path(__file__).parent))
 import mor_families as families
@@ -26,16 +25,15 @@ FAMILIES = {
     "rotor": families.rotor,
 }
 FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
-HEADER = Header("test", "0")
 
 
 def built(name):
     matrices, band = FAMILIES[name]()
-    return matrices, make_model(families.as_files(matrices), None, name, name), (0.0, band)
+    return matrices, LinearModel(**families.as_files(matrices), name=name), (0.0, band)
 
 
 def reduced_matrices(rom):
-    letters = "EABCD" if isinstance(rom, FirstOrderModel) else "MEKBCD"
+    letters = "EABCD" if rom.first_order else "MEKBCD"
     return {letter: getattr(rom, letter) for letter in letters}
 
 
@@ -82,7 +80,7 @@ def test_beam_has_the_textbook_frequencies():
 @pytest.mark.parametrize("name", FAMILIES)
 def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
     _, model, band = built(name)
-    rom = reduce_model(model, band, tolerance=tolerance)
+    rom = reduce(model, band=band, tolerance=tolerance)
     frequency, expected = truth(name)
     error = worst(families.full_response(reduced_matrices(rom), frequency), expected)
     estimate = rom.certificate.error_estimate
@@ -91,7 +89,7 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
     assert error <= 1.5 * tolerance + 1e-9
     assert estimate <= tolerance
     assert 0.5 <= estimate / error <= 10
-    assert rom.order < 0.6 * model.pencil.size
+    assert rom.order < 0.6 * model.order
     assert rom.certificate.stable
 
 
@@ -100,8 +98,8 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
 def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, tmp_path):
     tolerance = 1e-5
     matrices, model, band = built(name)
-    rom = reduce_model(model, band, tolerance=tolerance)
-    part = realize_signal(rom, HEADER, name="part", dense=dense)
+    rom = reduce(model, band=band, tolerance=tolerance)
+    part = subcircuit(rom, "part", dense=dense)
     frequency = np.linspace(band[1] / 80, band[1], 80)
     found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
     own = families.full_response(reduced_matrices(rom), frequency)
@@ -172,15 +170,15 @@ HARD = {
 def test_hard_models_work_and_say_what_they_are(name, tmp_path):
     make, stable, passive = HARD[name]
     matrices, top = make(), 0.1
-    model = make_model(families.as_files(matrices), None, name, name)
-    rom = reduce_model(model, (0.0, top), tolerance=1e-6)
+    model = LinearModel(**families.as_files(matrices), name=name)
+    rom = reduce(model, band=(0.0, top), tolerance=1e-6)
     assert (rom.certificate.stable, rom.certificate.passive) == (stable, passive)
     frequency = np.linspace(top / 50, top, 50)
     expected = families.full_response(matrices, frequency)
     own = families.full_response(reduced_matrices(rom), frequency)
     peak = np.abs(expected).max(axis=0)
     assert (np.abs(own - expected) / peak).max() < 1e-5  # undamped peaks lie between samples
-    part = realize_signal(rom, HEADER, name="part")
+    part = subcircuit(rom, "part")
     found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
     # A free body is held by a conductance of 1e-12, which shows at a fiftieth of the band.
     assert (np.abs(found - own) / peak).max() < 1e-9
@@ -193,8 +191,8 @@ def test_hard_models_work_and_say_what_they_are(name, tmp_path):
 def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
     """Proportional damping or any other; the dense form is one block of all states."""
     make, *_ = HARD[name]
-    model = make_model(families.as_files(make()), None, name, name)
-    rom = reduce_model(model, (0.0, 0.1), order=8)
+    model = LinearModel(**families.as_files(make()), name=name)
+    rom = reduce(model, band=(0.0, 0.1), order=8)
     decoupled, dense = block_model(rom), block_model(rom, dense=True)
     assert max(len(block) for block in decoupled.blocks) <= 2
     assert [len(block) for block in dense.blocks] == [decoupled.states]
@@ -206,8 +204,8 @@ def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
 
 def test_defective_pole_stays_in_one_block():
     make, *_ = HARD["defective pole"]
-    model = make_model(families.as_files(make()), None, "jordan", "jordan")
-    rom = reduce_model(model, (0.0, 0.1), order=6)
+    model = LinearModel(**families.as_files(make()), name="jordan")
+    rom = reduce(model, band=(0.0, 0.1), order=6)
     assert [len(block) for block in block_model(rom).blocks] == [6]
 
 
@@ -217,10 +215,9 @@ def test_improper_models_are_refused_with_the_reason():
     E[1, 2] = 1.0  # x2' = x1 - ..., 0 = x3 - u: the output is the derivative of the input
     A = np.diag([-1.0, 1.0, 1.0])
     matrices = {"A": A, "E": E, "B": np.array([[1.0], [0.0], [1.0]]), "C": np.eye(n)[[1]]}
-    model = make_model(families.as_files(matrices), None, "index 2", "index 2")
-    rom = reduce_model(model, (0.01, 0.1), order=3)
+    model = LinearModel(**families.as_files(matrices), name="index 2")
     with pytest.raises(UsageError, match="derivatives"):
-        realize_signal(rom, HEADER)
+        reduce(model, band=(0.01, 0.1), order=3)
 
 
 def random_model(rng):
@@ -244,14 +241,16 @@ def check_every_order(seed, step):
     """Poles and power of the reduced models, by eigenvalues that share no code with the product."""
     rng = np.random.default_rng(seed)
     matrices, top = random_model(rng)
-    model = make_model(families.as_files(matrices), None, "random", "random")
-    found = ordered(model, (0.0, top), sample_model(model, (0.0, top), 1e-5), False)
+    model = LinearModel(**families.as_files(matrices), name="random")
+    band = (0.0, top)
+    space = subspace(model.pencil, band, 1e-5, 1e-5, "scipy")
+    found = ordered(model, space, band, False, None)
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:
         claim = found.structure(order)
         assert claim.stable
         assert claim.passive
-        rom = found.leading(order)
+        rom = found.pencil.leading(order)
         K, E, M = (omega**k * P for k, P in enumerate(rom.coefficients))
         zero, one = np.zeros_like(K), np.eye(order)
         poles = eigvals(np.block([[zero, one], [-K, -E]]), np.block([[one, zero], [zero, M]]))
@@ -278,7 +277,7 @@ def test_random_models_are_stable_and_passive_at_every_order(seed):
 def test_statespace_is_the_same_system():
     for name in FAMILIES:
         _, model, band = built(name)
-        rom = reduce_model(model, band, tolerance=1e-4)
+        rom = reduce(model, band=band, tolerance=1e-4)
         space = rom.to_statespace()
         frequency = np.linspace(0.01, 1, 30) * band[1]
         own = families.full_response(reduced_matrices(rom), frequency)
@@ -299,7 +298,7 @@ def test_pymor_agrees_and_does_no_better_at_equal_order(name, truth):
 
     set_log_levels({"pymor": "ERROR"})
     matrices, model, band = built(name)
-    rom = reduce_model(model, band, tolerance=1e-3)
+    rom = reduce(model, band=band, tolerance=1e-3)
     frequency, expected = truth(name)
     peak = np.abs(expected).max(axis=0)
     if "A" in matrices:

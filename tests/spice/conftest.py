@@ -8,13 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.header import Header
-from kc2spice.rom.model import ResonatorModel
-from kc2spice.scene.schema import Catch, Contact, Control, Kick, Scene, Sphere
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.rom.modal import Resonators
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+from kc2spice.spice.header import Header
 
 sys.path.insert(0, str(Path(__file__).parent))
 import device
+
+LOOP = {
+    "name": "loop", "kick": {"drive": {"voltage": 80.0}}, "contact": {"rings": "all"},
+    "sphere": {}, "catch": {}, "control": {},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +29,7 @@ def radii() -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def model() -> ResonatorModel:
+def model() -> Resonators:
     return device.chip()
 
 
@@ -40,11 +46,15 @@ def header() -> Header:
 @pytest.fixture(scope="session")
 def scene() -> Scene:
     """The loop at a voltage that launches the made-up device at about 1 m/s."""
-    return Scene(
-        name="loop",
-        kick=Kick.model_validate({"drive": {"voltage": 80.0}}),
-        contact=Contact(),
-        sphere=Sphere(),
-        catch=Catch(),
-        control=Control(),
-    )
+    return load_scene(LOOP)
+
+
+@pytest.fixture(scope="session")
+def varied():
+    """The same loop with other keys, or ``None`` for a part that is left out."""
+
+    def vary(tables: dict | None = None, **keys: object) -> Scene:
+        data = {**LOOP, **(tables or {})}
+        return load_scene({k: v for k, v in data.items() if v is not None}, keys)
+
+    return vary

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.system import Port
-from kc2spice.rom.model import Certificate, ResonatorModel
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.rom.linear import Certificate, Port
+from kc2spice.rom.modal import Resonators
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.decks import libraries, make_deck
 
 RADII = 50e-6 * np.arange(6)
 
 
-def chip(modes: int = 30, damping: float = 0.01) -> ResonatorModel:
+def chip(modes: int = 30, damping: float = 0.01) -> Resonators:
     """Modes from 270 kHz to 30 MHz with the chip's stroke, capacitance and compliances."""
     rng = np.random.default_rng(1)
     omega = 2 * np.pi * np.geomspace(270e3, 30e6, modes)
@@ -24,12 +32,12 @@ def chip(modes: int = 30, damping: float = 0.01) -> ResonatorModel:
         gain[1:, ring] = omega[1:] * np.sqrt(compliance) * share / np.linalg.norm(share)
     gain[1:, 6] = omega[1:] * 6e-6 * rng.normal(size=modes - 1)
     ports = tuple(Port(f"R{i}", "mechanical", "um", "N") for i in range(6))
-    return ResonatorModel(
+    return Resonators(
         omega,
         2 * damping / (2 * np.pi * 250e3) * omega**2,
         gain,
         np.diag([0.0] * 6 + [34.87e-9]),
-        (*ports, Port("anode", "electrical", "V", "A")),
+        (*ports, Port("anode", "electrical", pins=("anode", "cathode"))),
         Certificate((0.0, 500e3), 1e-3, "made up", True, True),
     )
 
@@ -49,3 +57,36 @@ def magnets() -> EMTable:
         inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)),
         resistance=np.array([1596.0, 1596.0]), unknowns=0,
     )  # fmt: skip
+
+
+def built(scene: Scene, model: Resonators | None = None, table: EMTable | None = None) -> Build:
+    """The scene with made-up models: those ports of ``model`` that it needs, and ``table``."""
+    models: dict[str, Any] = {}
+    for part in scene.parts.values():
+        if part.type.name == "piezo_stack" and model is not None:
+            kept = [port.name for port in part.type.kept(part, scene)]
+            models[part.name] = model.linear().select(kept)
+        if part.type.name == "ring_magnet_coils" and table is not None:
+            models[part.name] = table
+    return Build(scene, models, libraries(scene))
+
+
+def deck_of(scene: Scene, model: Resonators | None = None, table: EMTable | None = None) -> Deck:
+    """The testbench of a scene with made-up models."""
+    return make_deck(built(scene, model, table))
+
+
+def bench(
+    parts: Any, cards: str, vectors: Mapping[str, tuple[str, float]], stop: float | None = None
+) -> Deck:
+    """A deck by hand around subcircuits."""
+    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
+    text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"
+    more = {p.filename: p.text for p in parts}
+    return Deck(name="bench", text=text, more=more, vectors=vectors, stop=stop)
+
+
+def edited(deck: Deck, change: Callable[[str], str]) -> Deck:
+    """The same deck with every library changed."""
+    parts = tuple(dataclasses.replace(part, text=change(part.text)) for part in deck.parts)
+    return dataclasses.replace(deck, parts=parts)

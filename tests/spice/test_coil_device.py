@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from device import bench
 from scipy.integrate import solve_ivp
 
-from kc2spice.fem.emtable import EMTable, force, inductances
-from kc2spice.netlist.circuit import Deck
-from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.schema import Sphere
+from kc2spice.fem.magnetics.table import EMTable, force, inductances
+from kc2spice.parts.ring_magnet_coils import coil_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.sim.ngspice import run_deck
 
 L0, M0, R0 = 43.8e-3, 7.3e-3, 1596.0
-MASS = Sphere().mass
+MASS = SphereKeys().mass
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +34,6 @@ def coils() -> EMTable:
         c11=change * d1 / 2, c12=0.3 * change * dm, c22=change * d2 / 2,
         flux0=flux, inductance=inductance, resistance=np.array([R0, R0]), unknowns=0,
     )  # fmt: skip
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
 
 
 def test_step_response_is_that_of_coupled_coils(header, coils, tmp_path):

@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from device import built, edited
 
-from kc2spice.errors import SimulationError
-from kc2spice.parts.experiments import scene_deck
+from kc2spice.core.errors import SimulationError
+from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.truth import find_truth, require
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import verdict
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hard_cases.contact_table import OPTIONS, bounce
@@ -33,16 +35,13 @@ def test_without_the_watch_a_hundred_bounces_go_wrong():
     assert abs(bounced.energy) > 0.1
 
 
-def test_coarse_steps_over_many_landings_are_noticed(header, model, radii, tmp_path):
+def test_coarse_steps_over_many_landings_are_noticed(model, tmp_path):
     """ngspice's own options, no watch: the sphere gains height, and the run fails."""
     overrides = ["gravity=9.81 m/s2", "impact.velocity=-10 mm/s", "kick.electrical=short",
                  "solver.stop=7 ms", "solver.max_step=40 us"]  # fmt: skip
-    scene = load_scene("impact", overrides)
-    deck = scene_deck(scene, header, model, radii)
-    files = {
-        name: re.sub(r"(?m)^(\.options (reltol|trtol|chgtol)|Snear).*\n", "", text)
-        for name, text in deck.files.items()
-    }
-    waves = run_deck(dataclasses.replace(deck, files=files), tmp_path)
+    build = built(load_scene("impact", ["contact.rings=all", *overrides]), model)
+    deck = edited(make_deck(build), lambda text: re.sub(r"(?m)^Snear.*\n", "", text))
+    kept = tuple(o for o in deck.options if o.key not in ("reltol", "trtol", "chgtol"))
+    waves = run_deck(dataclasses.replace(deck, options=kept), tmp_path)
     with pytest.raises(SimulationError, match="contradicts physics"):
-        require(find_truth(waves, scene, None, model).checks, scene.name)
+        require(verdict(waves, build).checks, "impact")

@@ -4,33 +4,22 @@ import re
 
 import numpy as np
 import pytest
+from device import bench, built, deck_of
 from scipy.signal import lsim
 
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.included import included_netlists
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.drivers import (
-    Load,
-    amplifier_subcircuit,
-    charge_drive_subcircuit,
-    half_bridge_subcircuit,
-    linear_subcircuit,
-    pwm_subcircuit,
-)
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.report.metrics import metrics
-from kc2spice.scene.drivers import Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive
+from kc2spice.parts._drivers import Load
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
+from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
+from kc2spice.parts.linear_drive import LinearKeys, linear_subcircuit
+from kc2spice.parts.pwm_drive import PwmKeys, pwm_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import metrics
 
 LOAD = Load(73e-3, 3192.0)
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
 
 
 # ------------------------------------------------------------------------------------ op-amps
@@ -93,7 +82,7 @@ Cchip out 0 1e-07
 
 
 def test_half_bridge_charges_through_its_resistor(header, tmp_path):
-    part = half_bridge_subcircuit(header, HalfBridge())
+    part = half_bridge_subcircuit(header, HalfBridgeKeys())
     waves = charging(header, [part], "half_bridge",
                      "resistance=20 current_limit=100 reservoir=1", tmp_path)  # fmt: skip
     t, out = waves["time"], waves["out"]
@@ -104,7 +93,7 @@ def test_half_bridge_charges_through_its_resistor(header, tmp_path):
 
 
 def test_half_bridge_limits_current_and_charge(header, tmp_path):
-    part = half_bridge_subcircuit(header, HalfBridge())
+    part = half_bridge_subcircuit(header, HalfBridgeKeys())
     waves = charging(header, [part], "half_bridge",
                      "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
                      tmp_path)  # fmt: skip
@@ -115,7 +104,7 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
 
 
 def test_amplifier_slews_and_limits(header, tmp_path):
-    parts = [opamp_subcircuit(header, "slew"), amplifier_subcircuit(header, Amplifier())]
+    parts = [opamp_subcircuit(header, "slew"), amplifier_subcircuit(header, AmplifierKeys())]
     slow = charging(header, parts, "amplifier", "slew=2e7 resistance=0.1", tmp_path / "slew")
     up = (slow["out"] > 20) & (slow["out"] < 80) & (slow["time"] < 8e-6)
     assert np.polyfit(slow["time"][up], slow["out"][up], 1)[0] == pytest.approx(2e7, rel=0.01)
@@ -128,7 +117,7 @@ def test_amplifier_slews_and_limits(header, tmp_path):
 
 
 def test_charge_drive_sets_the_charge_whatever_the_capacitance(header, tmp_path):
-    parts = [opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, ChargeDrive())]
+    parts = [opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, ChargeKeys())]
     for farad in (50e-9, 150e-9):
         cards = f"""Vcommand command 0 PULSE(0 50 1e-06 1e-06 1e-06 1)
 Xdriver command anode cathode 0 charge
@@ -159,7 +148,7 @@ Lcoils middle ret {LOAD.inductance}
 
 def test_linear_drive_has_the_bandwidth_asked_for(header, tmp_path):
     """Coil current per command against the network's nodal equations in numpy."""
-    drive = LinearDrive(bandwidth=20e3)
+    drive = LinearKeys(bandwidth=20e3)
     part = linear_subcircuit(header, drive, LOAD, 0.1)
     cards = f"""Vwanted wanted 0 AC 1
 Xdriver wanted drive ret 0 linear
@@ -190,7 +179,7 @@ Lcoils middle ret {LOAD.inductance}
 
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
-    drive = LinearDrive(rail=48.0)
+    drive = LinearKeys(rail=48.0)
     parts = [opamp_subcircuit(header, "slew"), linear_subcircuit(header, drive, LOAD, 0.1)]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
     total = LOAD.resistance + 100.0 + 1.0 + 0.1
@@ -201,7 +190,7 @@ def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
 
 
 def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
-    drive = PwmDrive()
+    drive = PwmKeys()
     parts = [opamp_subcircuit(header), pwm_subcircuit(header, drive, LOAD)]
     waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
     t, i = waves["time"], waves["i"]
@@ -217,14 +206,15 @@ def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
 
 
 @pytest.mark.parametrize("limit", [5.0, 1.0])
-def test_amplifier_kick_shows_slew_rate_and_current_limit(header, model, radii, table, tmp_path,
+def test_amplifier_kick_shows_slew_rate_and_current_limit(model, table, tmp_path,
                                                           limit):  # fmt: skip
     """The voltage rises at the slew rate, or as the largest current charges clamped C and modes."""
     scene = load_scene("amplifier_kick", [f"kick.driver.amplifier.current_limit={limit}",
-                                          "solver.stop=0.51 ms"])  # fmt: skip
-    amplifier, clamped = scene.kick.driver.amplifier, model.D[6, 6]
-    waves = run_deck(loop_deck(scene, header, model, radii, table), tmp_path)
-    t, u, i = waves["time"] - scene.kick.drive.start, waves["kick.voltage"], waves["kick.current"]
+                                          "contact.rings=all", "solver.stop=0.51 ms"])  # fmt: skip
+    amplifier, clamped = scene.parts["kick_driver"].keys, model.D[6, 6]
+    start = scene.parts["kick"].keys.drive.start
+    waves = run_deck(deck_of(scene, model, table), tmp_path)
+    t, u, i = waves["time"] - start, waves["kick.voltage"], waves["kick.current"]
     assert i.max() == pytest.approx(limit, rel=1e-3)
     begin = (t > 0.1e-6) & (t < 0.25e-6)
     if limit / clamped > amplifier.slew:
@@ -254,10 +244,9 @@ def charged(model, current, stop):
 
 @pytest.mark.parametrize("name", ["half_bridge_kick", "amplifier_kick", "charge_kick",
                                   "bring_your_own"])  # fmt: skip
-def test_driven_kicks_launch_and_are_caught(header, model, radii, table, tmp_path, name):
-    scene = load_scene(name)
-    files = included_netlists(scene)
-    waves = run_deck(loop_deck(scene, header, model, radii, table, files), tmp_path)
-    found = metrics(waves, scene)
+def test_driven_kicks_launch_and_are_caught(model, table, tmp_path, name):
+    build = built(load_scene(name, ["contact.rings=all"]), model, table)
+    waves = run_deck(make_deck(build), tmp_path)
+    found = metrics(waves, build)
     assert 0.5 < found["launch_velocity_m_s"] < 1.5
     assert found["caught"]

@@ -5,13 +5,13 @@ import struct
 import numpy as np
 import pytest
 
-from kc2spice.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.netlist.cards import comment, name, number
-from kc2spice.netlist.circuit import Deck
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.sim import ngspice
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rawfile import last_scale_value, read_raw
+from kc2spice.spice.cards import comment, name, number
+from kc2spice.spice.deck import Deck
 
 
 def raw_text(points, flags="real", names=("time", "v(a)")):
@@ -25,7 +25,7 @@ def raw_text(points, flags="real", names=("time", "v(a)")):
 
 def deck(cards, vectors=None, stop=None):
     vectors = {"b": ("v(b)", 1.0)} if vectors is None else vectors
-    return Deck("d", "d.cir", {"d.cir": f"* d\n{cards}\n.end\n"}, vectors, stop)
+    return Deck(name="d", text=f"* d\n{cards}\n.end\n", vectors=vectors, stop=stop)
 
 
 RC = "V1 a 0 PULSE(0 1 0 1n)\nR1 a b 1k\nC1 b 0 1u\n.options acct\n.tran 1u {}"

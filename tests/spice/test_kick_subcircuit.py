@@ -5,13 +5,13 @@ import re
 
 import numpy as np
 import pytest
+from device import bench, deck_of
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.realize import realize
-from kc2spice.scene.schema import Harmonic, Kick, Scene
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.realize import realize
 
 RINGS = ["R0", "R1", "R2", "R3", "R4", "R5"]
 
@@ -23,17 +23,9 @@ def response(model, frequency):
     return np.einsum("jk,fj,jl->fkl", model.gain, poles, model.gain) + model.D
 
 
-def bench(part, cards, vectors, stop=None):
-    text = f"* bench\n.include {part.filename}\n{cards}\n"
-    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
-    return Deck("bench", "bench.cir", {"bench.cir": text, part.filename: part.text}, vectors, stop)
-
-
 def test_ac_of_all_port_pairs(model, header, tmp_path):
-    from kc2spice.parts.experiments import harmonic_deck
-
-    scene = Scene(name="h", experiment="harmonic", kick=Kick(), harmonic=Harmonic(steps=60))
-    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    scene = load_scene({"name": "h", "kick": {}, "harmonic": {"steps": 60}})
+    waves = run_deck(deck_of(scene, model), tmp_path)
     exact = response(model, waves["frequency"])
     names = [p.name for p in model.ports]
     for i, source in enumerate(names):
@@ -44,12 +36,8 @@ def test_ac_of_all_port_pairs(model, header, tmp_path):
 
 
 def test_open_anode_is_the_partial_inverse(model, header, tmp_path):
-    from kc2spice.parts.experiments import harmonic_deck
-
-    scene = Scene(
-        name="h", experiment="harmonic", kick=Kick(electrical="open"), harmonic=Harmonic(steps=20)
-    )
-    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    tables = {"kick": {"electrical": "open"}, "harmonic": {"steps": 20}}
+    waves = run_deck(deck_of(load_scene({"name": "h", **tables}), model), tmp_path)
     full = response(model, waves["frequency"])
     for k, source in enumerate(RINGS):  # Q = 0 fixes the voltage of each load case
         voltage = -full[:, 6, k] / full[:, 6, 6]
@@ -67,7 +55,7 @@ Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
 .options reltol=1e-6 trtol=1 chgtol=1e-13
 .tran 1e-08 1e-05 0 1e-07"""
     vectors = {r: (f"v({r.lower()})", 1e-6) for r in ("R0", "R5")}
-    waves = run_deck(bench(part, cards, vectors, 1e-5), tmp_path)
+    waves = run_deck(bench([part], cards, vectors, 1e-5), tmp_path)
     t = np.maximum(waves["time"] - 1e-9, 0.0)[:, None]
     sigma, root = model.damp / 2, np.emath.sqrt(model.damp**2 / 4 - model.omega**2)
     one, two = root - sigma, -root - sigma  # poles of each mode
@@ -83,7 +71,7 @@ def test_floating_anode_holds_no_charge_and_is_found_in_silence(model, header, t
     cards = """Iload 0 R0 1
 Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
 .dc Iload 1 1 1"""
-    waves = run_deck(bench(part, cards, {"V": ("v(anode)", 1.0)}), tmp_path)
+    waves = run_deck(bench([part], cards, {"V": ("v(anode)", 1.0)}), tmp_path)
     static = response(model, np.array([0.0]))[0].real
     assert waves["V"][0] == pytest.approx(-static[6, 0] / static[6, 6], rel=1e-9)
     assert not classify((tmp_path / "bench.log").read_text()).struggles
@@ -94,7 +82,7 @@ def test_only_the_ports_asked_for(model, header, tmp_path):
     assert [pin.name for pin in part.pins] == ["anode", "cathode", "R2", "base"]
     assert "R0" not in part.text.split(".subckt", 1)[1]
     cards = "Va anode 0 AC 1\nXkick anode 0 R2 0 kick\n.ac lin 5 1e5 5e5"
-    waves = run_deck(bench(part, cards, {"u": ("v(r2)", 1e-6)}), tmp_path)
+    waves = run_deck(bench([part], cards, {"u": ("v(r2)", 1e-6)}), tmp_path)
     np.testing.assert_allclose(waves["u"], response(model, waves["frequency"])[:, 2, 6], rtol=1e-10)
 
 
@@ -122,7 +110,7 @@ def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
     part = realize(replace(model, damp=np.zeros_like(model.damp)), header)
     assert "Gd1 " not in part.text
     cards = "Va anode 0 AC 1\nXkick anode 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 3 1e5 2e5"
-    waves = run_deck(bench(part, cards, {"u": ("v(r0)", 1e-6)}), tmp_path)
+    waves = run_deck(bench([part], cards, {"u": ("v(r0)", 1e-6)}), tmp_path)
     exact = response(replace(model, damp=0 * model.damp), waves["frequency"])[:, 0, 6]
     np.testing.assert_allclose(waves["u"], exact, rtol=1e-9)
 

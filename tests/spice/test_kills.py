@@ -53,7 +53,7 @@ def hashes(out):
 
 def assert_whole(command, out):
     """What a reader would take for a result is one, all of one run."""
-    entry = {"run": "result.json", "export": "impact.cir", "sweep": "sweep.json"}[command]
+    entry = {"run": "result.json", "export": "impact.cir", "sweep": "sweep.csv"}[command]
     if not (out / entry).exists():
         return False
     if command != "sweep":

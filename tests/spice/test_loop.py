@@ -1,33 +1,19 @@
 """The whole loop in ngspice against its independent integration in scipy."""
 
-import dataclasses
 import subprocess
 
+import exact
 import numpy as np
 import pytest
+from device import deck_of, edited
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.rom.modal import resonators, whole_device
-from kc2spice.rom.reduce import reduce_kick
-from kc2spice.scene.schema import (
-    Contact,
-    EmForce,
-    Harmonic,
-    Impact,
-    Imprint,
-    Kick,
-    Rom,
-    Scene,
-    Solver,
-    Sphere,
-)
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
-from kc2spice.sim.reference.loop import impact, kick_and_catch
-from kc2spice.sim.reference.statics import imprint
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
 
 TICK = "Vtick tick base PWL(0 0 1e-12 0 2e-12 0)\nRtick tick base 1\n"
 
@@ -40,23 +26,23 @@ def launch(waves):
 
 
 @pytest.fixture(scope="module")
-def run(scene, header, model, radii, table, tmp_path_factory):
+def run(scene, model, table, tmp_path_factory):
     directory = tmp_path_factory.mktemp("loop")
     shares = []
-    deck = loop_deck(scene, header, model, radii, table)
+    deck = deck_of(scene, model, table)
     waves = run_deck(deck, directory, progress=shares.append)
     return deck, directory, waves, shares
 
 
 def test_loop_agrees_with_scipy(run, scene, model, table):
     waves = run[2]
-    exact = kick_and_catch(model, scene, table).waves
-    assert launch(waves) == pytest.approx(launch(exact), rel=1e-4)
-    height = np.interp(exact["time"], waves["time"], waves["sphere.y"])
-    assert np.abs(height - exact["sphere.y"]).max() < 1e-6
-    assert abs(waves["sphere.y"][-1] - scene.control.setpoint) < 1e-6  # it is caught
+    t, y, _, left = exact.loop(scene, model, table)
+    assert launch(waves) == pytest.approx(left, rel=1e-4)
+    assert np.abs(np.interp(t, waves["time"], waves["sphere.y"]) - y).max() < 1e-6
+    setpoint = scene.parts["control"].keys.setpoint
+    assert abs(waves["sphere.y"][-1] - setpoint) < 1e-6  # it is caught
     late = waves["time"] > 4.5e-3
-    weight = scene.sphere.mass * 9.81 / 0.65  # N over N/A
+    weight = scene.parts["sphere"].keys.mass * 9.81 / 0.65  # N over N/A
     assert waves["coil.upper.current"][late].mean() == pytest.approx(weight, rel=0.2)
     lower, upper = waves["coil.lower.current"], waves["coil.upper.current"]
     np.testing.assert_allclose(lower, -upper, rtol=1e-12)
@@ -79,7 +65,7 @@ def test_operating_point_is_silent_with_the_contact_closed(run, scene):
     report = classify((directory / "loop.log").read_text())
     assert not report.struggles
     assert not report.warnings
-    assert waves["contact.force"][0] == pytest.approx(scene.sphere.mass * 9.81, rel=0.5)
+    assert waves["contact.force"][0] == pytest.approx(scene.parts["sphere"].keys.mass * 9.81, rel=0.5)
     assert 0.0 < waves["contact.force.R0"][0] == waves["contact.force"][0]
     assert abs(waves["sphere.v"][0]) < 1e-12
 
@@ -94,27 +80,17 @@ def test_statistics_and_progress(run):
     assert not (directory / "loop.raw.part").exists()
 
 
-def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(
-    scene, header, table, tmp_path
-):
+def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(varied, tmp_path):
     """The pivot defect is real and our cure is what cures it; three loops that show it."""
-    system = assemble_kick(Kick())
-    chip = whole_device(resonators(reduce_kick(system, Rom())), system.sectors)
     outcomes = []
     for voltage, edge, penalty in ((120, 2e-8, 2e10), (140, 2e-7, 2e10), (160, 1e-7, 2e10)):
-        varied = scene.model_copy(
-            update={
-                "kick": Kick.model_validate({"drive": {"voltage": voltage, "edge": edge}}),
-                "contact": Contact(penalty=penalty),
-                "solver": Solver(stop=0.51e-3),
-            }
-        )
-        deck = loop_deck(varied, header, chip, system.ring_radii, table)
+        keys = {"kick.drive.voltage": voltage, "kick.drive.edge": edge}
+        keys |= {"contact.penalty": penalty, "solver.stop": 0.51e-3}
+        deck = make_deck(build_models(varied(**keys), Clock(silent)))
         assert TICK in deck.files["kick.lib"]
         run_deck(deck, tmp_path, timeout=120)
-        sick = deck.files | {"kick.lib": deck.files["kick.lib"].replace(TICK, "")}
         try:
-            run_deck(dataclasses.replace(deck, files=sick), tmp_path, timeout=120)
+            run_deck(edited(deck, lambda text: text.replace(TICK, "")), tmp_path, timeout=120)
         except SimulationError as error:
             outcomes.append(error.message)
             break
@@ -122,72 +98,73 @@ def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(
     assert any("Timestep too small" in outcome for outcome in outcomes), outcomes
 
 
+def thrown(electrical, **keys):
+    """An impact on the made-up device."""
+    tables = {
+        "name": "impact", "gravity": 0.0, "kick": {"electrical": electrical},
+        "contact": {"rings": "all"}, "sphere": {}, "impact": {}, "solver": {"stop": 15e-6},
+    }  # fmt: skip
+    return load_scene(tables, keys)
+
+
 @pytest.mark.parametrize("electrical", ["open", "short"])
-def test_impact_agrees_with_scipy(header, model, radii, electrical, tmp_path):
-    scene = Scene(
-        name="impact", experiment="impact", gravity=0.0, kick=Kick(electrical=electrical),
-        contact=Contact(), sphere=Sphere(), impact=Impact(),
-        solver=Solver(stop=15e-6, max_step=50e-9),
-    )  # fmt: skip
-    waves = run_deck(scene_deck(scene, header, model, radii), tmp_path)
-    exact = impact(model, scene).waves
-    height = np.interp(exact["time"], waves["time"], waves["sphere.y"])
-    travel = np.ptp(exact["sphere.y"])
-    assert np.abs(height - exact["sphere.y"]).max() < 1e-4 * travel
-    assert waves["sphere.v"][-1] == pytest.approx(exact["sphere.v"][-1], rel=1e-4)
+def test_impact_agrees_with_scipy(model, electrical, tmp_path):
+    scene = thrown(electrical, **{"solver.max_step": 50e-9})
+    waves = run_deck(deck_of(scene, model), tmp_path)
+    t, p, v = exact.impact(scene, model)
+    height = np.interp(t, waves["time"], waves["sphere.y"]) - 1e-3
+    assert np.abs(height - p).max() < 1e-4 * np.ptp(p)
+    assert waves["sphere.v"][-1] == pytest.approx(v[-1], rel=1e-4)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.01])
-def test_slow_impacts_are_as_exact_as_fast_ones(header, model, radii, speed, tmp_path):
+def test_slow_impacts_are_as_exact_as_fast_ones(model, speed, tmp_path):
     """Displacements shrink with the speed; steps of error control alone must follow them."""
-    scene = Scene(
-        name="impact", experiment="impact", gravity=0.0, kick=Kick(electrical="short"),
-        contact=Contact(), sphere=Sphere(), impact=Impact(velocity=-speed, gap=speed * 1e-6),
-        solver=Solver(stop=15e-6, max_step=1e-6),
-    )  # fmt: skip
-    waves = run_deck(scene_deck(scene, header, model, radii), tmp_path)
-    exact = impact(model, scene).waves
-    assert waves["sphere.v"][-1] == pytest.approx(exact["sphere.v"][-1], rel=1e-4)
+    keys = {"impact.velocity": -speed, "impact.gap": speed * 1e-6, "solver.max_step": 1e-6}
+    scene = thrown("short", **keys)
+    waves = run_deck(deck_of(scene, model), tmp_path)
+    _, _, v = exact.impact(scene, model)
+    assert waves["sphere.v"][-1] == pytest.approx(v[-1], rel=1e-4)
 
 
 @pytest.mark.parametrize("electrical", ["open", "short"])
-def test_imprint_agrees_with_the_static_solution(header, model, radii, electrical, tmp_path):
-    scene = Scene(
-        name="imprint", experiment="imprint", kick=Kick(electrical=electrical),
-        contact=Contact(), sphere=Sphere(), imprint=Imprint(steps=50),
-    )  # fmt: skip
-    waves = run_deck(scene_deck(scene, header, model, radii), tmp_path, timeout=60)
-    exact = imprint(model, scene)
-    np.testing.assert_allclose(waves["imprint.depth"], exact["imprint.depth"], atol=1e-18)
-    np.testing.assert_allclose(waves["contact.force"], exact["contact.force"], rtol=1e-9)
+def test_imprint_agrees_with_the_static_solution(model, electrical, tmp_path):
+    tables = {"name": "imprint", "kick": {"electrical": electrical}, "imprint": {"steps": 50}}
+    scene = load_scene(tables | {"contact": {"rings": "all"}, "sphere": {}})
+    waves = run_deck(deck_of(scene, model), tmp_path, timeout=60)
+    depth = np.linspace(0.0, 50e-6, 51)
+    np.testing.assert_allclose(waves["imprint.depth"], depth, atol=1e-18)
+    found = exact.imprint(scene, model, depth)
+    np.testing.assert_allclose(waves["contact.force"], found, rtol=1e-9)
 
 
-def test_absent_parts_leave_no_trace(header, model, scene):
-    alone = scene.model_copy(
-        update={"contact": None, "sphere": None, "catch": None, "control": None}
-    )
-    deck = loop_deck(alone, header, model)
+def test_absent_parts_leave_no_trace(model, varied):
+    deck = deck_of(varied(dict.fromkeys(("contact", "sphere", "catch", "control"))), model)
     assert set(deck.files) == {"loop.cir", "kick.lib"}
-    for word in ("xsphere", "xcatch", "xcontact", "xpid", "bottom"):
+    for word in ("xsphere", "xcatch", "xcontact", "xcontrol", "bottom"):
         assert word not in deck.files["loop.cir"].lower()
     assert "sphere.y" not in deck.vectors
-
-
-def test_missing_model_is_named(scene, header):
-    with pytest.raises(UsageError, match="kick model"):
-        loop_deck(scene, header)
 
 
 def test_ngspice_is_found():
     assert find_ngspice().name == "ngspice"
 
 
-@pytest.mark.parametrize("experiment", ["loop", "imprint", "harmonic", "em_force"])
-def test_decks_run_as_they_stand(experiment, scene, header, model, radii, table, tmp_path):
+STUDIES = {
+    "loop": {},
+    "imprint": {"imprint": {"steps": 5}, "catch": None, "control": None},
+    "harmonic": {"harmonic": {"steps": 5}, **dict.fromkeys(("contact", "sphere", "catch", "control"))},
+    "em_force": {"em_force": {}, **dict.fromkeys(("kick", "contact", "control"))},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_decks_run_as_they_stand(study, varied, model, table, tmp_path):
     """``ngspice -b`` without any further word simulates and prints."""
-    update = {"experiment": experiment, "name": experiment, "solver": Solver(stop=0.1e-3)}
-    update |= {"imprint": Imprint(steps=5), "harmonic": Harmonic(steps=5), "em_force": EmForce()}
-    deck = scene_deck(scene.model_copy(update=update), header, model, radii, table)
+    changes = {"name": study, **STUDIES[study]}
+    if changes.get("kick", True) is not None and study != "loop":
+        changes["kick"] = {}
+    deck = deck_of(varied(changes, **{"solver.stop": 1e-3}), model, table)
     main = write_deck(deck, tmp_path)
     done = subprocess.run(
         [find_ngspice().path, "-b", main.name], cwd=tmp_path, capture_output=True, text=True

@@ -5,33 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import deck_of
 
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.realize import realize
-from kc2spice.parts.bench import loop_deck
-from kc2spice.rom.modal import resonators, whole_device
-from kc2spice.rom.reduce import reduce_kick
-from kc2spice.scene.drivers import (
-    Amplifier,
-    CatchDriver,
-    ChargeDrive,
-    HalfBridge,
-    KickDriver,
-    LinearDrive,
-    PwmDrive,
-)
-from kc2spice.scene.schema import Damping, Kick, Rom
+from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.fem.piezo.keys import Chip, Damping
+from kc2spice.rom.reduce import reduce
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Block, Command, Deck
+from kc2spice.spice.lint import lint
+from kc2spice.spice.realize import subcircuit
 
 STOP = 0.7e-3
 
 
 @pytest.fixture(scope="module")
-def decks(header, model, radii, table):
+def decks(model, table):
     def make(scene):
-        return loop_deck(scene, header, model, radii, table)
+        return deck_of(scene, model, table)
 
     return make
 
@@ -44,31 +34,48 @@ def interface(text):
 
 def overridden(base: Deck, other: Deck) -> tuple[Deck, dict[str, str]]:
     """``base`` with the parameters of ``other`` set on its instances, and what was set."""
-    main, given = base.files[base.main], {}
-    for file in base.files:
-        if not file.endswith(".lib"):
-            continue
-        part = file.removesuffix(".lib")
-        before, after = (interface(d.files[file]) for d in (base, other))
+    deck, given = base, {}
+    for ours, theirs in zip(base.parts, other.parts, strict=True):
+        before, after = interface(ours.text), interface(theirs.text)
         changed = {k: v for k, v in after.items() if before[k] != v}
         if changed:
             text = " ".join(f"{k}={v}" for k, v in changed.items())
-            main, count = re.subn(rf"(?m)^(X.* {part})$", rf"\1 {text}", main)
-            assert count == 1
-            given |= {f"{part}.{k}": v for k, v in changed.items()}
-    return replace(base, files=base.files | {base.main: main}), given
+            deck = with_words(deck, ours.name, text)
+            given |= {f"{kind(ours.name)}.{k}": v for k, v in changed.items()}
+    return deck, given
+
+
+def kind(name: str) -> str:
+    """Name of a subcircuit without what tells it from others of its kind."""
+    return re.sub(r"_[0-9a-f]{6}$", "", name)
+
+
+def with_words(deck: Deck, subcircuit: str, words: str) -> Deck:
+    """``words`` behind the instance of a subcircuit."""
+    count = 0
+
+    def change(card: str) -> str:
+        nonlocal count
+        if re.fullmatch(rf"X.* {subcircuit}(_[0-9a-f]{{6}})?", card):
+            count += 1
+            return f"{card} {words}"
+        return card
+
+    blocks = tuple(Block(b.title, tuple(change(c) for c in b.cards)) for b in deck.blocks)
+    assert count == 1
+    return replace(deck, blocks=blocks)
 
 
 def short(deck: Deck) -> Deck:
-    main = re.sub(r"(?m)^(\.tran \S+) \S+", rf"\g<1> {STOP}", deck.files[deck.main])
-    return replace(deck, files=deck.files | {deck.main: main}, stop=STOP)
+    first, _, *rest = deck.command.words
+    return replace(deck, command=Command("tran", (first, repr(STOP), *rest)), stop=STOP)
 
 
 CHANGES = {
     "penalty": ("contact", {"penalty": 7e7}, {"contact.eps"}),
     "mass": ("sphere", {"density": 9000.0}, {"sphere.mass"}),
     "radius": ("sphere", {"radius": 1.2e-3},
-               {"sphere.mass", "sphere.radius", *(f"contact.gap_R{i}" for i in range(1, 6))}),
+               {"sphere.mass", "sphere.radius", "contact.radius"}),
     "gravity": (None, {"gravity": 1.62}, {"sphere.gravity"}),
     "set point": ("control", {"setpoint": 2.0e-3}, {"pid.setpoint"}),
     "gains": ("control", {"kp": 3e4, "ki": 1e3, "kd": 15.0, "rolloff": 2e-7},
@@ -78,11 +85,10 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_changed_parameter_equals_a_new_export(scene, decks, change, tmp_path):
+def test_a_changed_parameter_equals_a_new_export(scene, varied, decks, change, tmp_path):
     section, update, expected = CHANGES[change]
-    inner = getattr(scene, section).model_copy(update=update) if section else None
-    changed = scene.model_copy(update={section: inner} if section else update)
-    base, exported = decks(scene), decks(changed)
+    keys = {f"{section}.{key}" if section else key: value for key, value in update.items()}
+    base, exported = decks(scene), decks(varied(**keys))
     by_hand, given = overridden(base, exported)
     assert set(given) == expected
     lint(by_hand)
@@ -96,23 +102,20 @@ def test_a_changed_parameter_equals_a_new_export(scene, decks, change, tmp_path)
 
 
 RAILS = {
-    "linear": (LinearDrive, CatchDriver, "catch", 24.0),
-    "pwm": (PwmDrive, CatchDriver, "catch", 150.0),
-    "half_bridge": (HalfBridge, KickDriver, "kick", 90.0),
-    "amplifier": (Amplifier, KickDriver, "kick", 95.0),
-    "charge": (ChargeDrive, KickDriver, "kick", 80.0),
+    "linear": ("catch", 24.0),
+    "pwm": ("catch", 150.0),
+    "half_bridge": ("kick", 90.0),
+    "amplifier": ("kick", 95.0),
+    "charge": ("kick", 80.0),
 }
 
 
 @pytest.mark.parametrize("name", RAILS)
-def test_a_changed_rail_equals_a_new_export(scene, decks, name, tmp_path):
-    drive, choice, section, rail = RAILS[name]
-
-    def driven(part):
-        inner = getattr(scene, section).model_copy(update={"driver": choice(**{name: part})})
-        return scene.model_copy(update={section: inner})
-
-    base, exported = decks(driven(drive())), decks(driven(drive(rail=rail)))
+def test_a_changed_rail_equals_a_new_export(varied, decks, name, tmp_path):
+    section, rail = RAILS[name]
+    key = f"{section}.driver"
+    base = decks(varied(**{key: {name: {}}}))
+    exported = decks(varied(**{key: {name: {"rail": rail}}}))
     by_hand, given = overridden(base, exported)
     assert set(given) == {f"{name}.rail"}
     lint(by_hand)
@@ -138,7 +141,7 @@ Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick {given}
 .save v(r0) i(vkick)
 .end
 """
-        deck = Deck("bench", "bench.cir", {"bench.cir": text, "kick.lib": part.text}, vectors, None)
+        deck = Deck(name="bench", text=text, more={"kick.lib": part.text}, vectors=vectors)
         waves[case] = run_deck(deck, tmp_path / case)
     for key in vectors:
         np.testing.assert_allclose(waves["hand"][key], waves["export"][key], rtol=1e-9)
@@ -146,27 +149,24 @@ Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick {given}
 
 
 def chip(damping, header):
-    system = assemble_kick(Kick(damping=damping))
-    model = resonators(reduce_kick(system, Rom(order=30)))
-    return realize(whole_device(model, system.sectors), header)
+    device = piezo_stack(Chip(damping=damping))
+    return subcircuit(reduce(device, order=30, band=(0.0, 500e3)), "kick", header)
 
 
 def test_gaps_can_be_set_by_hand(scene, decks, tmp_path):
     """A ring with a gap of a millimetre never closes."""
-    base = decks(scene)
-    main = re.sub(r"(?m)^(X.* contact)$", r"\1 gap_R0=1e-3 gap_R1=1e-3", base.files[base.main])
-    deck = replace(base, files=base.files | {base.main: main})
+    deck = with_words(decks(scene), "contact", "gap_R0=1e-3 gap_R1=1e-3")
     waves = run_deck(short(deck), tmp_path)
     assert np.max(np.abs(waves["contact.force.R0"])) == 0.0
     assert np.max(waves["contact.force.R2"]) > 1.0
 
 
-def test_a_changed_coil_resistance_equals_a_new_export(scene, decks, header, model, radii, table,
-                                                      tmp_path):  # fmt: skip
+def test_a_changed_coil_resistance_equals_a_new_export(scene, decks, model, table, tmp_path):
     other = replace(table, resistance=np.array([2e3, 3e3]))
-    base, exported = decks(scene), loop_deck(scene, header, model, radii, other)
+    base, exported = decks(scene), deck_of(scene, model, other)
     by_hand, given = overridden(base, exported)
-    assert set(given) == {"catch.resistance_lower", "catch.resistance_upper"}
+    # the output stage reaches its current through what the coils are
+    assert set(given) == {"catch.resistance_lower", "catch.resistance_upper", "pid.compliance"}
     runs = [run_deck(short(d), tmp_path / n) for n, d in (("hand", by_hand), ("export", exported))]
     for key in ("sphere.y", "coil.upper.current"):
         scale = np.max(np.abs(runs[1][key]))
@@ -175,14 +175,8 @@ def test_a_changed_coil_resistance_equals_a_new_export(scene, decks, header, mod
 
 def test_coil_resistance_and_rails_can_be_set_by_hand(scene, decks, tmp_path):
     """The current of a saturated stage is the supply over all resistances of the loop."""
-    base = decks(scene)
-    main = re.sub(
-        r"(?m)^(Xcatch .* catch)$",
-        r"\1 resistance_lower=2e3 resistance_upper=3e3",
-        base.files[base.main],
-    )
-    main = re.sub(r"(?m)^(Xpid .* pid)$", r"\1 compliance=100", main)
-    deck = replace(base, files=base.files | {base.main: main})
+    deck = with_words(decks(scene), "catch", "resistance_lower=2e3 resistance_upper=3e3")
+    deck = with_words(deck, "pid", "compliance=100")
     waves = run_deck(short(deck), tmp_path)
     largest = np.max(np.abs(waves["coil.upper.current"]))
     assert largest == pytest.approx(100.0 / (2e3 + 3e3 + 100.0), rel=1e-3)  # 100 Ohm of sense

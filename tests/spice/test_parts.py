@@ -2,29 +2,21 @@
 
 import numpy as np
 import pytest
+from device import bench, deck_of
 from scipy.interpolate import CubicSpline
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.parts.contact import contact_force, contact_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.experiments import current_cases, em_force_deck
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_current, pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Catch, Control, EmForce, Scene, Sphere
+from kc2spice.core.errors import UsageError
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.current_cases import cases
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
 
-MASS = Sphere().mass
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for n, _ in vectors.values() for v in n.split("+")) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
+MASS = SphereKeys().mass
 
 
 # ---------------------------------------------------------------------------------- contact
@@ -52,7 +44,8 @@ Xcontact R0 R1 R2 v bottom 0 contact
         "sphere": ("i(vv)", 1.0),
     }
     waves = run_deck(bench([part], cards, vectors), tmp_path)
-    law = contact_force(np.array([0.3e-6, 0.2e-6, 0.0]), waves["bottom"], gaps, 4e8)
+    rings = np.array([0.3e-6, 0.2e-6, 0.0])
+    law = 4e8 * np.maximum(0.0, rings - waves["bottom"][:, None] - gaps)
     assert law.max() > 400.0
     for k in range(3):
         np.testing.assert_allclose(waves[f"F{k}"], law[:, k], rtol=1e-9, atol=1e-9)
@@ -122,12 +115,11 @@ Xcontact R0 v bottom 0 contact
 
 
 def test_lookup_follows_the_spline(header, table, tmp_path):
-    scene = Scene(name="em", experiment="em_force", em_force=EmForce(), catch=Catch())
-    waves = run_deck(em_force_deck(scene, header, table), tmp_path)
+    scene = load_scene({"name": "em", "em_force": {}, "catch": {}, "sphere": {}})
+    waves = run_deck(deck_of(scene, table=table), tmp_path)
     splines = {n: CubicSpline(table.y, getattr(table, n)) for n in ("c0", "c1", "c2", "c11", "c22")}
     c = {name: spline(waves["sphere.y"]) for name, spline in splines.items()}
-    for k, case in enumerate(current_cases(scene)):
-        i1, i2 = case.lower, case.upper
+    for k, (i1, i2) in enumerate(cases(scene.parts["em_force"])):
         law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
         # 201 cubic pieces through a smooth curve; measured 6e-6 on the paper's system
         assert np.abs(waves[f"catch.force.{k}"] - law).max() < 2e-5 * 0.065
@@ -184,7 +176,7 @@ def test_coefficients_that_do_not_matter_leave_no_trace(header, table):
 # --------------------------------------------------------------------------------------- pid
 
 
-def controller(header, control, position, stop, enable=1e-6):
+def controller(header, control, position, stop, enable=1e-6, load=0.0):
     """The controller on two resistors as coils, looking at a prescribed height [um]."""
     cards = f"""Vy y 0 PWL({position})
 Venable enable 0 PULSE(0 1 {enable} 1e-08 1e-08 1)
@@ -196,9 +188,11 @@ Rcoils drive ret 3192
         "y": ("v(y)", 1e-6),
         "i": ("@rcoils[i]", 1.0),
         "error": ("v(xpid.e)", 1 / 2e3),
-        "integral": ("v(xpid.i)", -10.0 / 2e3),
     }
-    return bench([opamp_subcircuit(header), pid_subcircuit(header, control)], cards, vectors, stop)
+    if control.ki:
+        vectors["integral"] = ("v(xpid.i)", -10.0 / 2e3)
+    parts = [opamp_subcircuit(header), pid_subcircuit(header, control, load=load)]
+    return bench(parts, cards, vectors, stop)
 
 
 def test_controller_follows_the_law(header, tmp_path):
@@ -208,7 +202,8 @@ def test_controller_follows_the_law(header, tmp_path):
     waves = run_deck(deck, tmp_path)
     late = waves["time"] > 20e-6  # after the enable and the roll-off have died away
     error = control.setpoint - waves["y"]
-    law = pid_current(error, 0.0, -2e-3, control)
+    wanted = control.kp * error + control.kd * -2e-3
+    law = np.clip(wanted, -control.current_limit, control.current_limit)
     # the sensor's milliohm makes an offset of a tenth of a nanometre, thus of 6 uA
     assert np.abs(waves["i"] - law)[late].max() < 2e-4 * control.current_limit
     assert np.abs(waves["error"] - error)[late].max() < 1e-5 * 1e-3
@@ -227,6 +222,32 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
     assert np.abs(held).max() < 0.01 * 1.5e-3 * 2e-3  # against 1.5 mm for 2 ms, had it run on
     assert current[-1] == pytest.approx(-control.kp * 1e-6, rel=1e-3)
     assert not classify((tmp_path / "bench.log").read_text()).struggles
+
+
+@pytest.mark.parametrize("kp", [200.0, 5e4])
+@pytest.mark.parametrize("limit", [0.1, 0.3, 1.0])
+def test_every_current_limit_acts(header, kp, limit, tmp_path):
+    """Neither the supply of the output stage nor the signal amplifiers' rails come first."""
+    control = Control(kp=kp, ki=0.0, kd=0.0, current_limit=limit)
+    far = 2 * limit / kp * 1e6  # um; twice what the limit takes
+    deck = controller(header, control, f"0 {2500 - far} 1e-03 {2500 + far}", 1e-3, load=3192.0)
+    waves = run_deck(deck, tmp_path)
+    late = waves["time"] > 20e-6
+    law = np.clip(kp * (control.setpoint - waves["y"]), -limit, limit)
+    assert np.ptp(law[late]) == 2 * limit
+    assert np.abs(waves["i"] - law)[late].max() < 5e-4 * limit
+
+
+@pytest.mark.parametrize("limit", [0.1, 1.0])
+def test_command_to_a_driver_reaches_every_limit(header, limit, tmp_path):
+    control = Control(kp=200.0, ki=0.0, kd=0.0, current_limit=limit)
+    cards = """Vy y 0 DC 0
+Venable enable 0 1
+Xpid y enable command 0 pid
+.dc Vy -20000 25000 45000"""
+    parts = [opamp_subcircuit(header), pid_subcircuit(header, control, output=False)]
+    waves = run_deck(bench(parts, cards, {"out": ("v(command)", 1e-2)}), tmp_path)
+    np.testing.assert_allclose(waves["out"], [limit, -limit], rtol=1e-4)
 
 
 @pytest.mark.parametrize("gains", [(5e4, 0.0, 0.0), (5e4, 10.0, 0.0), (0.0, 0.0, 20.0)])

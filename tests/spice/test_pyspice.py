@@ -1,31 +1,28 @@
 """libngspice inside the process: same results as the batch engine, Python in the loop."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import built, deck_of
 
-from kc2spice import pyspice
-from kc2spice.errors import MissingToolError, SimulationError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.parts.bench import Sampled, loop_deck
-from kc2spice.parts.opamp import opamp_subcircuit
+from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.pyspice import DigitalPid, Loop, run_shared, subcircuit
+from kc2spice.pyspice import subcircuit
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Sampled
+from kc2spice.sim import loop as inprocess
+from kc2spice.sim import shared
+from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.decks import make_deck
 
 
-def short(scene, stop):
-    return scene.model_copy(update={"solver": scene.solver.model_copy(update={"stop": stop})})
-
-
-@pytest.fixture(scope="module")
-def parts(header, model, radii, table):
-    return header, model, radii, table
-
-
-def test_shared_engine_gives_the_batch_engines_points(scene, parts, tmp_path):
-    deck = loop_deck(short(scene, 0.6e-3), *parts)
+def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):
+    deck = deck_of(varied(**{"solver.stop": 0.6e-3}), model, table)
     shares = []
     shared, batch = run_shared(deck, progress=shares.append), run_deck(deck, tmp_path)
     assert set(shared.data) == set(batch.data)
@@ -36,15 +33,52 @@ def test_shared_engine_gives_the_batch_engines_points(scene, parts, tmp_path):
     assert shares[-1] == pytest.approx(1.0)
 
 
-def test_digital_controller_catches_where_the_analogue_one_does(scene, parts, tmp_path):
-    sampled = Sampled(period=5e-6, delay=2e-6)
-    deck = loop_deck(scene, *parts, sampled=sampled)
-    digital = run_shared(deck, Loop(DigitalPid(scene.control, sampled.period), sampled))
-    analogue = run_deck(loop_deck(scene, *parts), tmp_path)
-    late = digital["time"] > 0.9 * scene.solver.stop
+PERIOD, DELAY = 5e-6, 2e-6  # s
+DIGITAL = {
+    "name": "digital",
+    "kick": {"drive": {"voltage": 80.0}},
+    "contact": {"rings": "all"},
+    "sphere": {},
+    "catch": {"part": "ring_magnet_coils", "pins": {"drive": "digits.out", "ret": "gnd"}},
+    "eye": {"part": "sensor", "bandwidth": 1e6, "pins": {"of": "sphere.y"}},
+    "digits": {
+        "part": "controller", "period": PERIOD, "delay": DELAY, "inputs": ["y"],
+        "output": "current", "pins": {"y": "eye.out"},
+    },
+}  # fmt: skip
+
+
+def digital_pid(control, period):
+    """The analogue controller's law on samples: backward differences, no integral at the limit."""
+    past = {"error": None, "integral": 0.0}
+
+    def current(time, inputs):
+        if time < control.switching[0][0]:
+            return 0.0
+        error = control.setpoint - inputs["y"]
+        slope = 0.0 if past["error"] is None else (error - past["error"]) / period
+        past["error"] = error
+        wanted = control.kp * error + control.ki * past["integral"] + control.kd * slope
+        if abs(wanted) < control.current_limit:
+            past["integral"] += period * error
+        return float(np.clip(wanted, -control.current_limit, control.current_limit))
+
+    return current
+
+
+def test_digital_controller_catches_where_the_analogue_one_does(scene, model, table, tmp_path):
+    composed = load_scene(DIGITAL)
+    digits = composed.part("digits")
+    control = scene.part("control").keys
+    build = replace(
+        built(composed, model, table), functions={"digits": digital_pid(control, PERIOD)}
+    )
+    digital = run_shared(make_deck(build), [digits.type.sampled(digits, build)])
+    analogue = run_deck(deck_of(scene, model, table), tmp_path)
+    late = digital["time"] > 0.9 * scene.stop
     goal = np.interp(digital["time"], analogue["time"], analogue["sphere.y"])
     assert np.abs(digital["sphere.y"] - goal)[late].max() < 20e-6
-    assert np.abs(digital["sphere.y"] - scene.control.setpoint)[late].max() < 20e-6
+    assert np.abs(digital["sphere.y"] - control.setpoint)[late].max() < 20e-6
     assert digital["sphere.y"][0] < 1.1e-3  # it was lying on the chip
 
 
@@ -61,7 +95,11 @@ C1 b 0 1e-09
 
 def rc(text=RC):
     vectors = {"a": ("v(a)", 1.0), "b": ("v(b)", 1.0)}
-    return Deck("rc", "rc.cir", {"rc.cir": text}, vectors, 1e-4)
+    return Deck(name="rc", text=text, vectors=vectors, stop=1e-4)
+
+
+def sampled(call):
+    return [Sampled("vexternal", 10e-6, 4e-6, call)]
 
 
 def test_answers_are_held_from_the_delay_on():
@@ -69,9 +107,9 @@ def test_answers_are_held_from_the_delay_on():
 
     def staircase(time, values):
         seen.append(time)
-        return {"vexternal": float(len(seen))}
+        return float(len(seen))
 
-    waves = run_shared(rc(), Loop(staircase, Sampled(10e-6, 4e-6)))
+    waves = run_shared(rc(), sampled(staircase))
     np.testing.assert_allclose(seen, 10e-6 * np.arange(11), atol=1e-15)
     middle = np.interp((np.arange(10) + 0.9) * 10e-6, waves["time"], waves["a"])
     np.testing.assert_allclose(middle, np.arange(1, 11))
@@ -79,18 +117,46 @@ def test_answers_are_held_from_the_delay_on():
     np.testing.assert_allclose(before, np.arange(1, 10))
 
 
+def test_instants_are_time_points_without_a_source_that_makes_them():
+    bare = "\n".join(line for line in RC.splitlines() if not line.startswith("Vsample")) + "\n"
+    waves = run_shared(rc(bare), sampled(lambda time, values: 1.0))
+    for instant in 10e-6 * np.arange(1, 10), 10e-6 * np.arange(10) + 4e-6:
+        nearest = np.abs(waves["time"] - instant[:, None]).min(axis=1)
+        assert nearest.max() < 1e-15
+
+
 def test_failing_function_is_reported():
     def broken(time, values):
         raise ZeroDivisionError("no answer")
 
     with pytest.raises(SimulationError, match="the function in the loop failed"):
-        run_shared(rc(), Loop(broken, Sampled(10e-6, 4e-6)))
+        run_shared(rc(), sampled(broken))
 
 
 def test_failing_circuit_is_reported_and_leaves_the_engine_usable():
     with pytest.raises(SimulationError):
         run_shared(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
     assert run_shared(rc())["time"][-1] == pytest.approx(1e-4)
+
+
+def test_a_run_that_stops_early_is_no_result():
+    deck = replace(rc(), stop=2e-4)  # its .tran ends at 1e-4
+    with pytest.raises(SimulationError, match="before the end") as caught:
+        run_shared(deck)
+    assert caught.value.expected == "0.0002 s"
+
+
+def test_the_users_start_up_file_is_not_read(tmp_path, monkeypatch):
+    (tmp_path / ".spiceinit").write_text("set ngbehavior=nothing\necho the user\n")
+    monkeypatch.chdir(tmp_path)
+    assert "the user" not in shared.Library().said
+
+
+def test_a_fatal_error_costs_one_copy_of_the_library():
+    library = shared.Library()
+    library.command("quit 1")
+    assert library.dead
+    assert not library.command("echo no more")
 
 
 def test_parts_are_pyspice_subcircuits(header):
@@ -106,13 +172,13 @@ def test_parts_are_pyspice_subcircuits(header):
     text = str(circuit)
     assert text.count(".subckt sphere v bottom y base") == 1
     text += ".tran 1e-06 1e-03 uic\n.save v(v)\n.end\n"
-    deck = Deck("ball", "ball.cir", {"ball.cir": text}, {"v": ("v(v)", 1.0)}, 1e-3)
+    deck = Deck(name="ball", text=text, vectors={"v": ("v(v)", 1.0)}, stop=1e-3)
     assert run_shared(deck)["v"][-1] == pytest.approx(1e-3, rel=1e-6)  # 1 m/s^2 for 1 ms
 
 
 def test_missing_library_is_named(monkeypatch):
-    pyspice._engine.cache_clear()
-    monkeypatch.setattr(pyspice.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(inprocess, "_library", None)
+    monkeypatch.setattr(shared.ctypes.util, "find_library", lambda name: None)
     with pytest.raises(MissingToolError, match="libngspice") as caught:
         run_shared(rc())
     assert "apt-get" in caught.value.hint

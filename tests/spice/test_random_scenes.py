@@ -10,21 +10,36 @@ from typing import get_args
 import annotated_types as at
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.netlist.lint import lint
-from kc2spice.report.figures import model_figures, run_figures
-from kc2spice.report.metrics import metrics
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import write_run
-from kc2spice.scene.checks import NEEDED, OPTIONAL
 from kc2spice.scene.keys import scene_keys, submodel
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.schema import Scene
-from kc2spice.sim.ladder import LadderError
-from kc2spice.study.decks import make_deck
-from kc2spice.study.models import build_models
-from kc2spice.study.progress import Clock
-from kc2spice.study.simulate import simulate
+from kc2spice.scene.model import Frame
+from kc2spice.scene.parttype import part_types
+from kc2spice.scene.short import SHORT
+from kc2spice.sim.retries import RetriesFailedError
+from kc2spice.spice.lint import lint
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.run import run_figures
+from kc2spice.workflow.simulate import simulate
 
+# What the paper's scenes are made of: each list is a study, the loop's are drawn from.
+LOOP = ("kick", "contact", "sphere", "catch", "control")
+STUDIES = {
+    "impact": ("impact", "kick", "contact", "sphere"),
+    "imprint": ("imprint", "kick", "contact", "sphere"),
+    "harmonic": ("harmonic", "kick"),
+    "em_force": ("em_force", "sphere", "catch"),
+    "loop": LOOP,
+}  # fmt: skip
+DRIVERS = {
+    "kick": {"half_bridge": "half_bridge", "amplifier": "amplifier", "charge": "charge_drive"},
+    "catch": {"linear": "linear_drive", "pwm": "pwm_drive"},
+}
 TIME = 20.0  # s for one ngspice run; a legal scene may ask for hours
 # Counts and times that make a run longer and nothing else harder come from their low end.
 LOW_END = {
@@ -49,17 +64,33 @@ BASE = {
 }  # fmt: skip
 
 
-def schema_fields(model=Scene, prefix=""):
+def schema_fields(model, prefix=""):
     """Dotted name and field of every key."""
     for name, field in model.model_fields.items():
         section = submodel(field.annotation)
         if section is None:
-            yield f"{prefix}{name}", field
+            yield f"{prefix}{field.alias or name}", field
         else:
-            yield from schema_fields(section, f"{prefix}{name}.")
+            yield from schema_fields(section, f"{prefix}{field.alias or name}.")
 
 
-FIELDS = dict(schema_fields())
+def all_fields():
+    """Fields of the frame, of parts under their short names, and of drivers within them."""
+    yield from schema_fields(Frame)
+    types = part_types()
+    for short, kind in SHORT.items():
+        yield from schema_fields(types[kind].schema, f"{short}.")
+    for part, drivers in DRIVERS.items():
+        for short, name in drivers.items():
+            yield from schema_fields(types[name].schema, f"{part}.driver.{short}.")
+
+
+FIELDS = {
+    key: field
+    for key, field in all_fields()
+    if key.split(".")[-1] not in ("of", "coils", "a", "b", "driver", "include", "title", "name")
+    and key.split(".")[0] not in ("analysis", "probes", "bench")
+}
 CHOICES = {key.name: key.choices for key in scene_keys()}
 
 
@@ -92,7 +123,7 @@ def value(rng, key):
     literals = [each for each in get_args(field.annotation) if isinstance(each, int)]
     if key == "contact.rings":
         return rng.choice(['"needed"', '"all"', "1", "2", "4"])
-    if CHOICES[key]:
+    if CHOICES.get(key):
         return f'"{rng.choice(CHOICES[key])}"'
     if literals:
         return str(rng.choice(literals))
@@ -106,21 +137,19 @@ def value(rng, key):
 
 
 def drawn_scene(rng):
-    """An experiment with its parts, and one to five keys of theirs changed."""
-    experiment = rng.choice(sorted(NEEDED))
-    parts = list(NEEDED[experiment])
-    if experiment == "loop":
-        every = OPTIONAL["loop"]
+    """A study with its parts, and one to five keys of theirs changed."""
+    study = rng.choice(sorted(STUDIES))
+    parts = list(STUDIES[study])
+    if study == "loop":
         some = ("sphere",), ("kick",), ("kick", "contact", "sphere"), ("sphere", "catch")
-        parts = list(rng.choice([*some, every, every]))
-    present = (*parts, "rom", "solver", "checks", "gravity", "error_budget", "lookup")
+        parts = list(rng.choice([*some, LOOP, LOOP]))
+    present = (*parts, "rom", "solver", "checks", "gravity", "error_budget")
     keys = [k for k in FIELDS if k.split(".")[0] in present and ".driver." not in k]
-    lines = [f'experiment = "{experiment}"\n']
-    lines += [f"[{part}]\n{BASE[part]}" for part in (*parts, "solver")]
+    lines = [f"[{part}]\n{BASE[part]}" for part in (*parts, "solver")]
     overrides = [f"{key}={value(rng, key)}" for key in rng.sample(keys, rng.randint(1, 5))]
     for part in ("kick", "catch"):
-        drivers = [k for k in FIELDS if k.startswith(f"{part}.driver.") and ".user." not in k]
-        if experiment == "loop" and "control" in parts and rng.random() < 0.3:
+        drivers = [k for k in FIELDS if k.startswith(f"{part}.driver.")]
+        if "control" in parts and rng.random() < 0.3:
             kind = rng.choice(sorted({k.split(".")[2] for k in drivers}))
             one = rng.choice([k for k in drivers if k.split(".")[2] == kind])
             overrides.append(f"{one}={value(rng, one)}")
@@ -134,14 +163,14 @@ def outcome(text, overrides):
         path.write_text(text)
         try:
             scene = load_scene(path, overrides)
-            models = build_models(scene, Clock())
-            deck = make_deck(scene, models)
+            build = build_models(scene, Clock(silent))
+            deck = make_deck(build)
             lint(deck)
-            climbed = simulate(scene, models, deck, Path(folder), timeout=TIME)
+            done = simulate(build, deck, Path(folder), timeout=TIME)
         except UsageError as error:
             assert error.where or error.hint or error.expected, error
             return "refused"
-        except LadderError as error:
+        except RetriesFailedError as error:
             failure = error.failure
             assert failure is None or failure.time is not None or failure.kind, error
             assert failure or "physics" in error.message, error
@@ -151,12 +180,11 @@ def outcome(text, overrides):
                 return "out of time"
             assert error.hint or error.expected or error.got, error
             return "diagnosed"
-        assert not any(check.fatal for check in climbed.truth.checks)
-        pictures = run_figures(Path(folder), scene, climbed.waves)
-        pictures += model_figures(Path(folder), scene, models.table)
-        record = {"metrics": metrics(climbed.waves, scene)}
+        assert not any(check.fatal for check in done.verdict.checks)
+        pictures = draw_all(Path(folder), run_figures(build, done.waves))
+        record = {"metrics": metrics(done.waves, build)}
         write_run(Path(folder) / "report.html", record, scene, pictures)
-    return "result" if len(climbed.attempts) == 1 else "result after retries"
+    return "result" if len(done.attempts) == 1 else "result after retries"
 
 
 def campaign(count):

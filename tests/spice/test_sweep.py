@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 import kc2spice
-from kc2spice.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.study import run as run_scene
-from kc2spice.study.sweep import run
-from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.source import SceneText, scene_text
-from kc2spice.study.sweep.study import Request, make_study
+from kc2spice.workflow.run import run as run_scene
+from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep.point import SceneText, scene_text
+from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
+from kc2spice.workflow.sweep.study import Request, make_study
 
 # A kick and its first 0.1 ms of flight: 0.2 s of ngspice.
 SHORT = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=150 us",
@@ -185,15 +185,15 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
     process = subprocess.Popen(
         [*command, "--workers", "1", "--quiet"], start_new_session=True, env=own
     )
-    journal = out / "journal.csv"
+    rows = out / "rows.sqlite"
     deadline = time.monotonic() + 120
-    while not (journal.exists() and journal.read_bytes().count(b"\n") >= 2):
+    while not (rows.exists() and rows.read_bytes().count(b",ok\n") >= 2):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    recorded = journal.read_bytes().count(b"\n")
+    recorded = rows.read_bytes().count(b",ok\n")
     assert recorded < 6
     assert list(temporary.glob("kc2spice-sweep-*"))
     # The workers notice, end and leave nothing behind.

@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from kc2spice.study.sweep import run
-from kc2spice.study.sweep.engines import DaskEngine, LocalEngine
-from kc2spice.study.sweep.source import SceneText
-from kc2spice.study.sweep.study import Request, make_study
+from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep.point import SceneText
+from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
+from kc2spice.workflow.sweep.study import Request, make_study
 
 pytest.importorskip("distributed")
 
@@ -32,14 +32,14 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
     processes = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
-    journal = tmp_path / "dask" / run.JOURNAL
+    rows = tmp_path / "dask" / run.ROWS
     study = make_study(Request(SceneText("kick_and_catch", None), SETS))
     done = []
 
     def interfere(stage, share, text):
         if stage != "sweep":
             return
-        done.append(journal.read_bytes().count(b"\n") if journal.exists() else study.plan.size)
+        done.append(rows.read_bytes().count(b",ok\n") if rows.exists() else study.plan.size)
         if len(done) == 3:
             processes["a"].kill()
         if len(done) == 6:

@@ -1,20 +1,24 @@
 """Symbols against the libraries they stand for, read by parsers that share no code with us."""
 
+import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import deck_of
 
-from kc2spice.netlist.kicad import RELEASES
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.symbol import symbol_files
-from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Control, Sphere
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.spice.box import layout
+from kc2spice.spice.deck import Block
+from kc2spice.spice.elements import circuit
+from kc2spice.spice.realize import realize
+from kc2spice.spice.symbol import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
@@ -22,7 +26,7 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
-    ball = Sphere()
+    ball = SphereKeys()
     rings = tuple(f"R{i}" for i in range(6))
     return (
         realize(model, header),
@@ -35,8 +39,18 @@ def parts(header, model, radii, table):
 
 
 @pytest.fixture(scope="module")
-def files(parts):
-    return symbol_files(parts)
+def deck(parts, scene, model, table):
+    """A loop, and an operational amplifier whose output nothing else is wired to."""
+    loop = deck_of(scene, model, table)
+    (amplifier,) = (part for part in parts if part.name == "opamp")
+    cards = "Xamp sphere_y 0 spare 0 0 0 opamp a0=1e5", "Fmirror mirror 0 Vkick_drive 0.5"
+    more = Block("more", cards)
+    return replace(loop, parts=(*loop.parts, amplifier), blocks=(*loop.blocks, more))
+
+
+@pytest.fixture(scope="module")
+def files(deck):
+    return symbol_files(deck)
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +73,9 @@ def table_of(part):
     return re.findall(r"(?m)^\* @pin \d+ (\w+) ", part.text)
 
 
-def library(written, major):
-    name = f"kc2spice_kicad{major}.kicad_sym"
+def library(written):
     return kicadfiles.KicadSymbolLib.from_file(
-        str(written / name), kicadfiles.ParseStrictness.STRICT
+        str(written / "kc2spice.kicad_sym"), kicadfiles.ParseStrictness.STRICT
     )
 
 
@@ -73,32 +86,58 @@ def pins_of(symbol):
 # ------------------------------------------------------------------------------------ KiCad
 
 
-@pytest.mark.parametrize("major", [8, 9])
-def test_kicad_reads_what_the_library_declares(written, parts, major):
-    symbols = {s.library_id: s for s in library(written, major).symbols}
-    assert set(symbols) == {p.name for p in parts}
-    for part in parts:
+def test_kicad_reads_what_the_library_declares(written, deck):
+    symbols = {s.library_id: s for s in library(written).symbols}
+    assert {"GND", "SOURCE", "RESISTOR", "PROBE", "PWR_FLAG"} < set(symbols)
+    for part in deck.parts:
         symbol = symbols[part.name]
         fields = {p.key: p.value for p in symbol.properties}
-        pins, params = card(part)
+        pins, _ = card(part)
         named = {int(n): p.name.name for n, p in pins_of(symbol).items()}
         assert [named[i] for i in sorted(named)] == pins == table_of(part)
         assert fields["Sim.Device"] == "SUBCKT"
         assert fields["Sim.Library"] == part.filename
         assert fields["Sim.Name"] == part.name
         assert fields["Sim.Pins"] == " ".join(f"{i}={p}" for i, p in enumerate(pins, 1))
-        given = dict(w.split("=") for w in fields.get("Sim.Params", "").split())
-        assert given == params
+        assert "Sim.Params" not in fields  # the defaults of the library have all their digits
         hidden = {p.key for p in symbol.properties if p.effects.hide.token_value == "yes"}
         assert hidden == set(fields) - {"Reference", "Value"}
 
 
-@pytest.mark.parametrize("major", [8, 9])
-def test_pins_are_on_the_grid_and_apart(written, major):
-    for symbol in library(written, major).symbols:
-        places = [(p.at.x / 1.27, p.at.y / 1.27) for p in pins_of(symbol).values()]
+def test_mechanical_parts_are_on_no_board_and_in_no_list(files):
+    text = files["kc2spice.kicad_sym"] + files["loop.kicad_sch"]
+    assert set(re.findall(r"\((in_bom|on_board) (\w+)\)", text)) == {
+        ("in_bom", "no"), ("on_board", "no"),
+    }  # fmt: skip
+
+
+def test_pins_are_on_the_grid_and_apart(written):
+    for symbol in library(written).symbols:
+        places = [(p.at.x / 2.54, p.at.y / 2.54) for p in pins_of(symbol).values()]
         np.testing.assert_allclose(places, np.round(places), atol=1e-9)
         assert len(set(places)) == len(places)
+
+
+def test_inputs_are_left_and_outputs_right(parts, header):
+    sides = {
+        part.name: {place.pin.name: place.side for place in layout(part).places}
+        for part in (*parts, amplifier_subcircuit(header, AmplifierKeys()))
+    }
+    assert sides["pid"] == {
+        "y": "left", "enable": "left", "drive": "right", "sense": "right", "ref": "bottom",
+    }  # fmt: skip
+    assert sides["amplifier"] == {"command": "left", "out": "right", "ref": "bottom"}
+    assert sides["kick"]["anode"] == sides["kick"]["cathode"] == "left"
+    assert sides["kick"]["R0"] == "right"
+    assert sides["contact"]["R0"] == "left"
+    assert (
+        sides["contact"]["bottom"] == sides["sphere"]["bottom"] == sides["sphere"]["y"] == "right"
+    )
+    assert sides["sphere"]["v"] == "left"
+    assert sides["opamp"] == {
+        "inp": "left", "inn": "left", "out": "right", "vcc": "top", "vee": "bottom",
+        "ref": "bottom",
+    }  # fmt: skip
 
 
 def tree(text):
@@ -128,19 +167,18 @@ GRAPHICS = {
     "polyline": {"pts": {"xy": None}, **LINE, **FILL},
 }
 PIN = {"pin": {"at": None, "length": None, "name": EFFECTS, "number": EFFECTS}}
+TEXT = {"text": {"at": None, **EFFECTS}}
 SYMBOL = {
     "symbol": {
-        "power": None, "pin_names": {"offset": None}, "exclude_from_sim": None, "in_bom": None,
-        "on_board": None, **PROPERTY, "symbol": {**GRAPHICS, **PIN},
+        "power": None, "pin_numbers": None, "pin_names": {"offset": None}, "exclude_from_sim": None,
+        "in_bom": None, "on_board": None, **PROPERTY, "symbol": {**GRAPHICS, **PIN, **TEXT},
     }
 }  # fmt: skip
 HEAD = {"version": None, "generator": None, "generator_version": None}
 UUID = {"uuid": None}
 SHEET = {
     **HEAD, **UUID, "paper": None, "title_block": {"title": None}, "lib_symbols": SYMBOL,
-    "no_connect": {"at": None, **UUID},
-    "wire": {"pts": {"xy": None}, **LINE, **UUID},
-    "label": {"at": None, **EFFECTS, **UUID},
+    "global_label": {"shape": None, "at": None, **EFFECTS, **UUID},
     "text": {"exclude_from_sim": None, "at": None, **EFFECTS, **UUID},
     "symbol": {
         "lib_id": None, "at": None, "unit": None, "exclude_from_sim": None, "in_bom": None,
@@ -149,113 +187,119 @@ SHEET = {
     },
     "sheet_instances": {"path": {"page": None}},
 }  # fmt: skip
-VERSIONS = {8: ("20231120", "20231120"), 9: ("20241209", "20250114")}
 
 
-def conforms(node, allowed, fonts):
-    """Every token of ``node`` is one that the format knows there; release 9 knows one more."""
+def conforms(node, allowed):
+    """Every token of ``node`` is one that the format knows there."""
     for child in node[1:]:
         if isinstance(child, list):
-            if child[0] == "embedded_fonts":
-                assert fonts, "release 8 has no embedded fonts"
-                assert child == ["embedded_fonts", "no"]
-                continue
             assert child[0] in (allowed or ()), f"{child[0]} in {node[0]}"
-            conforms(child, allowed[child[0]], fonts)
+            conforms(child, allowed[child[0]])
 
 
-@pytest.mark.parametrize("major", [8, 9])
-def test_files_have_the_published_form_of_their_release(files, major):
-    of_library, of_sheet = VERSIONS[major]
-    found = tree(files[f"kc2spice_kicad{major}.kicad_sym"])
-    assert found[0] == "kicad_symbol_lib"
-    assert found[1:4] == [
-        ["version", of_library], ["generator", '"kc2spice"'], ["generator_version", f'"{major}.0"'],
-    ]  # fmt: skip
-    conforms(found, {**HEAD, **SYMBOL}, fonts=major >= 9)
-    sheet = tree(files[f"kick_driver_kicad{major}.kicad_sch"])
-    assert sheet[0] == "kicad_sch"
-    assert sheet[1] == ["version", of_sheet]
-    conforms(sheet, SHEET, fonts=major >= 9)
-    assert ("embedded_fonts" in str(found)) == (major >= 9)
+def test_files_have_the_published_form(files):
+    found = tree(files["kc2spice.kicad_sym"])
+    assert found[:2] == ["kicad_symbol_lib", ["version", "20231120"]]
+    conforms(found, {**HEAD, **SYMBOL})
+    sheet = tree(files["loop.kicad_sch"])
+    assert sheet[:2] == ["kicad_sch", ["version", "20231120"]]
+    conforms(sheet, SHEET)
 
 
 def test_the_form_can_be_missed(files):
-    wrong = files["kc2spice_kicad9.kicad_sym"]
-    with pytest.raises(AssertionError, match="embedded"):
-        conforms(tree(wrong), {**HEAD, **SYMBOL}, fonts=False)
+    wrong = files["kc2spice.kicad_sym"].replace("(length", "(lenght", 1)
     with pytest.raises(AssertionError, match="lenght in pin"):
-        conforms(tree(wrong.replace("(length", "(lenght", 1)), {**HEAD, **SYMBOL}, fonts=True)
+        conforms(tree(wrong), {**HEAD, **SYMBOL})
 
 
-@pytest.mark.parametrize("major", [8, 9])
-def test_the_sheet_drives_the_kick(written, model, major):
-    """Nets found from coordinates: pins, wires and ground symbols that meet are one."""
+def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
+    """Nets found from coordinates: a pin is on the label or ground that stands at its end."""
     sheet = kicadfiles.KicadSch.from_file(
-        str(written / f"kick_driver_kicad{major}.kicad_sch"), kicadfiles.ParseStrictness.STRICT
+        str(written / "loop.kicad_sch"), kicadfiles.ParseStrictness.STRICT
     )
     drawn = {s.library_id: s for s in sheet.lib_symbols.symbols}
-    ends, grounds = {}, set()
+    labels = {
+        (round(float(x), 3), round(float(y), 3)): name
+        for name, x, y in re.findall(
+            r'\(global_label "(\w+)"\s+\(shape passive\)\s+\(at (\S+) (\S+)',
+            files["loop.kicad_sch"],
+        )
+    }
+    assert labels
+    ends = {}
     for symbol in sheet.symbols:
         reference = next(p.value for p in symbol.properties if p.key == "Reference")
         for number, pin in pins_of(drawn[symbol.lib_id.value]).items():
             at = (round(symbol.at.x + pin.at.x, 3), round(symbol.at.y - pin.at.y, 3))
             if reference.startswith("#PWR"):
-                grounds.add(at)
+                labels[at] = "0"
             else:
-                name = pin.name.name if reference == "X1" else number
-                ends[reference, name] = at
-    joined = {p: p for p in [*ends.values(), *grounds]}
-    for wire in sheet.wires:
-        a, b = ((round(p.x, 3), round(p.y, 3)) for p in wire.pts.points)
-        assert a in joined, "a wire that ends on no pin"
-        assert b in joined, "a wire that ends on no pin"
-        joined = {p: joined[a] if net == joined[b] else net for p, net in joined.items()}
-
-    def net(*pin):
-        place = ends[pin]
-        return "0" if place in grounds else joined[place]
-
-    assert net("V1", "1") == net("R1", "1")
-    assert net("R1", "2") == net("X1", "anode")
-    assert net("R1", "1") != net("R1", "2")
-    assert net("V1", "2") == net("X1", "cathode") == net("X1", "base") == "0"
-    free = {(round(n.at.x, 3), round(n.at.y, 3)) for n in sheet.no_connects}
-    rings = [p.name for p in model.ports if p.kind == "mechanical"]
-    assert free == {ends["X1", ring] for ring in rings}
+                ends[reference, int(number)] = at
+    named = {key: labels[at].lower() for key, at in ends.items() if not key[0].startswith("#FLG")}
+    top = circuit(deck.main, deck.files)
+    for element in top.elements:
+        name = element.statement.words[0]
+        reference = name if name[-1].isdigit() else f"{name}1"
+        nets = [named.pop((reference, k)) for k, _ in enumerate(element.nodes, 1)]
+        assert tuple(nets) == element.nodes
+    assert sorted(named.values()) == ["mirror", "spare"]  # what one pin alone is on has a probe
+    assert all(reference.startswith("TP") for reference, _ in named)
 
 
-def test_new_exports_do_not_change_the_sheet(files, parts):
-    assert symbol_files(parts) == files
+def test_values_keep_their_digits_and_names_follow_their_symbols(files, deck):
+    sheet = files["loop.kicad_sch"].partition("(lib_symbols")[2].split("(lib_id")[1:]
+    fields = {}
+    for symbol in sheet:
+        values = dict(re.findall(r'"([\w.]+)" "((?:[^"\\]|\\.)*)"', symbol))
+        fields[values["Reference"]] = values.get("Sim.Params")
+    pulse = re.search(r"(?m)^Vkick_drive kick_anode 0 (.*)$", deck.files[deck.main])[1]
+    assert f'model=\\"{pulse}\\"' in fields["Vkick_drive1"]
+    assert 'model=\\"Vkick_drive1 0.5\\"' in fields["Fmirror1"]
+    assert fields["Xamp1"] == "a0=1e5"
+
+
+def test_the_project_opens_with_its_simulation(files, deck):
+    settings = json.loads(files["loop.kicad_pro"])
+    book = json.loads(files[settings["schematic"]["ngspice"]["workbook_filename"]])
+    analysis = re.search(r"(?m)^\.tran .*$", deck.files[deck.main])[0]
+    (tab,) = book["tabs"]
+    assert (tab["analysis"], tab["commands"][0]) == ("TRAN", analysis)
+    assert {"signal": "V(sphere_y)", "color": "rgb(55, 126, 184)", "trace_type": 257} in tab["traces"]
+    assert '(uri "${KIPRJMOD}/kc2spice.kicad_sym")' in files["sym-lib-table"]
+    assert f'(text "{analysis}"' in files["loop.kicad_sch"]
+
+
+def test_new_exports_do_not_change_the_sheet(files, deck):
+    assert symbol_files(deck) == files
 
 
 # ---------------------------------------------------------------------------------- LTspice
 
 
-def test_ltspice_reads_what_the_library_declares(written, parts):
-    for part in parts:
-        read = asy_reader.AsyReader(written / f"{part.name}.asy")
+def test_ltspice_reads_what_the_library_declares(written, deck):
+    for part in deck.parts:
+        stem = part.filename.removesuffix(".lib")
+        read = asy_reader.AsyReader(written / f"{stem}.asy")
         pins, params = card(part)
         attributes = [dict(a.split("=") for a in p.text.strip(";").split(";")) for p in read.pins]
         order = {int(a["SpiceOrder"]): a["PinName"] for a in attributes}
         assert [order[i] for i in sorted(order)] == pins == table_of(part)
         assert read.attributes["Prefix"] == "X"
         assert read.attributes["Value"] == part.name
-        assert read.attributes["ModelFile"] == f"{part.name}.ltspice.lib"
+        assert read.attributes["ModelFile"] == f"{stem}.ltspice.lib"
         line = read.attributes.get("SpiceLine", "")
         assert dict(w.split("=") for w in line.split()) == params
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
 
 
-def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, parts):
-    for part in parts:
-        assert "pwl(V(" not in files[f"{part.name}.ltspice.lib"]
+def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, deck):
+    for part in deck.parts:
+        assert "pwl(V(" not in files[part.filename.replace(".lib", ".ltspice.lib")]
     assert "table(V(s)," in files["catch.ltspice.lib"]
 
 
-def test_each_dialect_gets_the_symbols_of_its_tools(parts):
-    spoken = symbol_files(parts, "ltspice")
-    assert set(spoken) == {f"{p.name}.asy" for p in parts}
+def test_each_dialect_gets_the_symbols_of_its_tools(deck):
+    spoken = symbol_files(deck, "ltspice")
+    assert set(spoken) == {p.filename.replace(".lib", ".asy") for p in deck.parts}
     assert "SYMATTR ModelFile kick.lib\n" in spoken["kick.asy"]
-    assert symbol_files(parts, "xyce") == symbol_files(parts, "verilog-a") == {}
-    assert [r.major for r in RELEASES] == [8, 9]
+    assert symbol_files(deck, "xyce") == symbol_files(deck, "verilog-a") == {}

@@ -4,28 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from device import bench, deck_of
 
-from kc2spice.fem.piezo import assemble_kick
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.realize import realize
-from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.experiments import harmonic_deck
-from kc2spice.rom.facts import condensed_facts
-from kc2spice.rom.modal import resonators, whole_device
-from kc2spice.rom.reduce import reduce_kick
-from kc2spice.rom.schur import condense
-from kc2spice.scene.schema import Harmonic, Kick, Rom, Scene
+from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.parts.ring_magnet_coils import coil_subcircuit
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.reduce import reduce
+from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.realize import realize
 
 RINGS = ("R0", "R1", "R2", "R3", "R4", "R5")
 COPIES = 200
-
-
-def bench(parts, cards, vectors, stop=None):
-    text = "* bench\n" + "".join(f".include {p.filename}\n" for p in parts) + cards + "\n"
-    text += "\n".join(f".save {v}" for v, _ in vectors.values()) + "\n.end\n"
-    files = {"bench.cir": text} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
 
 
 def decays(waves, names):
@@ -71,9 +62,8 @@ def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
 
 def test_all_ports_of_the_emitted_kick_are_positive_real(header, model, tmp_path):
     """Any passive load is covered at once: j omega H has no negative hermitian part."""
-    scene = Scene(name="h", experiment="harmonic", kick=Kick(),
-                  harmonic=Harmonic(stop=5e6, steps=400))  # fmt: skip
-    waves = run_deck(harmonic_deck(scene, header, model), tmp_path)
+    scene = load_scene({"name": "h", "kick": {}, "harmonic": {"stop": 5e6, "steps": 400}})
+    waves = run_deck(deck_of(scene, model), tmp_path)
     names = (*RINGS, "anode")
     response = np.array([[waves[f"{i}>{o}"] for i in names] for o in names]).transpose(2, 0, 1)
     power = 2j * np.pi * waves["frequency"][:, None, None] * response
@@ -122,9 +112,8 @@ def test_coils_with_an_active_part_do_not(header, table, tmp_path):
 @pytest.fixture(scope="module")
 def chip():
     """The paper's chip for a band of 1 MHz, whole device, with its full model."""
-    system = assemble_kick(Kick())
-    rom = Rom(tolerance=1e-5, band=(0.0, 1e6))
-    return system, whole_device(resonators(reduce_kick(system, rom)), system.sectors)
+    device = piezo_stack(Chip())
+    return device, resonators(reduce(device, tolerance=1e-5, band=(0.0, 1e6)))
 
 
 def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
@@ -148,13 +137,13 @@ Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
 
 def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
     """Largest and smallest current against eigenvalues of the full model, to 0.1 %."""
-    system, model = chip
+    device, model = chip
     cards = """Vdrive in 0 AC 1
 Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
 .ac lin 2401 260e3 380e3"""
     vectors = {"i": ("i(vdrive)", -1.0)}
     waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
-    size, facts = np.abs(waves["i"]), condensed_facts(condense(system))
+    size, facts = np.abs(waves["i"]), device.facts
     series, parallel = (waves["frequency"][k] for k in (np.argmax(size), np.argmin(size)))
     assert series == pytest.approx(facts["resonance_short_hz"], rel=1e-3)
     assert parallel == pytest.approx(facts["resonance_open_hz"], rel=1e-3)
@@ -162,11 +151,9 @@ Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
 
 def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
     """Direct solutions of all 16 722 equations at the resonance and far above."""
-    from kc2spice.fem.harmonic import harmonic
-
-    system, model = chip
+    device, model = chip
     frequency = np.array([270e3, 900e3])
-    full = system.sectors * harmonic(system, frequency)[:, -1, -1]
+    full = device.transfer(frequency)[:, -1, -1]
     for f, charge in zip(frequency, full, strict=True):
         cards = f"Vdrive in 0 AC 1\nXkick in 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 1 {f} {f}"
         deck = bench([realize(model, header)], cards, {"i": ("i(vdrive)", -1.0)})

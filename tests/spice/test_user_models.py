@@ -6,10 +6,10 @@ every transistor switches, in ngspice, through the same gates as a user's own fi
 
 import pytest
 
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.scan import third_party
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.lint import lint
+from kc2spice.spice.scan import third_party
 
 # Pins: inp inn vcc vee out.
 OPAMPS = {
@@ -85,7 +85,7 @@ def through(text, pins, bench, vectors, tmp_path):
 
     def sweep(first, last, step):
         cards = main.replace("{0} {1} {2}", f"{first} {last} {step}") + ".end\n"
-        deck = Deck("t", "t.cir", {"t.cir": cards} | files, vectors, None)
+        deck = Deck(name="t", text=cards, more=files, vectors=vectors)
         lint(deck)
         return run_deck(deck, tmp_path / "run", timeout=20)
 

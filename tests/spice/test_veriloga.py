@@ -4,21 +4,18 @@ import re
 
 import numpy as np
 import pytest
+from device import deck_of
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.dialect import dialect_files
-from kc2spice.netlist.realize import realize
-from kc2spice.netlist.veriloga import library
-from kc2spice.parts.bench import loop_deck
-from kc2spice.parts.coil import coil_subcircuit
-from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.electromagnet import catch_subcircuit
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.rings import ring_gaps
-from kc2spice.scene.schema import Control, Sphere
+from kc2spice.core.errors import UsageError
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.dialect import dialect_files
+from kc2spice.spice.realize import realize
+from kc2spice.spice.veriloga import library
 
 openvaf = pytest.importorskip("openvaf_py")
 
@@ -27,7 +24,7 @@ NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
 
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
-    ball = Sphere()
+    ball = SphereKeys()
     rings = tuple(f"R{i}" for i in range(6))
     made = (
         realize(model, header),
@@ -62,7 +59,7 @@ class Compiled:
 
     def __call__(self, x, params):
         """``(f, q, df/dx, dq/dx)`` at ``x``; the equations are ``f + dq/dt = 0``."""
-        inputs = {"mfactor": 1.0, **params}
+        inputs = {"mfactor": 1.0, "$abstime": 1.0, **params}
         for name, kind in zip(self.module.param_names, self.module.param_kinds, strict=True):
             inside = name[2:-1].lower().split(",")
             if kind == "voltage":
@@ -172,6 +169,7 @@ class Netlist:
     def expand(self, part, pins, params, prefix):
         head, *body = cards(part.text)
         assert head.startswith(".subckt")
+        body = body[: next(k for k, card in enumerate(body) if card.startswith(".ends"))]
         numbers = {
             k.lower(): float(v) for k, v in (w.split("=") for w in head.split() if "=" in w)
         } | {k.lower(): v for k, v in params.items()}
@@ -202,7 +200,7 @@ class Netlist:
             if kind == "x":
                 given = dict(w.split("=") for w in words if "=" in w)
                 words = [w for w in words if "=" not in w]
-                called = self.parts[words[-1]]
+                called = self.parts[words[-1].removeprefix(f"{part.name}_")]
                 inner = [w.lower() for w in cards(called.text)[0].split()[2:] if "=" not in w]
                 outer = [pins.get(w.lower(), prefix + w.lower()) for w in words[1:-1]]
                 nested = f"{prefix}{words[0].lower()}_"
@@ -342,17 +340,20 @@ def test_ports_parameters_and_head_are_those_of_the_part(parts):
         ports = re.search(r"(?m)^module \w+\((.*)\);", text)[1].split(", ")
         assert [p.removesuffix("_") for p in ports] == [p.name for p in part.pins]
         declared = dict(re.findall(r"(?m)^  parameter real (\w+) = (\S+);", text))
-        # what only sets initial conditions has no place in the equations
-        left_out = {"velocity", "height"} if name == "sphere" else set()
-        assert set(declared) == {p.name for p in part.params} - left_out
-        assert all(float(declared[p.name]) == p.default for p in part.params if p.name in declared)
+        assert set(declared) == {p.name for p in part.params}
+        assert all(float(declared[p.name]) == p.default for p in part.params)
         assert "// @pin 1 " in text
 
 
-def test_the_dialect_writes_modules(scene, header, model, radii, table, parts):
-    deck = loop_deck(scene, header, model, radii, table)
-    files = dialect_files(deck, parts.values(), "verilog-a")
-    assert set(files) == {f"{name}.va" for name in NAMES}
+def test_the_dialect_writes_modules(scene, model, table, parts):
+    deck = deck_of(scene, model, table)
+    files = dialect_files(deck, [*deck.parts, parts["coil"], parts["opamp"]], "verilog-a")
+    (kick,) = (part for part in deck.parts if part.filename == "kick.lib")
+    assert set(files) == {f"{name}.va" for name in NAMES} | {"loop_osdi.cir"}
+    bench = files["loop_osdi.cir"]
+    assert "pre_osdi kick.osdi" in bench
+    assert f".model mxkick {kick.name}\n" in bench
+    assert not re.search(r"(?m)^(X|\.include|\.save @)", bench)
 
 
 def test_parts_that_are_no_devices_are_listed(parts):

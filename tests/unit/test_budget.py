@@ -6,13 +6,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.header import plan_lines
-from kc2spice.scene.budget import REDUCTION, STEPPING, divide, lookup_error, smallest
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.budget import REDUCTION, STEPPING, Stages, divide, lookup_error, smallest
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
-from kc2spice.scene.schema import Catch, Kick, Rom, Scene, Solver, Sphere
+from kc2spice.spice.header import plan_lines
+
+
+def stages(*parts, transient=True):
+    """What of a scene with these parts costs accuracy."""
+    lookup = "catch.points" if "catch" in parts else None
+    return Stages(transient=transient, reduced="kick" in parts, lookup=lookup, flight=transient)
+
 
 SCENES = ["kick_and_catch", "impact", "imprint", "harmonic", "em_force", "coil_rails"]
 
@@ -53,7 +59,8 @@ def test_a_smaller_budget_asks_for_more():
     for key in ("reltol", "chgtol"):
         values = [getattr(scene.solver, key) for scene in scenes]
         assert values == sorted(values, reverse=True)
-    assert [scene.catch.points for scene in scenes] == sorted(s.catch.points for s in scenes)
+    points = [scene.parts["catch"].keys.points for scene in scenes]
+    assert points == sorted(points)
     bands = [scene.rom.band[1] for scene in scenes]
     assert bands == sorted(bands)
     assert all(scene.rom.order is None for scene in scenes)
@@ -70,7 +77,7 @@ def test_rows_go_from_loose_to_tight(rows):
 @pytest.mark.parametrize("parts", [("kick",), ("kick", "catch"), ("catch",), ()])
 @pytest.mark.parametrize("budget", [2e-4, 1e-3, 0.1])
 def test_no_cheaper_choice_keeps_the_budget(parts, budget):
-    found = divide("loop", parts, budget)
+    found = divide(stages(*parts), budget)
     own = found["time stepping"].cost * (found["reduction"].cost if "kick" in parts else 1)
     for stepping in STEPPING:
         for reduction in REDUCTION if "kick" in parts else [None]:
@@ -83,8 +90,12 @@ def test_no_cheaper_choice_keeps_the_budget(parts, budget):
 
 @pytest.mark.parametrize("name", ["kick_and_catch", "impact", "em_force"])
 def test_the_smallest_budget_is_the_smallest(name):
-    parts = {"kick_and_catch": ("kick", "catch"), "impact": ("kick",), "em_force": ("catch",)}
-    least = smallest({"kick_and_catch": "loop"}.get(name, name), parts[name])
+    known = {
+        "kick_and_catch": stages("kick", "catch"),
+        "impact": stages("kick"),
+        "em_force": stages("catch", transient=False),
+    }
+    least = smallest(known[name])
     errors = plan(load_scene(name, [f"error_budget={least * 1.0001!r}"])).errors
     assert sum(each.share or 0.0 for each in errors) <= least * 1.0001
     with pytest.raises(UsageError, match="no settings are known"):
@@ -92,7 +103,9 @@ def test_the_smallest_budget_is_the_smallest(name):
 
 
 def test_the_lookups_error_falls_with_the_third_power():
-    assert lookup_error("loop", 201) / lookup_error("loop", 401) == pytest.approx(8)
+    assert lookup_error(stages("catch"), 201) / lookup_error(stages("catch"), 401) == pytest.approx(
+        8
+    )
 
 
 def test_the_budget_of_a_file_leaves_its_explicit_keys(tmp_path):
@@ -103,7 +116,11 @@ def test_the_budget_of_a_file_leaves_its_explicit_keys(tmp_path):
     )
     scene = load_scene(file)
     assert (scene.rom.order, scene.rom.tolerance) == (20, None)
-    assert (scene.solver.reltol, scene.solver.chgtol, scene.catch.points) == (1e-5, 1e-9, 77)
+    assert (scene.solver.reltol, scene.solver.chgtol, scene.parts["catch"].keys.points) == (
+        1e-5,
+        1e-9,
+        77,
+    )
     errors = {each.stage: each for each in plan(scene).errors}
     assert errors["time stepping"].share is None
     assert errors["time stepping"].expected == 2.2e-5  # chgtol is that of this row
@@ -124,10 +141,13 @@ def test_a_budget_on_the_command_line_replaces_the_files_keys_but_no_other_overr
 
 
 def test_scenes_made_in_python_take_a_budget_too():
-    scene = Scene(name="a", sphere=Sphere(), kick=Kick(), catch=Catch(), error_budget=1e-3)
+    loop = {"kick": {}, "sphere": {}, "contact": {}, "catch": {}}
+    scene = load_scene(loop | {"error_budget": 1e-3})
     assert scene.rom.tolerance == 1e-3
     assert scene.solver.reltol == 1e-3
-    own = Scene(name="a", sphere=Sphere(), error_budget=1e-3, rom=Rom(), solver=Solver())
+    assert scene.budgeted >= {"rom.tolerance", "rom.band", "solver.reltol", "catch.points"}
+    said = {"rom": {"order": 30, "band": [0, 5e5]}, "solver": {"reltol": 1e-4, "chgtol": 1e-8}}
+    own = load_scene(loop | {"error_budget": 1e-3, "catch": {"points": 201}} | said)
     assert (own.rom.order, own.solver.reltol) == (30, 1e-4)
     assert own.budgeted == frozenset()
 
@@ -159,8 +179,7 @@ def test_the_netlists_head_tells_what_explain_tells():
     lines = plan_lines(found).splitlines()
     assert all(line.startswith("* ") and len(line) <= 100 for line in lines)
     text = " ".join(line.removeprefix("* ").strip() for line in lines)
-    assert "modelled: kick, contact, sphere, catch, pid" in text
-    assert "ports: R0, R1, anode" in text
+    assert "modelled: kick, contact, sphere, catch, control, kick_drive" in text
     assert "error_budget 0.001" in text
     for item in found.left_out:
         assert item.effect in text
@@ -170,11 +189,11 @@ def test_the_netlists_head_tells_what_explain_tells():
 
 @pytest.mark.parametrize("parts", [("control",), ("control", "catch"), ("kick", "contact")])
 def test_what_a_scene_lacks_is_not_in_its_record(parts):
-    scene = load_scene("kick_and_catch")
-    scene = scene.model_copy(update=dict.fromkeys(parts))
+    tables = {name: {} for name in ("kick", "contact", "sphere", "catch", "control")}
+    if "kick" in parts:
+        del tables["control"]  # the coils alone, and the sphere on its way
+    scene = load_scene({name: table for name, table in tables.items() if name not in parts})
     record = str(dataclasses.asdict(plan(scene))).lower()
     words = {"control": "op-amp", "catch": "coil", "kick": "chip", "contact": "unilateral"}
     for part in parts:
         assert words[part] not in record
-    if "kick" in parts:
-        assert plan(scene).ports == ()

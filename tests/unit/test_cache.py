@@ -3,6 +3,8 @@
 import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 import warnings
 from dataclasses import dataclass
@@ -10,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from kc2spice import cache
-from kc2spice.cache import cached
-from kc2spice.scene.schema import Kick
+from kc2spice.core import cache
+from kc2spice.core.cache import cached
+from kc2spice.fem.piezo.keys import Chip
 
 
 @dataclass(frozen=True)
@@ -84,14 +86,14 @@ def test_scalars_and_lists():
 @pytest.mark.parametrize(
     "change",
     [
-        {"key": {"kick": Kick(layers=34)}},
-        {"key": {"kick": Kick(), "more": np.float64(1)}},
-        {"sources": ("kc2spice.units",)},
+        {"key": {"kick": Chip(layers=34)}},
+        {"key": {"kick": Chip(), "more": np.float64(1)}},
+        {"sources": ("kc2spice.core.units",)},
         {"kind": "other"},
     ],
 )
 def test_a_change_of_what_it_depends_on_builds_again(change):
-    base = {"kind": "kind", "key": {"kick": Kick()}}
+    base = {"kind": "kind", "key": {"kick": Chip()}}
     build = Builder(1)
     cached(build=build, **base)
     assert cached(build=build, **base)[1]
@@ -202,3 +204,17 @@ def test_a_full_disk_costs_time_only(folder):
         os._exit(7 if found.size == 10_000 and not hit else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
     assert not [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_a_user_without_home_gets_a_cache_of_its_own():
+    """An unknown uid in a container; another user's directory in /tmp is never taken."""
+    code = "from kc2spice.core.cache import cache_dir; p = cache_dir(); print(p, p.parent.parent.is_dir())"
+    keep = {
+        k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", "KC2SPICE_CACHE")
+    }
+    nobody = f"import os; os.getuid = lambda: 4_000_000\n{code}"
+    done = subprocess.run([sys.executable, "-c", nobody], env=keep, capture_output=True, text=True)
+    path, made = done.stdout.split()
+    assert made == "True"
+    assert "kc2spice-" in path
+    assert not os.path.exists(os.path.dirname(os.path.dirname(path)))

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.errors import SimulationError, UsageError
-from kc2spice.fem import emtable
-from kc2spice.fem.emtable import EMTable
-from kc2spice.fem.magnetics import catch_table, coil_resistance
-from kc2spice.scene.schema import Catch, Sphere
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.fem.magnetics import table as emtable
+from kc2spice.fem.magnetics.field import catch_table, coil_resistance
+from kc2spice.fem.magnetics.keys import Catch
+from kc2spice.fem.magnetics.table import EMTable
 
 
 @pytest.fixture
@@ -118,15 +118,15 @@ def test_resistance_of_the_winding() -> None:
 
 def test_sphere_must_fit_and_stay_in_the_air() -> None:
     with pytest.raises(UsageError, match="does not fit"):
-        catch_table(Catch(), Sphere(radius=1.3e-3))
+        catch_table(Catch(), 1.3e-3)
     with pytest.raises(UsageError, match="leaves the air"):
-        catch_table(Catch(y_max=17e-3), Sphere())
+        catch_table(Catch(y_max=17e-3), 1e-3)
     with pytest.raises(UsageError, match="lower than what stands in it"):
-        catch_table(Catch(air_height=5e-3), Sphere())
+        catch_table(Catch(air_height=5e-3), 1e-3)
 
 
 def test_progress_counts_every_position() -> None:
     seen: list[tuple[int, int]] = []
     catch = Catch(y_min=0.0, y_max=3e-3, positions=4)
-    catch_table(catch, Sphere(), lambda done, total: seen.append((done, total)))
+    catch_table(catch, 1e-3, lambda done, total: seen.append((done, total)))
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]

@@ -10,11 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import kc2spice
-from kc2spice import __version__, doctor
-from kc2spice.cli import app
-from kc2spice.console import fact_row
-from kc2spice.errors import GateMissedError, MissingToolError, SimulationError
-from kc2spice.output import staged
+from kc2spice import __version__
+from kc2spice.cli import doctor
+from kc2spice.cli.console import fact_row
+from kc2spice.cli.main import app
+from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
+from kc2spice.core.files import staged
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def study(monkeypatch):
     """Replaces the study, whose own tests are elsewhere, by one that does as told."""
     fake = types.SimpleNamespace(calls=[], error=None)
 
-    def run(scene, out, progress, *, trust):
+    def run(scene, out, progress, *, trust, deck=None):
         fake.calls.append((scene, out))
         progress("mesh", None, "building")
         progress("mesh", 0.5, "half [way]")
@@ -52,8 +53,8 @@ def study(monkeypatch):
         return [out / "kick.lib"]
 
     fake.run, fake.export = run, export
-    monkeypatch.setitem(sys.modules, "kc2spice.study", fake)
-    monkeypatch.setattr("kc2spice.study", fake, raising=False)
+    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
+    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
     return fake
 
 
@@ -70,7 +71,7 @@ BUILDERS = {"scipy", "skfem", "gmsh", "matplotlib", "PySpice"}
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("study", BUILDERS)],
+    [("cli", BUILDERS | {"numpy", "pydantic", "jinja2"}), ("workflow.run", BUILDERS)],
     ids=["help", "run with cached models"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
@@ -84,7 +85,7 @@ def test_run_prints_tables(cli, study, tmp_path):
     done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=80")
     assert done.exit_code == 0
     scene, out = study.calls[0]
-    assert scene.kick.drive.voltage == 80
+    assert scene.parts["kick"].keys.drive.voltage == 80
     assert out.resolve() == tmp_path / "kick_and_catch"
     for word in ("138.6 mg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
         assert word in done.stdout
@@ -189,7 +190,7 @@ def test_explain(cli):
     assert "left out" in text
     assert "anode" in text
     found = json.loads(cli("explain", "impact", "--json").stdout)
-    assert [part["part"] for part in found["parts"]] == ["kick", "contact", "sphere"]
+    assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 
 def test_doctor_finds_what_is_missing(cli, monkeypatch, tmp_path):

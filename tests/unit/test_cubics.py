@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from kc2spice.fem.cubics import cubic_spline
+from kc2spice.fem.magnetics.cubics import cubic_spline
 
 
 @pytest.fixture(params=[4, 5, 41])

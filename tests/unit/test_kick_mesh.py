@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skfem import Basis
 
-from kc2spice.errors import UsageError
-from kc2spice.fem.mesh import KickMesh, kick_mesh
-from kc2spice.scene.schema import Kick
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 
 
 def volume(mesh: KickMesh) -> float:
@@ -15,7 +15,7 @@ def volume(mesh: KickMesh) -> float:
 
 @pytest.mark.parametrize("change", [{}, {"refine": 2}, {"order": 2}, {"sectors": 4, "rings": 1}])
 def test_hexahedra_fill_the_quarter_chip(change):
-    kick = Kick(mesh=change)
+    kick = Chip(mesh=change)
     mesh = kick_mesh(kick)
     assert volume(mesh) == pytest.approx((kick.side / 2) ** 2 * kick.height, rel=1e-12)
     assert Basis(mesh.layer, mesh.element, intorder=5).dx.min() > 0  # no cell turned inside out
@@ -23,7 +23,7 @@ def test_hexahedra_fill_the_quarter_chip(change):
 
 @pytest.mark.parametrize("change", [{}, {"refine": 3}, {"order": 2}, {"ring_spacing": 25e-6}])
 def test_ring_nodes_lie_on_their_circles_at_equal_angles(change):
-    kick = Kick(mesh=change)
+    kick = Chip(mesh=change)
     mesh = kick_mesh(kick)
     assert len(mesh.rings) == kick.mesh.rings + 1
     for number, ring in enumerate(mesh.rings):
@@ -34,14 +34,14 @@ def test_ring_nodes_lie_on_their_circles_at_equal_angles(change):
 
 
 def test_nodes_are_numbered_plane_by_plane_and_located_where_the_mesh_has_them():
-    mesh = kick_mesh(Kick(mesh={"order": 2, "sectors": 4}))
+    mesh = kick_mesh(Chip(mesh={"order": 2, "sectors": 4}))
     plane, in_plane = np.divmod(mesh.node, len(mesh.plane))
     where = np.column_stack([mesh.plane[in_plane], mesh.heights[plane]])
     np.testing.assert_allclose(mesh.layer.doflocs.T, where, atol=1e-15)
 
 
 def test_refined_lattice_contains_the_coarse_one():
-    coarse, fine = (kick_mesh(Kick(mesh={"refine": n})) for n in (1, 2))
+    coarse, fine = (kick_mesh(Chip(mesh={"refine": n})) for n in (1, 2))
     distance = np.linalg.norm(coarse.plane[:, None] - fine.plane[None], axis=2).min(axis=1)
     assert distance.max() < 1e-10  # gmsh iterates the places on graded lines
 
@@ -56,4 +56,4 @@ def test_refined_lattice_contains_the_coarse_one():
 )
 def test_meshes_that_cannot_be_are_refused(change, words):
     with pytest.raises(UsageError, match=words):
-        kick_mesh(Kick(mesh=change))
+        kick_mesh(Chip(mesh=change))

@@ -1,4 +1,4 @@
-"""Data flows one way: a module imports only from layers to its left."""
+"""Data flows one way: a module imports only from layers to its left, and nothing in a circle."""
 
 import ast
 from pathlib import Path
@@ -8,38 +8,38 @@ import pytest
 import kc2spice
 
 ROOT = Path(kc2spice.__file__).parent
-# Below all: no physics, importable from everywhere.
-BASE = ("__init__", "errors", "units", "cache", "output")
-LAYERS = ("scene", "fem", "rom", "netlist", "parts", "sim", "report", "study", "cli")
-# The terminal belongs to the command line.
-TERMINAL = (
-    "console",
-    "cli_tables",
-    "commands_bench",
-    "commands_reduce",
-    "commands_sweep",
-    "doctor",
-    "__main__",
-)
-SAME_AS = dict.fromkeys(TERMINAL, "cli") | {"pyspice": "study"}
+LAYERS = (
+    "__init__", "core", "linalg", "rom", "fem", "bodies", "scene", "spice", "parts", "sim",
+    "reference", "report", "workflow", "cli",
+)  # fmt: skip
+SAME_AS = {"__main__": "cli", "api": "workflow", "pyspice": "workflow"}
 LAZY = ("gmsh", "PySpice", "matplotlib")
-MODULES = sorted(ROOT.rglob("*.py"))
+
+
+def module_name(path, root=ROOT):
+    parts = path.relative_to(root.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def modules(root=ROOT):
+    """Every module of the package below ``root`` by its dotted name."""
+    return {module_name(path, root): path for path in sorted(root.rglob("*.py"))}
+
+
+MODULES = modules()
 
 
 def layer(dotted):
-    """Position of ``kc2spice.a.b`` in the order; -1 is below all."""
+    """Position of ``kc2spice.a.b`` in the order."""
     top = dotted.split(".")[1] if "." in dotted else "__init__"
-    top = SAME_AS.get(top, top)
-    return -1 if top in BASE else LAYERS.index(top)
+    return LAYERS.index(SAME_AS.get(top, top))
 
 
-def module_name(path):
-    parts = path.relative_to(ROOT.parent).with_suffix("").parts
-    return ".".join(parts)
+def imports(path, known=MODULES):
+    """Dotted names that a module imports, with whether the import is at its top level.
 
-
-def imports(path):
-    """Dotted names that a module imports, with whether the import is at its top level."""
+    A name taken from a package is the submodule where there is one, else the package.
+    """
     tree = ast.parse(path.read_text(encoding="utf-8"))
     top = {id(node) for node in tree.body}
     for node in ast.walk(tree):
@@ -48,29 +48,70 @@ def imports(path):
                 yield alias.name, id(node) in top
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            for alias in node.names if node.module == "kc2spice" else [None]:
-                yield node.module if alias is None else f"kc2spice.{alias.name}", id(node) in top
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield full if full in known else node.module, id(node) in top
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_imports_point_left(path):
-    own = module_name(path)
-    for name, _ in imports(path):
-        if name.split(".")[0] == "kc2spice" and not name.endswith("__version__"):
-            assert layer(name) <= layer(own), f"{own} imports {name}"
+def circles(known):
+    """Groups of modules that import each other at their top level (Tarjan 1972)."""
+    graph = {
+        name: {i for i, top in imports(path, known) if top and i in known and i != name}
+        for name, path in known.items()
+    }
+    index, low, stack, found = {}, {}, [], []
+
+    def visit(name):
+        index[name] = low[name] = len(index)
+        stack.append(name)
+        for other in sorted(graph[name]):
+            if other not in index:
+                visit(other)
+            if other in stack:
+                low[name] = min(low[name], low[other])
+        if low[name] == index[name]:
+            group = stack[stack.index(name) :]
+            del stack[stack.index(name) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for name in graph:
+        if name not in index:
+            visit(name)
+    return found
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_imports_point_left(name):
+    if name == "kc2spice":  # the public face, which loads nothing by itself
+        return
+    for other, _ in imports(MODULES[name]):
+        if other.split(".")[0] == "kc2spice" and other != "kc2spice":
+            assert layer(other) <= layer(name), f"{name} imports {other}"
+
+
+def test_no_modules_import_each_other():
+    assert circles(MODULES) == []
+
+
+def test_a_circle_within_a_package_is_seen(tmp_path):
+    package = tmp_path / "p"
+    package.mkdir()
+    texts = {
+        "__init__": "", "a": "from p import b\n", "b": "import p.c\n", "c": "from p.a import x\n",
+        "d": "def late():\n    from p import e\n", "e": "from p import d\n",
+    }  # fmt: skip
+    for name, text in texts.items():
+        (package / f"{name}.py").write_text(text)
+    assert circles(modules(package)) == [["p.a", "p.b", "p.c"]]
 
 
 @pytest.mark.parametrize("library", LAZY)
 def test_heavy_libraries_have_one_lazy_home(library):
     homes = set()
-    for path in MODULES:
-        for name, top_level in imports(path):
-            if name.split(".")[0] == library:
-                homes.add(module_name(path))
-                assert not top_level, f"{path} imports {name} at module level"
+    for name, path in MODULES.items():
+        for other, top_level in imports(path):
+            if other.split(".")[0] == library:
+                homes.add(name)
+                assert not top_level, f"{path} imports {other} at module level"
     assert len(homes) <= 1, f"{library} is imported in {sorted(homes)}"
-
-
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_modules_stay_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= 300

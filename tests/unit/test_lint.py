@@ -2,10 +2,10 @@
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint, problems
-from kc2spice.netlist.read import read_deck
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.lint import lint, problems
+from kc2spice.spice.read import read_deck
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A
@@ -21,7 +21,7 @@ R2 mid bottom {total*ratio}
 
 def deck(cards, library=LIBRARY):
     text = f"* title\n.include divider.lib\n{cards}\n.end\n"
-    return Deck("test", "test.cir", {"test.cir": text, "divider.lib": library}, {}, None)
+    return Deck(name="test", text=text, more={"divider.lib": library})
 
 
 def complaints(cards, library=LIBRARY):

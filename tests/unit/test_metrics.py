@@ -7,9 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from kc2spice.report import metrics as m
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.contact import busy_until, separation
+from kc2spice.parts.pid import settling_time
+from kc2spice.report.distance import compare
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.judge import metrics
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 
@@ -36,6 +40,16 @@ def throw(t: np.ndarray, bounces: tuple[tuple[float, float], ...] = ()) -> Wavef
     return Waveforms(data, {})
 
 
+def edge(waves: Waveforms) -> tuple[float, float] | None:
+    """End of the contact: time and velocity."""
+    return separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+
+
+def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
+    """Metrics of the parts of a gallery scene, without their models."""
+    return metrics(waves, Build(load_scene(name), {}))
+
+
 def kick_times() -> np.ndarray:
     """Coarse flight, 50 ns around the kick, never a sample on the launch itself."""
     fine = np.arange(4.95e-4, 5.3e-4, 50e-9) + 13e-9
@@ -43,25 +57,48 @@ def kick_times() -> np.ndarray:
 
 
 def test_launch_is_found_within_a_sample_gap() -> None:
-    found = m.separation(throw(kick_times()))
+    found = edge(throw(kick_times()))
+    assert found is not None
     # The load is linear up to the edge, so the extrapolation is exact but for rounding.
-    assert found.time == pytest.approx(LAUNCH, abs=1e-15)
-    assert found.velocity == pytest.approx(SPEED, rel=1e-9)
+    assert found[0] == pytest.approx(LAUNCH, abs=1e-15)
+    assert found[1] == pytest.approx(SPEED, rel=1e-9)
 
 
 def test_launch_skips_gaps_within_the_kick_and_later_landings() -> None:
     early = throw(kick_times(), bounces=((4.0e-3, 4.1e-3),))
-    assert m.separation(early).time == pytest.approx(LAUNCH, abs=1e-15)
+    assert edge(early)[0] == pytest.approx(LAUNCH, abs=1e-15)
     t = kick_times()
     gap = throw(t, bounces=((5.06e-4, 5.10e-4),))
-    assert m.separation(gap).time == pytest.approx(5.10e-4, abs=60e-9)
+    assert edge(gap)[0] == pytest.approx(5.10e-4, abs=60e-9)
+
+
+def test_a_gap_under_a_body_that_draws_back_is_no_flight() -> None:
+    """Let go at 500 us with 7 mm/s, struck from below 28 us later, thrown at 0.3 m/s."""
+    t = np.linspace(0.0, 5e-3, 50_001)
+    loaded = (t < 5.0e-4) | ((t > 5.28e-4) & (t < 5.34e-4))
+    v = np.where(t < 5.0e-4, 0.0, np.where(t < 5.34e-4, 7e-3, 0.3))
+    late = (t > 4e-3) & (t < 4.01e-3)  # it falls, and something throws it up again, faster
+    v, force = np.where(t > 4.009e-3, 0.9, v), (loaded | late).astype(float)
+    for busy, speed in ((5.25e-4, 0.3), (4.1e-3, 0.9), (4.0e-4, 7e-3)):
+        found = separation(t, force, v, busy)
+        assert found is not None
+        assert found[1] == pytest.approx(speed, rel=1e-9)
+    falling = separation(t, force, -np.abs(v) - 0.1, 5.25e-4)
+    assert falling is not None
+
+
+def test_drive_is_busy_until_its_last_corner() -> None:
+    assert busy_until(load_scene("kick_and_catch")) == pytest.approx(525.1e-6)
+    sine = {"part": "source", "sine": {"frequency": 1e5}, "pins": {"out": "kick.anode"}}
+    scene = load_scene({"kick": {"electrical": "open"}, "contact": {}, "sphere": {}, "s": sine})
+    assert busy_until(scene) == np.inf
 
 
 def test_no_launch_without_separation() -> None:
     t = np.linspace(0.0, 1e-3, 101)
     still = {"time": t, "sphere.y": 0 * t + RADIUS, "sphere.v": 0 * t}
-    assert m.separation(Waveforms(still | {"contact.force": 0 * t + 1.0}, {})) is None
-    assert m.separation(Waveforms(still | {"contact.force": 0 * t}, {})) is None
+    assert edge(Waveforms(still | {"contact.force": 0 * t + 1.0}, {})) is None
+    assert edge(Waveforms(still | {"contact.force": 0 * t}, {})) is None
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -71,34 +108,33 @@ def test_settling_of_an_exponential(sign: float) -> None:
     y = 2.5e-3 + sign * 1.5e-3 * np.exp(-t / tau)
     exact = tau * np.log(20.0)
     # Linear interpolation within steps of up to 5 us: h^2 / (8 tau) = 8 ns.
-    assert m.settling_time(t, y, 2.5e-3, 75e-6) == pytest.approx(exact, abs=1e-8)
+    assert settling_time(t, y, 2.5e-3, 75e-6) == pytest.approx(exact, abs=1e-8)
 
 
 def test_settling_counts_the_last_entry_and_refuses_an_exit() -> None:
     t = np.linspace(0.0, 10.0, 1001)
     ringing = np.exp(-0.3 * t) * np.cos(2 * np.pi * t)
-    found = m.settling_time(t, ringing, 0.0, 0.5)
+    found = settling_time(t, ringing, 0.0, 0.5)
     assert abs(np.exp(-0.3 * found) * np.cos(2 * np.pi * found)) == pytest.approx(0.5, abs=2e-3)
     assert np.all(np.abs(ringing[t > found]) <= 0.5)
-    assert m.settling_time(t, t, 0.0, 5.0) is None
-    assert m.settling_time(t, 0 * t, 0.0, 5.0) == 0.0
+    assert settling_time(t, t, 0.0, 5.0) is None
+    assert settling_time(t, 0 * t, 0.0, 5.0) == 0.0
 
 
 def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:
-    scene = load_scene("kick_and_catch", [])
     t = kick_times()
     waves = throw(t)
     s = np.maximum(0.0, t - LAUNCH)
     caught = 2.5e-3 - 1.5e-3 * np.exp(-s / 0.4e-3)
     coil = {"coil.upper.current": 0 * t + 4.9e-4}
-    got = m.metrics(Waveforms(waves.data | coil | {"sphere.y": caught}, {}), scene)
+    got = of_scene(Waveforms(waves.data | coil | {"sphere.y": caught}, {}), "kick_and_catch")
     assert got["caught"] is True
     assert got["settling_time_s"] == pytest.approx(LAUNCH + 0.4e-3 * np.log(20.0), abs=1e-8)
     assert got["final_error_m"] == pytest.approx(1.5e-3 * np.exp(-s[-1] / 0.4e-3), rel=1e-9)
     assert got["kick_stroke_m"] == pytest.approx(4.2e-6, rel=1e-3)
     assert got["hold_current_a"] == pytest.approx(4.9e-4, rel=1e-12)
     json.dumps(got)
-    lost = m.metrics(Waveforms(waves.data | coil, {}), scene)
+    lost = of_scene(Waveforms(waves.data | coil, {}), "kick_and_catch")
     assert lost["caught"] is False
     assert lost["settling_time_s"] is None
     assert lost["peak_height_m"] == pytest.approx(waves["sphere.y"].max())
@@ -114,10 +150,10 @@ def test_impact_on_a_spring() -> None:
     y = np.where(hit < 0, gap - speed * t, speed * (hit - np.pi / w))
     y = RADIUS + np.where(touching, -speed / w * np.sin(w * hit), y)
     v = np.where(touching, -speed * np.cos(w * hit), np.where(hit < 0, -speed, speed))
-    k = scene.sphere.mass * w**2
+    k = scene.parts["sphere"].keys.mass * w**2
     force = np.where(touching, k * speed / w * np.sin(w * hit), 0.0)
     data = {"time": t, "sphere.y": y, "sphere.v": v, "contact.force": force}
-    got = m.metrics(Waveforms(data, {}), scene)
+    got = of_scene(Waveforms(data, {}), "impact")
     # Samples are up to 40 ns apart: the parabola misses (w h)^4 / 400, the linear edge less.
     assert got["min_position_m"] == pytest.approx(-speed / w, rel=1e-6)
     assert got["time_of_min_s"] == pytest.approx(1e-6 + 4.5e-6, abs=1e-10)
@@ -128,23 +164,23 @@ def test_impact_on_a_spring() -> None:
 
 def test_compare_sees_a_shift_and_nothing_else() -> None:
     fine, coarse = throw(kick_times()), throw(np.union1d(kick_times(), uneven(5e-3, 1501)))
-    zero = m.compare(coarse, fine)
+    zero = compare(coarse, fine)
     # One parabola on two grids: cubics reproduce it except across the launch corner.
     assert zero["trajectory_m"] < 2e-8
     shifted = Waveforms(coarse.data | {"sphere.y": coarse["sphere.y"] + 3e-6}, {})
-    assert m.compare(shifted, fine)["trajectory_m"] == pytest.approx(3e-6, abs=2e-8)
-    assert m.compare(shifted, fine)["final_m"] == pytest.approx(3e-6, rel=1e-9)
+    assert compare(shifted, fine)["trajectory_m"] == pytest.approx(3e-6, abs=2e-8)
+    assert compare(shifted, fine)["final_m"] == pytest.approx(3e-6, rel=1e-9)
     faster = Waveforms(coarse.data | {"sphere.v": coarse["sphere.v"] * 1.001}, {})
-    assert m.compare(faster, fine)["velocity_relative"] == pytest.approx(1e-3, rel=1e-6)
+    assert compare(faster, fine)["velocity_relative"] == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_imprint_and_harmonic_give_lists_of_one_sector() -> None:
     depth, force = np.linspace(0, 5e-5, 5), np.linspace(0, 800.0, 5)
     waves = Waveforms({"imprint.depth": depth, "contact.force": force}, {})
-    got = m.metrics(waves, load_scene("imprint", []))
+    got = of_scene(waves, "imprint")
     assert got["force_n"][-1] == 200.0
     assert got["imprint_m"] == depth.tolist()
     sweep = {"frequency": np.array([1.0, 2.0]), "R0>anode": np.array([3 + 4j, 0j])}
-    got = m.metrics(Waveforms(sweep, {}), load_scene("harmonic", []))
+    got = of_scene(Waveforms(sweep, {}), "harmonic")
     assert got["amplitude"]["R0"]["anode"] == [5.0, 0.0]
     json.dumps(got)

@@ -1,14 +1,20 @@
 """Staged output: all files at the end, or the directory as it was."""
 
+import json
 import os
 import resource
+import shutil
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.output import staged
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.files import staged
+from kc2spice.workflow.simulate import kept_on_failure
 
 
 def write(work, **files):
@@ -164,7 +170,7 @@ def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_
             os.kill(os.getpid(), signal.SIGKILL)
 
     assert in_a_child(die) == -signal.SIGKILL
-    (dead,) = tmp_path.glob(".out.*.part")
+    (dead,) = tmp_path.rglob(".kc2spice.out.*.part")
     os.utime(dead, (0, 0))
     with staged(out) as living:
         os.utime(living, (0, 0))
@@ -191,3 +197,86 @@ def test_a_full_disk_is_told_and_spares_the_earlier_result(tmp_path):
     assert in_a_child(fill) == 7
     assert {path.read_text() for path in out.iterdir()} == {"old"}
     assert names(tmp_path) == ["out"]
+
+
+def test_results_reach_another_file_system_behind_a_link(tmp_path):
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as other:
+        (tmp_path / "out").symlink_to(other)
+        for text in ("1", "2"):
+            with staged(tmp_path / "out") as work:
+                assert os.stat(work).st_dev == os.stat(other).st_dev
+                write(work, result=text)
+        assert (tmp_path / "out").is_symlink()
+        assert (tmp_path / "out" / "result.json").read_text() == "2"
+        assert os.listdir(other) == ["result.json"]
+
+
+@pytest.mark.skipif(
+    os.geteuid() == 0 and not shutil.which("setpriv"), reason="root writes anywhere"
+)
+def test_a_directory_under_an_unwritable_parent_is_written(tmp_path):
+    out = tmp_path / "locked" / "out"
+    out.mkdir(parents=True)
+    code = (
+        f"from kc2spice.core.files import staged\nwith staged({str(out)!r}) as w: (w/'a').touch()"
+    )
+    os.chmod(out, 0o777)
+    os.chmod(out.parent, 0o555)
+    lower = ["setpriv", "--inh-caps=-all", "--bounding-set=-all"] if os.geteuid() == 0 else []
+    try:
+        subprocess.run([*lower, sys.executable, "-c", code], check=True)
+    finally:
+        os.chmod(out.parent, 0o755)
+    assert names(out) == ["a"]
+
+
+def test_what_is_not_ours_stays_where_it_is(tmp_path):
+    """Hidden directories of the user, also under a name that is a pattern."""
+    theirs = tmp_path / ".mine.part"
+    theirs.mkdir()
+    os.utime(theirs, (0, 0))
+    with staged(tmp_path / "*") as work:
+        write(work, result="1")
+    assert names(tmp_path) == ["*", ".mine.part"]
+
+
+def record(work, *files):
+    (work / "result.json").write_text(json.dumps({"scene": "s", "files": files}))
+    for name in files:
+        (work / name).touch()
+
+
+def test_a_second_scene_leaves_nothing_of_the_first(tmp_path):
+    out = tmp_path / "out"
+    with staged(out) as work:
+        record(work, "first.cir", "both.lib")
+    (out / "notes.txt").touch()
+    with staged(out) as work:
+        record(work, "second.cir", "both.lib")
+    assert names(out) == ["both.lib", "notes.txt", "result.json", "second.cir"]
+
+
+def test_a_crafted_record_deletes_nothing_else(tmp_path):
+    out, precious = tmp_path / "out", tmp_path / "precious"
+    precious.touch()
+    out.mkdir()
+    (out / ".hidden").touch()
+    (out / "link").symlink_to(precious)
+    files = ["../precious", str(precious), ".hidden", "link", 7, None]
+    (out / "result.json").write_text(json.dumps({"scene": "s", "files": files}))
+    with staged(out) as work:
+        record(work, "a.cir")
+    assert precious.exists()
+    assert names(out) == [".hidden", "a.cir", "link", "result.json"]
+
+
+def test_an_unrelated_failed_directory_is_spared(tmp_path):
+    theirs, work = tmp_path / "out.failed", tmp_path / "work"
+    theirs.mkdir()
+    (theirs / "thesis.tex").touch()
+    work.mkdir()
+    for _ in range(2):
+        with pytest.raises(SimulationError), kept_on_failure(work, tmp_path / "out", "s"):
+            raise SimulationError("no result")
+    assert names(tmp_path) == ["out.failed", "out.failed2", "work"]
+    assert names(theirs) == ["thesis.tex"]

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.fem.emtable import EMTable
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.distance import compare
+from kc2spice.report.figures import draw_all
 from kc2spice.report.html import Section, quantity, write_page
-from kc2spice.report.loop_figures import loop_figures
-from kc2spice.report.metrics import compare, metrics
 from kc2spice.report.run_page import fact, write_run
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.judge import metrics
 
 
 def loop_waves() -> Waveforms:
@@ -32,13 +34,24 @@ def loop_waves() -> Waveforms:
     return Waveforms(data | {"coil.lower.current": -data["coil.upper.current"]}, {})
 
 
-def table() -> EMTable:
-    y = np.linspace(-2.5e-3, 7.5e-3, 9)
-    bell = np.exp(-((y / 2e-3) ** 2))
-    return EMTable(
-        y=y, c0=bell * 1e-3, c1=-bell, c2=bell, c11=bell, c12=bell, c22=bell,
-        flux0=np.zeros((9, 2)), inductance=np.zeros((9, 2, 2)), resistance=np.ones(2), unknowns=1,
+def figures(waves: Waveforms) -> tuple[Figure, ...]:
+    """One of two panels with all that a panel may have, one of a single line over a log axis."""
+    t, y = waves["time"], waves["sphere.y"]
+    whole = Curve("ngspice", 1e3 * t, 1e3 * y)
+    exact = Curve("scipy", 1e3 * t, 1e3 * y, "reference")
+    top = Panel(
+        "", "height [mm]", (whole, exact), levels=((2.5, "set point"),),
+        bands=((2.425, 2.575, "settling band"),), marks=((0.507, "launch"),), span=(0.0, 5.0),
     )  # fmt: skip
+    rings = tuple(
+        Curve(f"R{k}", 1e3 * t, 1e6 * waves[f"kick.u.R{k}"] + 0.01 * k) for k in range(6)
+    )
+    bottom = Panel("time [ms]", "displacement [um]", rings)
+    response = Panel("frequency [Hz]", "height [mm]", (Curve("", 1 + t, y),), log_x=True, log_y=True)
+    return (
+        Figure("trajectory", "Trajectory", "Above and below.", (top, bottom)),
+        Figure("response", "Response", "One line.", (response,)),
+    )
 
 
 def png_size(path: Path) -> tuple[int, int]:
@@ -73,16 +86,15 @@ class Page(HTMLParser):
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     out = tmp_path_factory.mktemp("report")
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
-    pictures = loop_figures(out, waves, scene, table(), waves)
-    names = {"trajectory", "kick_stroke", "contact_force", "coil_currents", "em_force"}
-    assert {p.path.stem for p in pictures} == names | {"reference_error"}
+    pictures = draw_all(out, figures(waves))
+    assert [p.path.stem for p in pictures] == ["trajectory", "response"]
     for picture in pictures:
         width, height = png_size(picture.path)
         assert width >= 1000  # 7 inches at 150 dots
         assert height >= 450
         assert picture.path.stat().st_size > 10_000  # an empty sheet is smaller
     result = {
-        "metrics": metrics(waves, scene),
+        "metrics": metrics(waves, Build(scene, {})),
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},
@@ -107,7 +119,7 @@ def test_page_has_all_sections(page: Page) -> None:
 
 
 def test_page_loads_nothing_from_elsewhere(page: Page) -> None:
-    assert len(page.sources) == 6
+    assert len(page.sources) == 2
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
 
 
@@ -123,13 +135,13 @@ def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
     assert "<script>" not in path.read_text(encoding="utf-8")
 
 
-def test_run_without_catch_is_drawn_too(tmp_path: Path) -> None:
-    scene = load_scene("kick_and_catch", []).model_copy(update={"control": None, "catch": None})
+def test_a_run_without_catch_says_nothing_of_one() -> None:
+    scene = load_scene({"kick": {}, "contact": {}, "sphere": {}})
     waves = loop_waves()
     kept = {k: v for k, v in waves.data.items() if not k.startswith(("coil", "control"))}
-    pictures = loop_figures(tmp_path, Waveforms(kept, {}), scene)
-    assert {p.path.stem for p in pictures} == {"trajectory", "kick_stroke", "contact_force"}
-    assert "caught" not in metrics(Waveforms(kept, {}), scene)
+    found = metrics(Waveforms(kept, {}), Build(scene, {}))
+    assert "launch_velocity_m_s" in found
+    assert "caught" not in found
 
 
 @pytest.mark.parametrize(

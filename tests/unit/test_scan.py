@@ -1,12 +1,18 @@
 """A third-party circuit that could act on the machine is refused; an honest one is not."""
 
+import contextlib
+import time
+
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.netlist.circuit import Deck
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import read_deck
-from kc2spice.netlist.scan import scan, third_party
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat
+from kc2spice.scene.load import load_scene
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.included import included_netlists
+from kc2spice.spice.lint import lint
+from kc2spice.spice.read import read_deck
+from kc2spice.spice.scan import third_party
 
 AMPLIFIER = """* a vendor's amplifier
 .subckt amp inp inn out
@@ -63,6 +69,11 @@ HOSTILE = {
     "table from a file": "B1 a 0 V={table(\"/etc/passwd\")}",
     "output bias file": ".savebias x.txt",
     "unknown command": ".exec id",
+    "tab behind the include": ".include\t../payload.lib extra.lib",
+    "option that is a variable of the shell": ".options editor=./evil",
+    "blank that is none to the simulator": ".op\xa0x",
+    "form feed behind the include": ".include\x0c../evil.lib",
+    "zero byte": "R1 a b 1\0\n.tran 1 1",
     "script machinery": "set filetype=ascii",
     "write": "write x.txt v(a)",
 }  # fmt: skip
@@ -126,7 +137,9 @@ def test_benign_circuits_pass(text, tmp_path):
     files = third_party(path)
     assert list(files) == ["user.lib"]
     assert "\r" not in files["user.lib"]
-    assert scan(files["user.lib"], "user.lib") == []
+    (tmp_path / "again").mkdir()
+    (tmp_path / "again" / "user.lib").write_text(files["user.lib"])
+    third_party(tmp_path / "again" / "user.lib")
 
 
 def test_the_line_is_named(tmp_path):
@@ -149,7 +162,10 @@ def test_included_files_come_along_and_are_scanned(tmp_path):
     (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER)
     main = tmp_path / "user.cir"
     main.write_text(".include models/amp.lib\nX1 a b c amp\n")
-    assert list(third_party(main)) == ["user.cir", "models/amp.lib"]
+    assert third_party(main) == {
+        "user.cir": f"* begin of models/amp.lib\n{AMPLIFIER}\n* end of models/amp.lib\n"
+        "X1 a b c amp\n"
+    }
     (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER + ".control\n")
     with pytest.raises(UsageError, match=r"amp\.lib:6"):
         third_party(main)
@@ -162,21 +178,115 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
     main = tmp_path / "user.cir"
     main.write_text("* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n")
     files = third_party(main)
-    assert list(files) == ["user.cir", "models/amp.lib", "models/inner.lib"]
-    lint(Deck("user", "user.cir", files, {}, None))
-    assert read_deck(main).files == files
+    assert list(files) == ["user.cir"]
+    assert "\n* inner\n" in files["user.cir"]
+    lint(Deck(name="user", text=files.pop("user.cir"), more=files))
+    assert len(read_deck(main).files) == 3
 
 
-def test_a_trusted_circuit_brings_only_files_of_its_directory(tmp_path):
+@pytest.mark.parametrize(
+    "card",
+    [
+        ".include inner.lib", ".INCLUDE inner.lib", ".inc\tinner.lib", "\t .include\t\tinner.lib  ",
+        ".includeX inner.lib", ".incore 'inner.lib'", '.include "inner.lib"',
+        ".include ./inner.lib", ".include inner.lib ; a comment", ".include inner.lib $ a comment",
+        '.include "two words.lib"', ".include sub/../inner.lib", ".include inner.lib other.lib",
+        ".include ~/inner.lib",
+    ],
+)  # fmt: skip
+def test_no_include_is_left_for_the_simulator(card, tmp_path):
+    (tmp_path / "inner.lib").write_text("Rinner a 0 1\n")
+    (tmp_path / "two words.lib").write_text("Rinner a 0 1\n")
     main = tmp_path / "user.cir"
-    main.write_text(".include ../elsewhere.lib\n.include /etc/hostname\n")
-    assert list(third_party(main, trust=True)) == ["user.cir"]
+    main.write_text(f"* user\n{card}\nR2 a 0 1\n")
+    if any(word in card for word in ("..", "~", "other")):
+        with pytest.raises(UsageError, match="includes"):
+            third_party(main)
+        return
+    text = third_party(main)["user.cir"]
+    assert "\nRinner a 0 1\n" in text
+    assert ".inc" not in text.lower()
 
 
-def test_includes_in_a_circle_end(tmp_path):
+def test_text_has_one_spelling(tmp_path):
+    path = tmp_path / "my amp (old).lib"
+    path.write_text(
+        "\tR1 a\tb 1k // text\nR2 a b 2k $ text\nR3 a b \\\\\n  3k ; text\n"
+        "* text \\\\\nR4 a b 4k\n.END\n// text\n"
+    )
+    assert third_party(path) == {
+        "my_amp__old_.lib": "R1 a b 1k ; text\nR2 a b 2k ; text\nR3 a b\n+ 3k ; text\n"
+        "* text \\\\\nR4 a b 4k\n* .END\n* text\n"
+    }
+
+
+def test_a_card_that_goes_on_over_two_files_is_seen_whole(tmp_path):
+    (tmp_path / "inner.lib").write_text('+ file="/etc/passwd"\n')
+    main = tmp_path / "user.lib"
+    main.write_text("V1 a 0 PWL\n.include inner.lib\n")
+    with pytest.raises(UsageError, match="reads or writes a file"):
+        third_party(main)
+
+
+def test_a_trusted_circuit_takes_what_can_be_read(tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    (tmp_path / "elsewhere.lib").write_text("R1 a b 1\n.control\n.endc\n")
+    main = home / "user.cir"
+    main.write_text(".include\t../elsewhere.lib\n.include missing.lib\n")
+    text = third_party(main, trust=True)["user.cir"]
+    assert "\nR1 a b 1\n.control\n.endc\n" in text
+    assert text.endswith("\n.include missing.lib\n")
+
+
+def test_includes_in_a_circle_are_refused(tmp_path):
     (tmp_path / "a.lib").write_text(".include b.lib\n")
     (tmp_path / "b.lib").write_text(".include a.lib\n")
-    assert list(third_party(tmp_path / "a.lib")) == ["a.lib", "b.lib"]
+    with pytest.raises(UsageError, match="circle"):
+        third_party(tmp_path / "a.lib")
+
+
+def test_includes_that_multiply_are_refused(tmp_path):
+    for i in range(10):
+        (tmp_path / f"{i}.lib").write_text(f".include {i + 1}.lib\n" * 2)
+    (tmp_path / "10.lib").write_text("* end\n")
+    with pytest.raises(UsageError, match="too many files"):
+        third_party(tmp_path / "0.lib")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/etc/passwd", "../x.lib", "a/../../x.lib", "x.lib\n.control", "x\t.lib", "x\0.lib",
+     "~/x.lib", "$HOME.lib", "`id`.lib", "-x.lib", "x.lib ", "", "c:x.lib", "a\\b.lib",
+     "x.lib\u2028"],
+)  # fmt: skip
+def test_names_in_a_scene_cannot_lead_elsewhere(name):
+    assert name_threat(name)
+    home = load_scene("bring_your_own").home
+    with pytest.raises(UsageError) as caught:
+        included_netlists((name,), home)
+    assert caught.value.exit_code == 2
+    assert "includes" in str(caught.value)
+    with pytest.raises(UsageError):
+        load_scene("bring_your_own", {"include": [name]})
+
+
+def test_time_to_read_grows_with_the_size_alone(tmp_path):
+    cards = {
+        "blanks": "R1 a b 1" + " " * 400_000 + "x",
+        "blanks before =": "R1 a b 1 x" + " " * 400_000 + "= 1",
+        "continuations": "R1 a b 1" + "\n+ x" * 100_000,
+        "files": "R1 " + "file " * 100_000,
+        "dots": "." * 400_000,
+    }
+    for name, text in cards.items():
+        path = tmp_path / "user.lib"
+        path.write_text(text + "\n")
+        begin = time.process_time()
+        with contextlib.suppress(UsageError):
+            files = third_party(path)
+            lint(Deck(name="user", text=files.pop("user.lib"), more=files))
+        assert time.process_time() - begin < 5, name
 
 
 def test_links_do_not_lead_out(tmp_path):

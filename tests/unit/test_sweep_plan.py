@@ -6,15 +6,28 @@ from importlib import resources
 
 import pytest
 
-from kc2spice.errors import UsageError
-from kc2spice.study.sweep.definition import request_of, studies
-from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.ranges import parse
-from kc2spice.study.sweep.source import SceneText, scene_text
-from kc2spice.study.sweep.stages import shared_models, slow_blocks
-from kc2spice.study.sweep.study import Request, make_study, read_plan, write_plan
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.keys import keys_of
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.sweep import plan as plans
+from kc2spice.workflow.sweep.plan import make_plan
+from kc2spice.workflow.sweep.point import SceneText, scene_text
+from kc2spice.workflow.sweep.study import (
+    Request,
+    make_study,
+    read_plan,
+    request_of,
+    shared_models,
+    studies,
+    write_plan,
+)
 
 SCENE = SceneText("kick_and_catch", None)
+KEYS = keys_of(load_scene("kick_and_catch"))
+
+
+def parse(text):
+    return plans.parse(text, KEYS)
 
 
 def study(*sets, **options):
@@ -59,7 +72,8 @@ def test_any_order_visits_every_point_once():
 
 def test_gains_need_one_model_of_each_kind():
     runs = study("control.kp=4e4:6e4:3", "control.kd=10:30:5").stages.runs
-    assert runs == {"chip_fe": 1, "catch_fe": 1, "rom": 1, "netlists": 15, "ngspice": 15}
+    assert runs == {"fe": {"kick": 1, "catch": 1}, "rom": {"kick": 1}, "netlists": 15,
+                    "ngspice": 15}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -77,7 +91,7 @@ def test_gains_need_one_model_of_each_kind():
 )
 def test_runs_are_counted_by_what_the_keys_reach(sets, chip, catch, rom, netlists):
     runs = study(*sets).stages.runs
-    assert (runs["chip_fe"], runs["catch_fe"], runs["rom"]) == (chip, catch, rom)
+    assert (runs["fe"], runs["rom"]) == ({"kick": chip, "catch": catch}, {"kick": rom})
     assert (runs["netlists"], runs["ngspice"]) == (netlists, study(*sets).plan.size)
 
 
@@ -85,7 +99,7 @@ def test_drivers_are_circuits_and_need_no_new_models():
     request = Request(SceneText("amplifier_kick", None),
                       ("kick.driver.amplifier.current_limit=2 A,5 A",))  # fmt: skip
     assert make_study(request).stages.runs == {
-        "chip_fe": 1, "catch_fe": 1, "rom": 1, "netlists": 2, "ngspice": 2,
+        "fe": {"kick": 1, "catch": 1}, "rom": {"kick": 1}, "netlists": 2, "ngspice": 2,
     }  # fmt: skip
 
 
@@ -115,7 +129,7 @@ def test_models_are_prepared_once_each_with_one_group_for_each_chip():
 
 def test_points_that_share_a_chip_run_one_after_the_other():
     found = study("control.kd=10,20,30", "kick.damping.ratio=0.01,0.02")
-    order = found.plan.order(slow_blocks(found.plan, found.stages))
+    order = found.plan.order([found.plan.block(key) for key in found.stages.keys])
     ratios = [found.plan.values(i)[1] for i in order]
     assert ratios == sorted(ratios)
 
@@ -179,20 +193,20 @@ def test_whatever_decides_the_table_decides_the_digest():
 
 @pytest.mark.parametrize("name", studies())
 def test_built_in_studies_are_sound(name):
-    request = request_of(name, (), False, False, 0, (), None, "csv")
+    request = request_of(name)
     found = make_study(request)
     assert found.plan.size > 10
-    smaller = request_of(name, ("solver.stop=7 ms",), False, False, 0, (), None, "csv")
+    smaller = request_of(name, sets=("solver.stop=7 ms",))
     assert make_study(smaller).digest != found.digest
 
 
 def test_a_study_of_your_own_is_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('scene = "kick_and_catch"\n[set]\n"control.kd" = "10:20:3"\n')
-    assert make_study(request_of(str(path), (), False, False, 0, (), None, "csv")).plan.size == 3
+    assert make_study(request_of(str(path))).plan.size == 3
     path.write_text('scene = "kick_and_catch"\nsets = 3\n')
     with pytest.raises(UsageError, match="not a key"):
-        request_of(str(path), (), False, False, 0, (), None, "csv")
+        request_of(str(path))
 
 
 def test_a_circuit_of_your_own_decides_the_table_too(tmp_path):

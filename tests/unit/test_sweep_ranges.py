@@ -4,9 +4,24 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kc2spice.errors import UsageError
-from kc2spice.study.sweep.plan import make_plan
-from kc2spice.study.sweep.ranges import Grid, Random, overrides, parameters, parse
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.keys import keys_of
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.sweep import plan as plans
+from kc2spice.workflow.sweep.plan import (
+    Grid,
+    Random,
+    first_value,
+    make_plan,
+    overrides,
+    parameters,
+)
+
+KEYS = keys_of(load_scene("kick_and_catch"))
+
+
+def parse(text):
+    return plans.parse(text, KEYS)
 
 
 def test_linear_range_has_both_ends():
@@ -49,7 +64,7 @@ def test_logarithmic_range_has_equal_ratios_and_exact_ends():
     ],
 )
 def test_one_value_is_no_range(text):
-    assert parse(text) is None
+    assert first_value(text) is None
 
 
 @pytest.mark.parametrize(

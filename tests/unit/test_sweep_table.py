@@ -1,31 +1,33 @@
 """The table: rows in any order, torn rows, sorted once, the same in CSV and Parquet."""
 
 import csv
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from kc2spice.errors import UsageError
+from kc2spice.core.errors import UsageError
 from kc2spice.report.sweep_figures import sweep_figures
 from kc2spice.report.sweep_page import yields
-from kc2spice.study.sweep.table import Journal, columns, publish
+from kc2spice.workflow.sweep.table import BAD, INTERRUPTED, MISSING, RowStore, columns, publish
 
 KINDS = {"a": float, "word": str, "t": float, "caught": bool, "status": str}
 
 
 def filled(path, order, size=6):
-    journal = Journal(path, size)
+    store = RowStore(path, size)
     for index in order:
         failure = 'stopped, at "x"\n2' if index == 2 else None
         cells = (None, None) if failure else (index / 7.0, index % 2 == 0)
-        journal.record(index, (index * 0.1, "parallel", *cells), failure)
-    journal.close()
-    return journal
+        store.record(index, (index * 0.1, "parallel", *cells), failure)
+    store.close()
+    return store
 
 
 def test_rows_are_sorted_and_exact(tmp_path):
-    journal = filled(tmp_path / "j.csv", (4, 0, 2, 5, 1, 3))
-    publish([journal.path], tmp_path / "t.csv", list(KINDS), KINDS)
+    store = filled(tmp_path / "j.sqlite", (4, 0, 2, 5, 1, 3))
+    publish([store.path], tmp_path / "t.csv", list(KINDS), KINDS)
     rows = list(csv.DictReader((tmp_path / "t.csv").open(encoding="utf-8", newline="")))
     assert list(rows[0]) == list(KINDS)
     assert [float(row["a"]) for row in rows] == [index * 0.1 for index in range(6)]
@@ -37,32 +39,51 @@ def test_rows_are_sorted_and_exact(tmp_path):
 
 def test_order_of_arrival_leaves_no_trace(tmp_path):
     for name, order in (("a", range(6)), ("b", (5, 3, 1, 4, 2, 0))):
-        journal = filled(tmp_path / f"{name}.j", order)
-        publish([journal.path], tmp_path / f"{name}.csv", list(KINDS), KINDS)
+        store = filled(tmp_path / f"{name}.j", order)
+        publish([store.path], tmp_path / f"{name}.csv", list(KINDS), KINDS)
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
-@pytest.mark.parametrize("keep", [0.5, 0.95])
-def test_a_torn_row_is_run_again_and_no_other(tmp_path, keep):
-    path = tmp_path / "j.csv"
-    filled(path, range(6))
-    whole = path.read_bytes()
-    start = whole.rstrip(b"\n").rfind(b"\n") + 1
-    path.write_bytes(whole[: start + int(keep * (len(whole) - start))])
-    journal = Journal(path, 6)
-    assert list(np.flatnonzero(~journal.done)) == [5]
-    assert journal.failed == 1
-    journal.record(5, (0.5, "parallel", 5 / 7.0, False), None)
-    journal.close()
-    assert path.read_bytes() == whole
+def test_rows_survive_a_process_that_is_killed(tmp_path):
+    """A writer that ends without closing anything leaves whole rows, all of them."""
+    path = tmp_path / "j.sqlite"
+    code = (
+        "import os\nfrom pathlib import Path\n"
+        "from kc2spice.workflow.sweep.table import RowStore\n"
+        f"store = RowStore(Path({str(path)!r}), 6)\n"
+        "for k in range(4): store.record(k, (0.1 * k, None), 'no' if k == 2 else None)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    store = RowStore(path, 6)
+    assert list(np.flatnonzero(store.state == MISSING)) == [4, 5]
+    assert [row[-1] for row in store.rows()] == ["ok", "ok", "failed: no", "ok"]
+    assert store.failed == 1
+    store.close()
+
+
+def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
+    store = RowStore(tmp_path / "j.sqlite", 3)
+    store.record(0, (1.0,), None)
+    store.record(1, (None,), "did not converge")
+    store.record(2, (None,), "killed", interrupted=True)
+    store.close()
+    store = RowStore(tmp_path / "j.sqlite", 3)
+    store.forget(INTERRUPTED)
+    assert list(np.flatnonzero(store.state == MISSING)) == [2]
+    store.forget(BAD)
+    assert list(np.flatnonzero(store.state == MISSING)) == [1, 2]
+    store.record(2, (5.0,), None)
+    assert list(store.rows())[2] == ["5.0", "ok"]
+    store.close()
 
 
 def test_two_sweeps_do_not_write_one_table(tmp_path):
-    journal = Journal(tmp_path / "j.csv", 3)
+    store = RowStore(tmp_path / "j.sqlite", 3)
     with pytest.raises(UsageError, match="another sweep"):
-        Journal(tmp_path / "j.csv", 3)
-    journal.close()
-    Journal(tmp_path / "j.csv", 3).close()
+        RowStore(tmp_path / "j.sqlite", 3)
+    store.close()
+    RowStore(tmp_path / "j.sqlite", 3).close()
 
 
 def test_rows_of_several_parts_make_one_table(tmp_path):
@@ -75,14 +96,14 @@ def test_rows_of_several_parts_make_one_table(tmp_path):
 
 def test_parquet_holds_the_same_columns(tmp_path):
     pytest.importorskip("pyarrow")
-    journal = filled(tmp_path / "j.csv", range(6))
+    store = filled(tmp_path / "j.sqlite", range(6))
     tables = [tmp_path / "t.csv", tmp_path / "t.parquet"]
     for path in tables:
-        publish([journal.path], path, list(KINDS), KINDS)
+        publish([store.path], path, list(KINDS), KINDS)
     first, second = (columns(path, KINDS) for path in tables)
     for name in KINDS:
         np.testing.assert_array_equal(first[name], second[name])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["j.csv", "t.csv", "t.parquet"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["j.sqlite", "t.csv", "t.parquet"]
 
 
 def test_yield_has_the_exact_binomial_interval():
@@ -116,3 +137,8 @@ def test_figures_are_chosen_by_what_was_swept(tmp_path, keys, random, expected):
     pictures = sweep_figures(tmp_path, data, names, ["settling_time_s", "caught"], random, {})
     assert {picture.path.name for picture in pictures} == expected
     assert all(picture.path.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
+
+
+def test_nothing_stays_beside_the_rows(tmp_path):
+    filled(tmp_path / "j.sqlite", range(6))
+    assert [path.name for path in tmp_path.iterdir()] == ["j.sqlite"]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kc2spice.errors import UsageError
-from kc2spice.units import quantity
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from device import chip, magnets
-from hard_cases.kit import HEADER, bench_deck, case, scene
+from device import chip, deck_of, magnets
+from hard_cases.kit import HEADER, bench_deck, case, exact, scene
 
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.parts.pid import pid_subcircuit
-from kc2spice.report.metrics import compare
-from kc2spice.scene.schema import Control
-from kc2spice.sim import reference
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.report.distance import compare
+from kc2spice.scene.load import load_scene
 
 FEW = 12
 
@@ -22,8 +20,7 @@ def loop_error(bench, *overrides):
     """Largest distance [m] from scipy's trajectory."""
     study, model = scene("kick_and_catch", *overrides), chip(FEW)
     waves = bench.scene(study, model)
-    exact = reference.kick_and_catch(model, study, magnets(), rtol=1e-8)
-    return compare(waves, exact.waves)["trajectory_m"]
+    return compare(waves, exact(study, waves, model, magnets()))["trajectory_m"]
 
 
 @case("saturated controller with integrator", "distance from scipy [m]", 1e-6)
@@ -56,8 +53,11 @@ Rcoils drive ret 3192
 
 @case("sphere leaves the field table", "above", refused="table_left")
 def out_at_the_top(bench):
-    study = scene("kick_and_catch", "kick.drive.voltage=150 V", "solver.stop=5 ms")
-    bench.scene(study.model_copy(update={"control": None}), chip(FEW))
+    tables = {
+        "name": "kick_and_catch", "kick": {"drive": {"voltage": 150.0}}, "contact": {"rings": "all"},
+        "sphere": {}, "catch": {}, "solver": {"stop": 5e-3},
+    }  # fmt: skip
+    bench.scene(load_scene(tables), chip(FEW))
     return 0.0
 
 
@@ -90,15 +90,14 @@ def fast_edges_stiff_springs_light_damping(bench):
                   "solver.stop=1.5 ms", "checks.touches=warn")  # fmt: skip
     model = chip(FEW, damping=1e-3)  # whose many touches would have the run refined: not here
     waves = bench.scene(study, model)
-    exact = reference.kick_and_catch(model, study, magnets(), rtol=1e-8)
-    return compare(waves, exact.waves)["trajectory_m"]
+    return compare(waves, exact(study, waves, model, magnets()))["trajectory_m"]
 
 
 @case("all at once", "difference of two runs [m]", 0.0)
 def two_runs_of_one_deck(bench):
     """The same scene twice gives the same points, to the last bit: no state is left behind."""
     study, model = scene("kick_and_catch", "solver.stop=1 ms"), chip(FEW)
-    deck = scene_deck(study, HEADER, model, 50e-6 * np.arange(6), magnets())
+    deck = deck_of(study, model, magnets())
     first, second = bench.run(deck), bench.run(deck)
     if first["time"].size != second["time"].size:
         return np.inf

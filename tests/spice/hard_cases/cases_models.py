@@ -6,18 +6,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from device import RADII, chip
+from device import chip, deck_of
 from hard_cases import kit
-from hard_cases.kit import HEADER, Bench, bench_deck, case, scene
+from hard_cases.kit import HEADER, Bench, bench_deck, case
 
-from kc2spice.netlist.included import included_netlists
-from kc2spice.netlist.realize_signal import realize_signal
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.parts.opamp import opamp_subcircuit
-from kc2spice.rom.foreign import make_model
-from kc2spice.rom.general import reduce_model
-from kc2spice.scene.checks import check
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
+from kc2spice.spice.realize import subcircuit
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "physics"))
 import mor_families as families
@@ -36,9 +33,9 @@ def chain(**changed: np.ndarray) -> dict[str, np.ndarray]:
 
 def response_error(bench: Bench, matrices: dict[str, np.ndarray], top: float = 0.1) -> float:
     """Reduced, written, run in ngspice, against ``C (s^2 M + s E + K)^-1 B`` in full."""
-    model = make_model(families.as_files(matrices), None, "hard", "hard")
-    rom = reduce_model(model, (0.0, top), tolerance=1e-6)
-    part = realize_signal(rom, HEADER, name="part")
+    model = LinearModel(**families.as_files(matrices), name="hard")
+    rom = reduce(model, band=(0.0, top), tolerance=1e-6)
+    part = subcircuit(rom, "part", HEADER)
     frequency = np.linspace(top / 50, top, 50)
     inputs, outputs = rom.B.shape[1], rom.C.shape[0]
     columns = []
@@ -144,7 +141,7 @@ def included(text: str, directory: Path) -> str:
     path = directory / "mine.toml"
     path.write_text(
         'name = "mine"\ninclude = ["mine.lib"]\n[kick.driver.user]\nsubckt = "mine"\n'
-        "[kick.drive]\nstart = 1e-5\n[contact]\n[sphere]\n[solver]\nstop = 4e-5\n"
+        '[kick.drive]\nstart = 1e-5\n[contact]\nrings = "all"\n[sphere]\n[solver]\nstop = 4e-5\n'
     )
     return str(path)
 
@@ -152,8 +149,7 @@ def included(text: str, directory: Path) -> str:
 def users_circuit(bench: Bench, text: str) -> None:
     """Run a kick through the user's circuit, as ``kc2spice run`` does."""
     study = load_scene(included(text, bench.directory))
-    extra = included_netlists(study, trust=False)
-    bench.run(scene_deck(study, HEADER, chip(6), RADII, None, extra))
+    bench.run(deck_of(study, chip(6)))
 
 
 @case("a user circuit that fails", "the log's own reason", refused="(?i)failed|iteration|timestep")
@@ -211,8 +207,7 @@ Cfast y ref 1e-12
     return 0.0
 
 
-@case("a user circuit that fails", "scene refused", refused="needs this part")
+@case("a user circuit that fails", "scene refused", refused="nothing touches the sphere")
 def sphere_without_contact(bench):
-    study = scene("impact")
-    check(study.model_copy(update={"contact": None}))
+    load_scene({"name": "impact", "kick": {"electrical": "short"}, "sphere": {}, "impact": {}})
     return 0.0

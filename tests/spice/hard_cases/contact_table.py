@@ -13,12 +13,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.kit import HEADER, Bench, bench_deck
 
-from kc2spice.errors import SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.parts.contact import contact_subcircuit
-from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.scene.schema import Sphere
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 
-MASS, STIFFNESS, SPEED, HEIGHT, LANDINGS = Sphere().mass, 4e8, 0.01, 1e-7, 100
+MASS, STIFFNESS, SPEED, HEIGHT, LANDINGS = SphereKeys().mass, 4e8, 0.01, 1e-7, 100
 TABLE = re.compile(r"(?s)<!-- table -->\n.*<!-- end -->")
 PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
 OPTIONS = {

@@ -5,24 +5,28 @@ from __future__ import annotations
 import re
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from device import RADII, chip, magnets
+from device import bench as bench_deck  # noqa: F401
+from device import built, chip, edited, magnets
 
-from kc2spice.errors import Kc2spiceError
-from kc2spice.fem.emtable import EMTable
-from kc2spice.netlist.circuit import Deck, Subcircuit
-from kc2spice.netlist.header import Header
-from kc2spice.parts.experiments import scene_deck
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.parts.contact import separation
+from kc2spice.rom.modal import Resonators
+from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.schema import Scene
+from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.truth import find_truth, require
-from kc2spice.sim.waveforms import Waveforms
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.header import Header
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
@@ -70,8 +74,8 @@ class Bench:
         """The deck's waveforms; points are counted, failures remembered."""
         self.decks += 1
         if self.plain:
-            files = {name: without_options(text) for name, text in deck.files.items()}
-            deck = replace(deck, files=files)
+            text = None if deck.text is None else without_options(deck.text)
+            deck = replace(edited(deck, without_options), options=(), text=text)
         try:
             waves = run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
         except Kc2spiceError as error:
@@ -83,16 +87,14 @@ class Bench:
     def scene(
         self,
         scene: Scene,
-        model: ResonatorModel | None = None,
+        model: Resonators | None = None,
         table: EMTable | None = None,
-        radii: np.ndarray = RADII,
     ) -> Waveforms:
-        """What ``kc2spice run`` does with a scene: the deck, ngspice, then the truth checks."""
-        table = magnets() if table is None and scene.catch else table
-        model = chip() if model is None and scene.kick else model
-        waves = self.run(scene_deck(scene, HEADER, model, radii, table))
+        """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
+        build = built(scene, model or chip(), table or magnets())
+        waves = self.run(make_deck(build))
         if not self.plain:
-            require(find_truth(waves, scene, table, model).checks, scene.name)
+            require(verdict(waves, build).checks, scene.name)
         return waves
 
 
@@ -138,28 +140,39 @@ def without_options(text: str) -> str:
 def scene(name: str, *overrides: str) -> Scene:
     """A scene of the gallery; the made-up device needs 80 V for a launch at 1 m/s."""
     first = ["kick.drive.voltage=80 V"] if name == "kick_and_catch" else []
-    return load_scene(name, [*first, *overrides])
+    rings = ["contact.rings=all"] if "contact" in load_scene(name).parts else []
+    return load_scene(name, [*rings, *first, *overrides])
 
 
 def kick(*overrides: str) -> Scene:
     """The kick alone: no catch, no controller, 30 us after the pulse has begun."""
-    whole = scene("kick_and_catch", "kick.drive.start=10 us", "solver.stop=40 us",
-                  "control.enable_at=10 us", *overrides)  # fmt: skip
-    return whole.model_copy(update={"catch": None, "control": None})
+    tables = {
+        "name": "kick_and_catch", "kick": {"drive": {"voltage": 80.0, "start": 10e-6}},
+        "contact": {"rings": "all"}, "sphere": {}, "solver": {"stop": 40e-6},
+    }  # fmt: skip
+    return load_scene(tables, overrides)
 
 
-def bench_deck(
-    parts: list[Subcircuit],
-    cards: str,
-    vectors: dict[str, tuple[str, float]],
-    stop: float | None = None,
+def exact(
+    study: Scene, waves: Waveforms, model: Resonators | None = None, table: EMTable | None = None
+) -> Waveforms:
+    """The scene by the independent integrator in Python, at the points of ``waves``."""
+    return solve(built(study, model or chip(), table), waves).results
+
+
+def rewritten(
+    deck: Deck, text: str, vectors: Mapping[str, tuple[str, float]] | None = None
 ) -> Deck:
-    """A deck written by hand around parts of ours."""
-    saved = dict.fromkeys(v for names, _ in vectors.values() for v in names.split("+"))
-    lines = ["* bench", *(f".include {p.filename}" for p in parts), cards]
-    lines += [*(f".save {v}" for v in saved), ".end", ""]
-    files = {"bench.cir": "\n".join(lines)} | {p.filename: p.text for p in parts}
-    return Deck("bench", "bench.cir", files, vectors, stop)
+    """The deck with the text of its main file replaced, its libraries kept."""
+    return replace(
+        deck, text=text, options=(), vectors=deck.vectors if vectors is None else vectors
+    )
+
+
+def leaves(waves: Waveforms) -> tuple[float, float]:
+    """Time and velocity of the launch or rebound; not numbers where there is none."""
+    found = separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+    return found if found is not None else (np.nan, np.nan)
 
 
 def relative(found: float | None, expected: float | None) -> float:

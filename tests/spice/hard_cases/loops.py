@@ -20,15 +20,18 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.rom.model import ResonatorModel
+from kc2spice.core.progress import Clock, silent
+from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.schema import Scene
-from kc2spice.sim.reference.law import law
-from kc2spice.study.bench.floor import Floor
-from kc2spice.study.decks import make_deck
-from kc2spice.study.models import Models, build_models
-from kc2spice.study.progress import Clock, silent
-from kc2spice.study.simulate import simulate
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.simulate import simulate
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from laboratory.law import law
+from laboratory.lower_bound import LowerBound
 
 COUNT = 150
 AFTER = 60e-6  # s from the kick's start: the launch and the flight that makes it one
@@ -69,23 +72,26 @@ def draws() -> np.ndarray:
 def loops(first: int = 0, last: int = COUNT) -> Iterator[Loop]:
     """Run the draws ``first`` to ``last``: ngspice on the emitted deck, exact modes beside it."""
     base = load_scene("kick_and_catch")
-    models = build_models(base, Clock(silent))
+    models = build_models(base, Clock(silent)).models
+    chip, start = resonators(models["kick"]), base.parts["kick"].keys.drive.start
     for damping, voltage, edge, penalty in draws()[first:last].tolist():
         keys = [
             f"kick.damping.ratio={damping!r}", f"kick.drive.edge={edge!r}",
-            f"contact.penalty={penalty!r}", f"solver.stop={base.kick.drive.start + AFTER!r}",
+            f"contact.penalty={penalty!r}", f"solver.stop={start + AFTER!r}",
             "checks.range=off",  # both roads have the same rings, where softer springs need more
         ]  # fmt: skip
 
-        scene, chip = _kick(keys, voltage), models.kick.resonators
+        scene = _kick(keys, voltage)
         # The basis does not depend on stiffness-proportional damping, which only scales with it.
-        damped = replace(chip, damp=scene.kick.damping.beta * chip.omega**2)
-        varied = replace(models, kick=replace(models.kick, resonators=damped))
-        found, touches, rungs, points = _product(scene, varied)
-        exact = _exact(scene, varied, damped)
+        beta = scene.parts["kick"].keys.damping.beta
+        damped = replace(chip, damp=beta * chip.omega**2).linear()
+        varied = {**models, "kick": damped}
+        found, touches, rungs, points = _product(_build(scene, varied))
+        exact = _exact(_build(scene, varied))
         error, doubt = abs(found / exact - 1.0), 0.0
         if error > BOUND:
-            others = [_exact(_kick(keys, voltage * (1 + c)), varied, damped) for c in CHANGES]
+            scenes = [_kick(keys, voltage * (1 + c)) for c in CHANGES]
+            others = [_exact(_build(each, varied)) for each in scenes]
             doubt = max(abs(other / exact - 1.0) for other in others)
         yield Loop(damping, voltage, edge, penalty, found, error, doubt, touches, rungs, points)
 
@@ -94,19 +100,22 @@ def _kick(keys: list[str], voltage: float) -> Scene:
     return load_scene("kick_and_catch", [*keys, f"kick.drive.voltage={voltage!r}"])
 
 
-def _product(scene: Scene, models: Models) -> tuple[float, int, int, int]:
+def _build(scene: Scene, models: dict[str, object]) -> Build:
+    return Build(scene, models, libraries(scene))
+
+
+def _product(build: Build) -> tuple[float, int, int, int]:
     """Launch, touches of one ring, rungs of the ladder, time points."""
     with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        deck = make_deck(scene, models)
-        climbed = simulate(scene, models, deck, Path(directory), timeout=600.0)
+        climbed = simulate(build, make_deck(build), Path(directory), timeout=600.0)
     waves = climbed.waves
-    (check,) = (c for c in climbed.truth.checks if c.name == "touches")
+    (check,) = (c for c in climbed.verdict.checks if c.name == "touches")
     return waves["sphere.v"][-1], int(check.value), len(climbed.attempts), waves["time"].size
 
 
-def _exact(scene: Scene, models: Models, chip: ResonatorModel) -> float:
-    return Floor(law(chip, scene, models.table), SAMPLING).run(scene)["sphere.v"][-1]
+def _exact(build: Build) -> float:
+    return LowerBound(law(build), SAMPLING).run(build.scene)["sphere.v"][-1]
 
 
 def main() -> None:

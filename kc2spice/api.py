@@ -1,0 +1,587 @@
+"""The public functions of kc2spice, in the words of the command line.
+
+Everything here is also found in the package itself: ``import kc2spice as kc; kc.run(...)``.
+Exceptions are those of :mod:`kc2spice.core.errors`, at hand as ``kc.errors``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from kc2spice.core.figure import Figure
+    from kc2spice.core.waveforms import Waveforms
+    from kc2spice.rom.linear import LinearModel
+    from kc2spice.scene.judge import Check
+    from kc2spice.scene.model import Scene
+    from kc2spice.scene.parttype import PartType
+    from kc2spice.spice.circuit import Subcircuit
+    from kc2spice.spice.deck import Deck
+    from kc2spice.workflow.run import Completed
+
+Function = Callable[[float, Mapping[str, float]], float]
+
+
+# ------------------------------------------------------------------------------------- scenes
+
+
+def load_scene(
+    scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+) -> Scene:
+    """Read and check a scene.
+
+    Parameters
+    ----------
+    scene : name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the
+        tables of such a file as a mapping, or a scene to be changed.
+    overrides : dotted keys and their new values, ``{"kick.drive.voltage": 80}``; numbers are SI,
+        texts may carry a unit (``"80 V"``).
+
+    Raises
+    ------
+    UsageError : no such scene, an unknown key or part type, a bad value, pins that do not fit.
+    """
+    from kc2spice.scene import load
+
+    return load.load_scene(scene, overrides or {})
+
+
+def register_part(part_type: PartType) -> PartType:
+    """Make a part type of your own known; scenes then name it behind ``part =``.
+
+    A part type is an instance of a subclass of :class:`kc2spice.PartType`. A package offers its
+    types to every process through the entry point group ``kc2spice.parts``.
+
+    Raises
+    ------
+    UsageError : it has no name or no schema.
+    """
+    from kc2spice.scene.parttype import register
+
+    return register(part_type)
+
+
+# ------------------------------------------------------------------------------------- models
+
+
+def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearModel]:
+    """The full model of every body of a scene, by the body's name.
+
+    The models have all ports that the bodies offer and as many unknowns as their meshes. Nothing
+    is reduced; :func:`reduce` does that. Parts that are no bodies (drivers, contacts, …) have no
+    entry.
+
+    Raises
+    ------
+    UsageError : as :func:`load_scene`, or a model's file cannot be read.
+    """
+    from kc2spice.core.progress import Clock
+    from kc2spice.parts._linear_body import LinearBody
+
+    loaded = load_scene(scene)
+    return {
+        part.name: replace(part.type.full(part, loaded, Clock()), name=part.name)
+        for part in loaded.parts.values()
+        if isinstance(part.type, LinearBody)
+    }
+
+
+def read_model(path: str | Path) -> LinearModel:
+    """Read matrices of another tool, with the ports that ``NAME.toml`` beside them names.
+
+    ``path`` is any file of the model: Matrix Market or Harwell-Boeing ``NAME.M .E .K .B .C``,
+    ``.npz``, ``.mat``, Abaqus, CalculiX, Nastran or Ansys output; see *Your own matrices*.
+
+    Raises
+    ------
+    UsageError : no such model, a damaged file, matrices or ports that do not fit together.
+    MissingToolError : the format needs a package that is not installed.
+    """
+    from kc2spice.bodies import readers
+
+    return readers.read_model(path)
+
+
+def reduce(
+    model: LinearModel,
+    *,
+    tolerance: float | None = None,
+    order: int | None = None,
+    band: tuple[float, float] | None = None,
+) -> LinearModel:
+    """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
+
+    The result has the same ports in the same order and a ``certificate`` of its error with respect
+    to ``model``: the largest relative error of any transfer function over ``band`` [Hz]. Without a
+    band it is the model's own, else up to a little above the fifth natural frequency. An order of a
+    symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter and
+    Bechtold, Actuators 10 (2021) 279, section 2.3.
+
+    Raises
+    ------
+    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range.
+    SimulationError : the tolerance cannot be met, or a point of the band is a pole.
+    """
+    from kc2spice.rom import reduce as reduction
+
+    return reduction.reduce(model, tolerance=tolerance, order=order, band=band)
+
+
+def subcircuit(rom: LinearModel, name: str) -> Subcircuit:
+    """A linear model as one ``.subckt`` with a pin or two for every port.
+
+    The result has ``.pins`` (name, unit of 1 V, unit of 1 A), ``.params``, ``.text`` and
+    ``.write(path)``. Electrical pins come first, then mechanical ones, ``base`` and signals.
+
+    Raises
+    ------
+    UsageError : not a name for a subcircuit, or a model without state-space form.
+    """
+    from kc2spice.spice import realize
+
+    return realize.subcircuit(rom, name)
+
+
+def read_lib(path: str | Path) -> list[Subcircuit]:
+    """The subcircuits of a library file, with the pins, units and parameters of their heads.
+
+    Raises
+    ------
+    UsageError : no such file, no subcircuit in it, or a head that does not fit its card.
+    """
+    from kc2spice.spice import read
+
+    return read.read_lib(path)
+
+
+# ------------------------------------------------------------------------------------- running
+
+
+def deck(scene: Scene | str | Path | Mapping[str, Any], *, trust: bool = False) -> Deck:
+    """The netlist of a scene with its libraries; ``deck.files`` maps file names to texts.
+
+    Builds and reduces what the scene needs, from the cache where it can. ``trust`` lets netlists
+    that the scene includes act on the machine.
+
+    Raises
+    ------
+    UsageError : as :func:`load_scene`, or a circuit that is wired wrongly.
+    """
+    from kc2spice.core.progress import Clock
+    from kc2spice.spice.lint import lint
+    from kc2spice.workflow.decks import make_deck
+    from kc2spice.workflow.models import build_models
+
+    made = make_deck(build_models(load_scene(scene), Clock(), trust=trust))
+    lint(made)
+    return made
+
+
+def run(
+    scene: Scene | str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    *,
+    deck: str | Path | None = None,
+    trust: bool = False,
+    functions: Mapping[str, Function] | None = None,
+) -> Result:
+    """Build, reduce, export and simulate a scene.
+
+    Parameters
+    ----------
+    out : directory for what ``kc2spice run`` writes there; nothing is kept without it.
+    deck : a netlist of this scene that was edited by hand, to be run instead of the scene's own.
+    trust : let netlists and Python files that the scene names act on the machine.
+    functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
+        instead of the Python file beside the scene.
+
+    Raises
+    ------
+    UsageError : as :func:`load_scene`; a ``deck`` that does not save what the metrics need.
+    MissingToolError : no ngspice.
+    SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
+        in ``OUT.failed``.
+    """
+    from kc2spice.workflow.run import complete
+    from kc2spice.workflow.simulate import kept_on_failure
+
+    loaded = load_scene(scene)
+    edited = None if deck is None else Path(deck)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
+        if out is None:
+            return _result(
+                complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
+            )
+        with kept_on_failure(Path(work), Path(out), loaded.name):
+            done = complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
+    result = _result(done)
+    result.save(out)
+    return result
+
+
+def simulate(
+    deck: Deck | Scene | str | Path | Mapping[str, Any],
+    *,
+    timeout: float | None = None,
+    functions: Mapping[str, Function] | None = None,
+) -> Result:
+    """Run a deck in ngspice; a scene is run as by :func:`run`.
+
+    A deck alone gives waveforms. Metrics and checks are those of a scene's parts, so they need the
+    scene: ``kc.run(scene, deck=FILE)``. ``timeout`` is in seconds of wall clock and for decks;
+    ``functions`` are for scenes, as in :func:`run`.
+
+    Raises
+    ------
+    UsageError : ``functions`` with a deck, ``timeout`` with a scene.
+    MissingToolError : no ngspice.
+    SimulationError : ngspice failed or stopped early; the message says where.
+    """
+    from kc2spice.sim.retries import run_with_retries
+    from kc2spice.spice.deck import Deck
+
+    if not isinstance(deck, Deck):
+        if timeout is not None:
+            raise UsageError("a time limit is for decks", hint="kc.simulate(kc.deck(scene), …)")
+        return run(deck, functions=functions)
+    if functions:
+        raise UsageError("functions are called by parts of a scene", hint="give the scene instead")
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
+        outcome = run_with_retries(deck, Path(work), retries=0, timeout=timeout)
+    return _plain_result(outcome.deck, outcome.waves)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Result:
+    """What a simulation gave.
+
+    Attributes
+    ----------
+    scene : name of the scene or deck.
+    metrics : numbers by name, in SI; the name ends in the unit.
+    waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
+    units : SI unit of each wave.
+    checks : what was held against physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
+    record : everything that ``result.json`` says, but for the names of files.
+    deck : the deck that gave this result.
+    figures : plots of the scene's parts by name, for :meth:`plot`.
+    """
+
+    scene: str
+    metrics: Mapping[str, Any]
+    waves: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    checks: tuple[Check, ...]
+    record: Mapping[str, Any]
+    deck: Deck
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    _done: Completed | None = None
+
+    @property
+    def scale(self) -> str:
+        """Name of the wave that all others are over: ``time``, ``frequency`` or ``sweep``."""
+        return next(iter(self.waves))
+
+    @property
+    def time(self) -> np.ndarray:
+        """Time points [s] (points,), unequally spaced.
+
+        Raises
+        ------
+        UsageError : this was no transient analysis.
+        """
+        return self._over("time")
+
+    @property
+    def frequency(self) -> np.ndarray:
+        """Frequencies [Hz] (points,).
+
+        Raises
+        ------
+        UsageError : this was no ``ac`` analysis.
+        """
+        return self._over("frequency")
+
+    def _over(self, scale: str) -> np.ndarray:
+        if self.scale != scale:
+            raise UsageError(f"this result is not over {scale}", where=self.scene, got=self.scale)
+        return self.waves[scale]
+
+    def plot(self, *names: str) -> Any:
+        """Draw waves, or one of ``figures``, or without names the first of the figures.
+
+        Waves of one unit share a pair of axes; complex ones are drawn by magnitude. Returns a
+        matplotlib figure that notebooks show by themselves; ``.savefig(path)`` writes it.
+
+        Raises
+        ------
+        UsageError : no such wave or figure.
+        """
+        from kc2spice.report.figures import notebook_figure
+
+        if not names and self.figures:
+            names = (next(iter(self.figures)),)
+        if len(names) == 1 and names[0] in self.figures:
+            return notebook_figure(self.figures[names[0]])
+        known = [name for name in self.waves if name != self.scale]
+        for name in names:
+            if name not in known:
+                raise UsageError(
+                    "no such wave or figure", where=self.scene, got=repr(name),
+                    expected=", ".join([*self.figures, *known]),
+                )  # fmt: skip
+        return notebook_figure(self._sheet(names or tuple(known)))
+
+    def _sheet(self, names: tuple[str, ...]) -> Figure:
+        import numpy as np
+
+        from kc2spice.core.figure import Curve, Figure, Panel
+
+        panels: dict[str, list[Curve]] = {}
+        for name in names:
+            y = self.waves[name]
+            curve = Curve(name, self.waves[self.scale], np.abs(y) if np.iscomplexobj(y) else y)
+            panels.setdefault(self.units.get(name, ""), []).append(curve)
+        unit = {"time": "time in s", "frequency": "frequency in Hz"}.get(self.scale, self.scale)
+        log = self.scale == "frequency"
+        return Figure(
+            self.scene, self.scene, "",
+            tuple(
+                Panel(unit if k == len(panels) else "", f"in {u}" if u else "", tuple(curves),
+                      log_x=log, log_y=log)
+                for k, (u, curves) in enumerate(panels.items(), 1)
+            ),
+        )  # fmt: skip
+
+    def save(self, out: str | Path) -> Path:
+        """Write deck, libraries, waveforms, ``result.json`` and, of a scene, report and plots.
+
+        Returns the directory ``out``; it gets all files at once or none.
+
+        Raises
+        ------
+        UsageError : ``out`` cannot be written.
+        """
+        from kc2spice.core.files import staged
+        from kc2spice.sim.ngspice import write_deck
+        from kc2spice.workflow.results import write_record, write_waveforms
+
+        with staged(out) as work:
+            write_deck(self.deck, work)
+            if self._done is not None:
+                from kc2spice.report.figures import draw_all
+                from kc2spice.workflow.run import write_run_files
+
+                write_run_files(self._done, work, lambda found: lambda: draw_all(work, found))
+            else:
+                files = [*self.deck.files, *write_waveforms(self._waveforms, self.units, work)]
+                write_record({**self.record, "files": [*files, "result.json"]}, work)
+        return Path(out)
+
+    @property
+    def _waveforms(self) -> Any:
+        from kc2spice.core.waveforms import Waveforms
+
+        return Waveforms(dict(self.waves), {})
+
+    def __repr__(self) -> str:
+        points = self.waves[self.scale].size
+        head = (
+            f"<Result {self.scene}: {points} points over {self.scale}, {len(self.waves) - 1} waves"
+        )
+        failed = [check.name for check in self.checks if not check.passed]
+        if self.checks:
+            head += f", {len(self.checks)} checks " + (f"FAILED {failed}" if failed else "passed")
+        lines = [f"  {name} = {_shown(value)}" for name, value in self.metrics.items()]
+        return "\n".join([head + ">", *lines])
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(_shown(value))}</td></tr>"
+            for name, value in self.metrics.items()
+        )
+        head = escape(repr(self).split("\n")[0])
+        return f"<p>{head}</p><table><tr><th>metric</th><th>value</th></tr>{rows}</table>"
+
+
+def _shown(value: Any) -> str:
+    """A metric in one line; arrays by their length."""
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return str(value)
+    if isinstance(value, (int, float)):
+        return f"{value:.6g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_shown(item)}" for key, item in value.items())
+    return f"{len(value)} values" if hasattr(value, "__len__") else str(value)
+
+
+def _result(done: Completed) -> Result:
+    from kc2spice.workflow.run import run_record
+
+    record, outcome = run_record(done), done.outcome
+    return Result(
+        done.build.scene.name, record["metrics"], outcome.waves.data,
+        _units(outcome.deck, outcome.waves), outcome.verdict.checks, record, outcome.deck,
+        {figure.name: figure for figure in done.figures}, done,
+    )  # fmt: skip
+
+
+def _plain_result(deck: Deck, waves: Waveforms) -> Result:
+    import kc2spice
+
+    record = {"scene": deck.name, "version": kc2spice.__version__, "netlist": deck.main}
+    return Result(deck.name, {}, waves.data, _units(deck, waves), (), record, deck)
+
+
+def _units(deck: Deck, waves: Waveforms) -> dict[str, str]:
+    scale = next(iter(waves.data))
+    return {scale: {"time": "s", "frequency": "Hz"}.get(scale, ""), **deck.units}
+
+
+# ------------------------------------------------------------------------------------- sweeps
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Table:
+    """Rows of a sweep: one column for each swept key, each metric that is one number, ``status``.
+
+    ``status`` is ``"ok"`` or the reason why a point has no metrics (they are None then).
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[dict[str, Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return iter(self.rows)
+
+    @overload
+    def __getitem__(self, column: str) -> list[Any]: ...
+    @overload
+    def __getitem__(self, column: int) -> dict[str, Any]: ...
+    def __getitem__(self, column: str | int) -> list[Any] | dict[str, Any]:
+        """A column by name, or a row by number."""
+        if isinstance(column, int):
+            return self.rows[column]
+        if column not in self.columns:
+            raise UsageError("no such column", got=column, expected=", ".join(self.columns))
+        return [row[column] for row in self.rows]
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as CSV."""
+        import csv
+
+        with Path(path).open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, self.columns)
+            writer.writeheader()
+            writer.writerows(self.rows)
+        return Path(path)
+
+    def _cells(self) -> list[list[str]]:
+        return [[_shown(row[name]) for name in self.columns] for row in self.rows]
+
+    def __repr__(self) -> str:
+        cells = [list(self.columns), *self._cells()]
+        widths = [max(len(row[k]) for row in cells) for k in range(len(self.columns))]
+        return "\n".join(
+            "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
+            for row in cells
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        def row(cells: Sequence[str], tag: Literal["th", "td"]) -> str:
+            return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+        body = "".join(row(cells, "td") for cells in self._cells())
+        return f"<table>{row(self.columns, 'th')}{body}</table>"
+
+
+def sweep(
+    scene: Scene | str | Path | Mapping[str, Any],
+    values: Mapping[str, Sequence[Any]],
+    *,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Table:
+    """Run a scene at every combination of ``values``, the last key varying fastest.
+
+    For tables that survive a kill, for Slurm and for Dask use ``kc2spice sweep``.
+
+    Parameters
+    ----------
+    values : dotted keys and the values that each takes.
+    workers : simulations at a time; the number of processors unless given.
+    progress : called with the number of points that are done and that of all.
+
+    Returns
+    -------
+    Table : a row for each point. What goes wrong with one point stands in its ``status``.
+
+    Raises
+    ------
+    UsageError : no values, or a point that is no scene; noticed before anything is run.
+    MissingToolError : no ngspice.
+    """
+    from kc2spice.sim.ngspice import find_ngspice
+
+    if not values or not all(len(found) for found in values.values()):
+        raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
+    find_ngspice()
+    points = [
+        dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())
+    ]
+    scenes = [load_scene(scene, point) for point in points]
+    done = 0
+
+    def told(row: dict[str, Any]) -> dict[str, Any]:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(points))
+        return row
+
+    # Most of a point's time is spent in a process of its own, ngspice. The first one alone fills
+    # the cache with the models that the others share.
+    first = told(_row(scenes[0]))
+    with ThreadPoolExecutor(workers) as pool:
+        rows = [first, *map(told, pool.map(_row, scenes[1:]))]
+    metrics = dict.fromkeys(name for row in rows for name in row if name != "status")
+    columns = (*values, *metrics, "status")
+    return Table(
+        columns,
+        tuple(
+            {name: (point | row).get(name) for name in columns}
+            for point, row in zip(points, rows, strict=True)
+        ),
+    )
+
+
+def _row(scene: Scene) -> dict[str, Any]:
+    """Metrics of one point that are one number, and its status."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            metrics = run(scene).metrics
+    except MissingToolError:
+        raise
+    except Kc2spiceError as error:
+        return {"status": str(error).splitlines()[0]}
+    plain = {k: v for k, v in metrics.items() if v is None or isinstance(v, (int, float, bool))}
+    return {**plain, "status": "ok"}

@@ -1,0 +1,386 @@
+"""``part = "body"``: the user's own mesh or CAD file as a linear model with named ports.
+
+Groups of the file name materials, supports, electrodes and ports::
+
+    [bracket]
+    part = "body"
+    mesh = "bracket.step"
+    unit = "mm"                   # of .msh and .brep files; STEP files state their own
+    size = "2 mm"                 # of the elements, CAD files only
+    materials = { frame = "aluminium", patch = "PZT-5A" }
+    poling = { patch = [0, 0, 1] }
+    fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
+    electrodes = { anode = "top", cathode = "bottom" }
+    ports = [
+        { name = "tip", group = "end", axis = "z" },
+        { name = "base", kind = "base", axis = "z" },
+    ]
+
+In a CAD file, groups are its labels and what ``groups`` picks, by points that lie in an entity or
+by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.bodies.device import (
+    Device,
+    RigidFace,
+    Setup,
+    Shape,
+    make_device,
+    node_shares,
+    spread,
+)
+from kc2spice.bodies.keys import Damping
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Length, Section
+from kc2spice.core.schema import validated
+from kc2spice.core.units import quantity
+from kc2spice.fem.materials import material
+from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, read_mesh
+from kc2spice.fem.solid import Solid
+from kc2spice.rom.linear import LinearModel, Port
+
+Point: TypeAlias = tuple[Length, Length, Length]
+Vector: TypeAlias = tuple[float, float, float]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
+_MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+HERE = Path()
+_REFERENCES = ("cathode", "gnd", "ground")
+_KINDS = ("elements", "faces", "curves", "points")
+
+
+class GroupKeys(Section):
+    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
+
+    solids: tuple[Point, ...] = ()
+    faces: tuple[Point, ...] = ()
+    curves: tuple[Point, ...] = ()
+    points: tuple[Point, ...] = ()
+    solids_in: tuple[Point, Point] | None = None
+    faces_in: tuple[Point, Point] | None = None
+    curves_in: tuple[Point, Point] | None = None
+    points_in: tuple[Point, Point] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> GroupKeys:
+        if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
+            raise ValueError("pick solids, faces, curves or points: one of them")
+        return self
+
+    def pick(self) -> Pick:
+        """What the mesh reader looks for."""
+        kind = next(iter(self.model_fields_set)).removesuffix("_in")
+        dimension = ("points", "curves", "faces", "solids").index(kind)
+        return Pick(dimension, getattr(self, kind), getattr(self, f"{kind}_in"))
+
+
+class FixedKeys(Section):
+    """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
+
+    group: str
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = "xyz"
+
+
+class PortKeys(Section):
+    """A mechanical port.
+
+    ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
+    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
+    and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
+    *base* is the acceleration of what the body is fixed to. ``at`` names the mesh node nearest to
+    a point instead of a group.
+    """
+
+    name: Name
+    group: str | None = None
+    at: Point | None = None
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = None
+    kind: Literal["mean", "rigid", "base"] = "mean"
+
+    @model_validator(mode="after")
+    def _complete(self) -> PortKeys:
+        places = (self.group is not None) + (self.at is not None)
+        if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
+            raise ValueError("mean needs group or at, rigid needs group, base needs neither")
+        turning = isinstance(self.axis, str) and self.axis.startswith("r")
+        if self.kind != "rigid" and (self.axis is None or turning):
+            raise ValueError("needs an axis: x, y, z or three numbers")
+        if self.kind == "rigid" and isinstance(self.axis, tuple):
+            raise ValueError("a rigid face moves along x, y, z, rx, ry or rz")
+        if isinstance(self.axis, tuple) and not any(self.axis):
+            raise ValueError("axis has no length")
+        return self
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector (3,) of a translation."""
+        if isinstance(self.axis, str):
+            return np.eye(3)["xyz".index(self.axis)]
+        axis = np.asarray(self.axis, float)
+        return np.asarray(axis / np.linalg.norm(axis))
+
+
+class Body(Section):
+    """Keys of ``part = "body"``; see the module.
+
+    Of the electrodes, ``cathode`` (or ``gnd``, else the last) is the return pin of all others.
+    ``floating`` electrodes are equipotential and carry no charge.
+    """
+
+    mesh: str
+    unit: str = "mm"
+    size: Length | None = Field(None, gt=0)
+    axisymmetric: bool = False
+    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    materials: dict[str, str | dict[str, Any]] = Field(min_length=1)
+    poling: dict[str, Vector] = Field(default_factory=dict)
+    fixed: tuple[str | FixedKeys, ...] = ()
+    electrodes: dict[Name, str | tuple[str, ...]] = Field(default_factory=dict)
+    floating: tuple[str, ...] = ()
+    ports: tuple[PortKeys, ...] = ()
+    damping: Damping = Damping()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Body:
+        stray = set(self.poling) - set(self.materials)
+        if stray:
+            raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+        if len(self.electrodes) == 1:
+            raise ValueError("a single electrode has no voltage: name the one it is counted from")
+        if not self.electrodes and not self.ports:
+            raise ValueError("needs electrodes or ports")
+        names = [port.name for port in self.ports]
+        twice = {n for n in names if names.count(n) > 1} | (set(names) & set(self.electrodes))
+        if twice:
+            raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
+        return self
+
+
+def ports(keys: Body) -> tuple[Port, ...]:
+    """The ports that a body of these keys has, electrical ones first, without building it."""
+    names = list(keys.electrodes)
+    reference = next((n for n in ("cathode", "gnd") if n in names), names[-1] if names else "")
+    found = [Port(n, "electrical", pins=(n, reference)) for n in names if n != reference]
+    for port in keys.ports:
+        if port.kind == "base":
+            found.append(Port(port.name, "acceleration"))
+        elif port.kind == "rigid":
+            motions = _MOTIONS if port.axis is None else (str(port.axis),)
+            found += [_motion(port.name if port.axis else f"{port.name}_{m}", m) for m in motions]
+        else:
+            found.append(Port(port.name, "mechanical"))
+    return tuple(found)
+
+
+def build(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> LinearModel:
+    """The linear model of :func:`device`."""
+    return device(keys, home, refine=refine, where=where).model
+
+
+def device(
+    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
+) -> Device:
+    """Read the mesh (relative to ``home``), name its groups, assemble.
+
+    ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are
+    at most 1/refine of what they were.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read; a group that is missing, empty, of the wrong
+        dimension, or used twice; elements without material; an electrode on a material that is
+        not piezoelectric.
+    """
+    keys = validated(Body, keys, where)
+    with _part(where):
+        found = read_mesh(
+            home / keys.mesh,
+            unit=quantity(f"1 {keys.unit}", "m", where="unit"),
+            size=None if keys.size is None else keys.size / refine,
+            picks={name: group.pick() for name, group in keys.groups.items()},
+            dimension=2 if keys.axisymmetric else 3,
+            splits=0 if keys.size else int(np.ceil(np.log2(refine))),
+        )
+        groups = _Groups(found, keys)
+        solid = _solid(keys, groups)
+        return make_device(solid, _setup(keys, groups, solid))
+
+
+@contextmanager
+def _part(where: str) -> Iterator[None]:
+    """Errors within say which part they are about."""
+    try:
+        yield
+    except UsageError as error:
+        error.where = where if error.where is None else f"{where}: {error.where}"
+        raise
+
+
+class _Groups:
+    """Groups of a mesh by name, with errors that name the key which asks for them."""
+
+    def __init__(self, found: GroupedMesh, keys: Body) -> None:
+        self.mesh, self.found = found.mesh, found.groups
+        self.kinds = ("elements", "curves", "points") if keys.axisymmetric else _KINDS
+
+    def get(self, name: str, where: str, *codimensions: int) -> Group:
+        """The group, if it has one of these codimensions."""
+        group = self.found.get(name)
+        if group is None:
+            raise UsageError(
+                "no such group in the mesh", where=where, got=name,
+                expected=", ".join(sorted(self.found)) or "physical groups in the file",
+            )  # fmt: skip
+        if not group.members.size:
+            raise UsageError("group is empty", where=where, got=name)
+        if codimensions and group.codimension not in codimensions:
+            raise UsageError(
+                "group of the wrong kind", where=where,
+                got=f"{name}, {self.kinds[group.codimension]}",
+                expected=" or ".join(self.kinds[c] for c in codimensions),
+            )  # fmt: skip
+        return group
+
+    def facets(self, name: str, where: str) -> np.ndarray:
+        """Facets of a face group."""
+        return self.get(name, where, 1).members
+
+
+def _solid(keys: Body, groups: _Groups) -> Solid:
+    owner = np.full(groups.mesh.nelements, -1)
+    materials = []
+    for number, (name, given) in enumerate(keys.materials.items()):
+        where = f"materials.{name}"
+        cells = groups.get(name, where, 0).members
+        if (owner[cells] >= 0).any():
+            other = list(keys.materials)[int(owner[cells].max())]
+            raise UsageError("elements with two materials", where=where, got=f"also in {other}")
+        owner[cells] = number
+        made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
+    if (owner < 0).any():
+        raise UsageError(
+            "elements without material", where="materials", got=f"{np.sum(owner < 0)} elements",
+            expected=f"every element in one of {', '.join(sorted(groups.found))}",
+        )  # fmt: skip
+    return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
+
+
+def _setup(keys: Body, groups: _Groups, solid: Solid) -> Setup:
+    pins = list(keys.electrodes)
+    reference = next((pin for pin in _REFERENCES if pin in pins), pins[-1] if pins else "")
+    electrodes = {
+        pin: np.unique(np.concatenate([
+            _electrode(solid, groups, name, f"electrodes.{pin}")
+            for name in ([given] if isinstance(given, str) else given)
+        ]))
+        for pin, given in keys.electrodes.items()
+    }  # fmt: skip
+    shapes, faces = [], []
+    for port in keys.ports:
+        if port.kind == "mean":
+            shares = _shares(port, groups, solid)
+            motion = Port(port.name, "mechanical")
+            shapes.append(Shape(motion, spread(shares, port.direction, solid)))
+        elif port.kind == "rigid":
+            faces.append(_rigid(port, groups, solid))
+    return Setup(
+        fixed=_fixed(keys, groups, solid),
+        electrodes=electrodes,
+        reference=reference,
+        floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
+        shapes=shapes,
+        faces=faces,
+        base=[
+            (Port(port.name, "acceleration"), port.direction)
+            for port in keys.ports
+            if port.kind == "base"
+        ],
+        damping=keys.damping,
+    )
+
+
+def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
+    return np.unique(solid.basis(1).get_dofs(facets).flatten())
+
+
+def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarray:
+    """Nodes of an electrode, which must lie on something piezoelectric."""
+    facets = groups.facets(name, where)
+    active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
+    sides = solid.mesh.f2t[:, facets]
+    if not (active[sides] & (sides >= 0)).any():
+        made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
+        raise UsageError(
+            "electrode on a material that is not piezoelectric", where=where,
+            got=f"{name} on {', '.join(sorted(made_of))}",
+            expected="a face of a piezoelectric group",
+        )  # fmt: skip
+    return _facet_nodes(solid, facets)
+
+
+def _fixed(keys: Body, groups: _Groups, solid: Solid) -> np.ndarray:
+    d, nodes = solid.components, int(solid.basis(1).N)
+    fixed = np.zeros((nodes, d), bool)
+    letters = "xyz" if d == 3 else "xz"
+    for entry in keys.fixed:
+        support = FixedKeys(group=entry) if isinstance(entry, str) else entry
+        group = groups.get(support.group, "fixed")
+        members = group.members
+        if group.codimension == 0:
+            members = solid.nodes(members)
+        elif group.codimension == 1:
+            members = _facet_nodes(solid, members)
+        for axis in set(support.axes) & set(letters):
+            fixed[members, letters.index(axis)] = True
+    if solid.axisymmetric:
+        on_axis = solid.basis(1).doflocs[0] < 1e-9 * np.ptp(solid.mesh.p)
+        fixed[on_axis, 0] = True
+    return fixed.ravel()
+
+
+def _shares(port: PortKeys, groups: _Groups, solid: Solid) -> np.ndarray:
+    """Parts (nodes,) of a unit force over the port's group."""
+    shares = np.zeros(int(solid.basis(1).N))
+    if port.at is not None:
+        point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
+        shares[np.argmin(np.linalg.norm(solid.basis(1).doflocs.T - point, axis=1))] = 1.0
+        return shares
+    group = groups.get(str(port.group), f"ports.{port.name}")
+    if group.codimension == 0:
+        return node_shares(solid, elements=group.members)
+    if group.codimension == 1:
+        return node_shares(solid, facets=group.members)
+    shares[group.members] = group.shares
+    return shares
+
+
+def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
+    where = f"ports.{port.name}"
+    if solid.axisymmetric:
+        raise UsageError("no rigid faces in axisymmetric bodies", where=where)
+    nodes = _facet_nodes(solid, groups.facets(str(port.group), where))
+    motions = _MOTIONS if port.axis is None else (str(port.axis),)
+    return RigidFace(nodes, [
+        (_motion(port.name if port.axis else f"{port.name}_{motion}", motion),
+         np.eye(6)[_MOTIONS.index(motion)])
+        for motion in motions
+    ])  # fmt: skip
+
+
+def _motion(name: str, motion: str) -> Port:
+    if motion.startswith("r"):
+        return Port(name, "rotational")
+    return Port(name, "mechanical")

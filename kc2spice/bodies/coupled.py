@@ -1,0 +1,75 @@
+"""Facts of electromechanical bodies with any ports, supported or free to move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from kc2spice.rom.linear import LinearModel
+
+MODES = (8, 40)
+# A mode is excited by a port if it has more than this part of the static answer (mass norm).
+COUPLED = 0.03
+REFINEMENTS = 3
+Operator = Callable[[np.ndarray], np.ndarray]
+
+
+def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:
+    """Capacitances (of the first electrical port, the others shorted), static stroke of the first
+    mechanical port per volt, and the lowest resonances that the electrical ports excite (of a body
+    without any: the others), all electrodes shorted and all open, without damping.
+
+    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; 0 for a supported body. A resonance that is
+    not among the lowest modes is left out.
+    """
+    kinds = [port.kind for port in model.ports]
+    e = [k for k, kind in enumerate(kinds) if kind == "electrical"]
+    force = next((k for k, kind in enumerate(kinds) if kind == "mechanical"), None)
+    solve = model.pencil.pencil_solver(-shift).solve
+    facts: dict[str, float | None] = {}
+    if not e:
+        facts["resonance_hz"] = _resonance(model, solve, range(len(kinds)), shift)
+        return {name: value for name, value in facts.items() if value is not None}
+    load = model.B[:, e]
+    shifted = solve(load)
+    rest = shifted
+    for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
+        rest = solve(load + shift * (model.M @ rest))
+    weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
+
+    def opened(f: np.ndarray) -> np.ndarray:
+        """``(K + b C0^-1 b')^-1``: without charge the electrodes float to ``V = -C0^-1 b'u``."""
+        u = solve(f)
+        return np.asarray(u - shifted @ (weight @ (load.T @ u)))
+
+    facts["capacitance_free_f"] = float(model.D[e[0], e[0]] + load[:, 0] @ rest[:, 0])
+    facts["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
+    if force is not None:
+        facts["free_stroke_m_per_v"] = float(model.B[:, force] @ rest[:, 0])
+    facts["resonance_short_hz"] = _resonance(model, solve, e, shift)
+    facts["resonance_open_hz"] = _resonance(model, opened, e, shift)
+    return {name: value for name, value in facts.items() if value is not None}
+
+
+def _resonance(
+    model: LinearModel, solve: Operator, ports: range | list[int], shift: float
+) -> float | None:
+    """Lowest frequency [Hz] above rigid motion that the ports excite, None if it is not among the
+    lowest modes. Lanczos starts from their static answers, so it stays with what they excite.
+    """
+    n, M = model.order, model.M
+    inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+    static = np.array([solve(model.B[:, k]) for k in ports])
+    start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
+    for count in (min(count, n - 1) for count in MODES):
+        values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start)
+        rigid = modes[:, values <= 10 * shift]
+        elastic = static - (static @ (M @ rigid)) @ rigid.T
+        size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
+        share = np.abs(elastic @ (M @ modes)) / size[:, None]
+        found = values[(share.max(axis=0) > COUPLED) & (values > 10 * shift)]
+        if found.size:
+            return float(np.sqrt(found.min()) / (2 * np.pi))
+    return None

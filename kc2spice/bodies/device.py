@@ -1,0 +1,266 @@
+"""A solid with supports, electrodes and ports becomes a :class:`LinearModel`.
+
+Constraints are prolongations: ``u = P z`` from the free displacements and the six motions of each
+rigid face, ``phi = Q p + R V`` from the free potentials (floating electrodes are one each) and
+the voltages of the driven electrodes. With shapes S of the forces,
+
+    P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
+                     Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
+        charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
+
+of which :func:`kc2spice.rom.linear.with_potentials` eliminates p exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import sparse
+from skfem import Basis, BoundaryFacetBasis
+
+from kc2spice.bodies.coupled import electromechanical
+from kc2spice.bodies.keys import Damping
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.solid import Solid, assemble, element
+from kc2spice.rom.linear import LinearModel, Port, with_potentials
+
+# Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
+FREE_SHIFT = 1e-3
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A port of forces: ``weights`` (d nodes,) spread a unit of force over the solid."""
+
+    port: Port
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class RigidFace:
+    """Nodes that move as one; ``ports`` maps each to its motion (ux, uy, uz, rx, ry, rz).
+
+    Rotations are about ``centre``, the mean of the nodes.
+    """
+
+    nodes: np.ndarray
+    ports: Sequence[tuple[Port, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is done to a solid: supports, electrodes, ports, masses added to nodes.
+
+    Attributes
+    ----------
+    fixed : mask (d nodes,) of the displacements that are zero.
+    electrodes : pin to its nodes; ``reference`` is the pin that all voltages are counted from.
+    floating : nodes of each electrode without pin: one potential, no charge.
+    shapes, faces : ports of forces and moments.
+    base : ports of base acceleration and their direction (3,).
+    lumped : masses [kg] (nodes,) on top of those of the solid.
+    """
+
+    fixed: np.ndarray
+    electrodes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    reference: str = ""
+    floating: Sequence[np.ndarray] = ()
+    shapes: Sequence[Shape] = ()
+    faces: Sequence[RigidFace] = ()
+    base: Sequence[tuple[Port, np.ndarray]] = ()
+    lumped: np.ndarray | None = None
+    damping: Damping = field(default_factory=Damping)
+
+
+@dataclass(frozen=True)
+class Device:
+    """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
+    ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
+    ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
+    """
+
+    model: LinearModel
+    solid: Solid
+    displacement: sparse.csc_array
+    potential: sparse.csc_array
+    drive: sparse.csc_array
+    lift: np.ndarray
+    shift: float
+
+
+def make_device(solid: Solid, setup: Setup) -> Device:
+    """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
+
+    Raises
+    ------
+    UsageError : electrodes or rigid faces touch each other, an electrode touches nothing
+        piezoelectric, or damping per material lacks a quality.
+    """
+    full = assemble(solid)
+    P, motions = _moving(solid, setup)
+    Q, R, pins = _potentials(full.K_pp, setup)
+    mass = full.M
+    if setup.lumped is not None:
+        mass = mass + sparse.diags_array(np.repeat(setup.lumped, solid.components), format="csc")
+    columns: list[tuple[Port, np.ndarray]] = [(s.port, P.T @ s.weights) for s in setup.shapes]
+    columns += motions
+    columns += [(port, -(P.T @ (mass @ translation(solid, a)))) for port, a in setup.base]
+    undamped = with_potentials(
+        M=sparse.csc_array(P.T @ mass @ P),
+        K_uu=sparse.csc_array(P.T @ full.K_uu @ P),
+        K_up=P.T @ full.K_up @ Q,
+        K_pp=Q.T @ full.K_pp @ Q,
+        k_uV=(P.T @ full.K_up @ R).toarray(),
+        k_pV=(Q.T @ full.K_pp @ R).toarray(),
+        c_VV=(R.T @ full.K_pp @ R).toarray(),
+        B=np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T,
+        ports=[*(port for port, _ in columns), *pins],
+    )
+    facts = {"unknowns": float(P.shape[1] + Q.shape[1])}
+    facts["mass_kg"] = float(mass.sum()) / solid.components
+    shift = _shift(solid, setup)
+    facts |= electromechanical(undamped, shift)
+    model = _damped(replace(undamped, facts=facts), solid, P, setup.damping)
+    lift = -(Q.T @ full.K_pp @ R).toarray()
+    return Device(model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), lift, shift)
+
+
+def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
+    """Rayleigh damping, or of each material's elastic stiffness by its quality."""
+    facts = model.facts
+    first = damping.at or facts.get("resonance_short_hz", facts.get("resonance_hz"))
+    if first is None and (damping.zeta or damping.per_material):
+        raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
+    if not damping.per_material:
+        beta = damping.beta(first) if damping.zeta and first else 0.0
+        return replace(model, E=None, rayleigh=(damping.alpha, beta))
+    assert first is not None
+    omega = 2 * np.pi * first
+    E = damping.alpha * model.M
+    for number, material in enumerate(solid.materials):
+        if material.quality is None:
+            raise UsageError("no quality known", where="damping.per_material", got=material.name,
+                             hint="give it in a material table, or a ratio for all")  # fmt: skip
+        part = assemble(solid, only=number).K_uu
+        E = E + (P.T @ part @ P) / (material.quality * omega)
+    return replace(model, E=sparse.csc_array(E), rayleigh=None)
+
+
+def mean(solid: Solid, axis: np.ndarray, *, facets: np.ndarray | None = None,
+         elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
+    """Weights (d nodes,) of the mean displacement along ``axis`` over facets or elements."""
+    return spread(node_shares(solid, facets=facets, elements=elements), axis, solid)
+
+
+def node_shares(solid: Solid, *, facets: np.ndarray | None = None,
+                elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
+    """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
+    if facets is not None:
+        basis = BoundaryFacetBasis(solid.mesh, element(solid.mesh), facets=facets, intorder=4)
+    else:
+        basis = Basis(solid.mesh, element(solid.mesh), elements=elements, intorder=4)
+    weights = basis.dx
+    if solid.axisymmetric:
+        weights = weights * np.asarray(basis.global_coordinates())[0]
+    shares = np.zeros(basis.N)
+    for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
+        np.add.at(shares, nodes, (np.asarray(function[0]) * weights).sum(axis=1))
+    return np.asarray(shares / weights.sum())
+
+
+def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
+    """Nodal shares (nodes,) times a unit direction: weights (d nodes,)."""
+    axis = axis if solid.components == 3 else axis[[0, 2]]
+    return np.outer(shares, axis).ravel()
+
+
+def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
+    return spread(np.ones(int(solid.basis(1).N)), np.asarray(axis, float), solid)
+
+
+def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
+    """Columns (d nodes, 6): three translations and three rotations about ``centre`` (3-D), or the
+    one translation along the axis (axisymmetric, (d nodes, 1)).
+    """
+    if solid.axisymmetric:
+        return translation(solid, np.array([0.0, 0.0, 1.0]))[:, None]
+    arm = solid.basis(1).doflocs.T - centre
+    turns = np.cross(np.eye(3)[:, None], arm[None])  # (axis, nodes, component)
+    moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
+    return np.concatenate([moves, turns]).reshape(6, -1).T
+
+
+def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
+    """``P`` of ``u = P z``, and the columns of the rigid faces' ports."""
+    d, kept = solid.components, ~setup.fixed
+    where = solid.basis(1).doflocs.T
+    blocks = []
+    for face in setup.faces:
+        rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
+        if not kept[rows].all():
+            raise UsageError(
+                "a rigid face touches a support or another rigid face",
+                where=", ".join(port.name for port, _ in face.ports), hint="give it free nodes",
+            )  # fmt: skip
+        kept[rows] = False
+        motion = np.zeros((len(kept), 6))
+        motion[rows] = rigid_motions(solid, where[face.nodes].mean(axis=0))[rows]
+        blocks.append(sparse.csc_array(motion))
+    identity = sparse.eye_array(len(kept), format="csc")[:, np.flatnonzero(kept)]
+    P = sparse.hstack([identity, *blocks], format="csc")
+    columns = []
+    for number, face in enumerate(setup.faces):
+        for port, motion in face.ports:
+            z = np.zeros(P.shape[1])
+            z[kept.sum() + 6 * number + np.arange(6)] = motion
+            columns.append((port, z))
+    return P, columns
+
+
+def _potentials(
+    K_pp: sparse.csc_array, setup: Setup
+) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
+    """``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
+    live = K_pp.diagonal() > 0
+    taken = np.zeros(len(live), int)
+    for pin, nodes in [*setup.electrodes.items(), *((None, n) for n in setup.floating)]:
+        where = "floating electrode" if pin is None else f"electrodes.{pin}"
+        if not live[nodes].any():
+            raise UsageError(
+                "electrode on a material that is not piezoelectric", where=where,
+                expected="a face of a piezoelectric group",
+            )  # fmt: skip
+        taken[nodes] += 1
+    if taken.max(initial=0) > 1:
+        raise UsageError(
+            "electrodes touch each other", where="electrodes",
+            got=f"{np.sum(taken > 1)} common nodes", expected="a gap between any two of them",
+            hint="one pin may have several groups: PIN = [GROUP, GROUP]",
+        )  # fmt: skip
+    free = np.flatnonzero(live & (taken == 0))
+    identity = sparse.eye_array(len(live), format="csc")
+    Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
+    driven = {pin: n for pin, n in setup.electrodes.items() if pin != setup.reference}
+    none = sparse.csc_array((len(live), 0))
+    R = sparse.hstack([none, *(_indicator(n, live) for n in driven.values())], "csc")
+    ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
+    return Q, R, ports
+
+
+def _indicator(nodes: np.ndarray, live: np.ndarray) -> sparse.csc_array:
+    column = np.zeros((len(live), 1))
+    column[nodes[live[nodes]]] = 1.0
+    return sparse.csc_array(column)
+
+
+def _shift(solid: Solid, setup: Setup) -> float:
+    """0 [rad^2/s^2] of a supported body, else a small shift that makes ``K + shift M`` regular."""
+    motions = rigid_motions(solid, solid.mesh.p.mean(axis=1))
+    motions = motions / np.abs(motions).max(axis=0)
+    if np.linalg.matrix_rank(motions[setup.fixed], tol=1e-6) == motions.shape[1]:
+        return 0.0
+    slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
+    size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
+    return float((FREE_SHIFT * slowest / size) ** 2)

@@ -1,0 +1,280 @@
+"""``part = "disc"``: circular layers on one another, with electrodes. Buzzers, diaphragms, discs.
+
+    layers = [                                  # from the bottom up
+      { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+      { material = "PZT-5A", diameter = "14 mm", thickness = "0.22 mm", electrodes = "12.8 mm" },
+    ]
+    support = "free"                            # clamped, simply_supported, { node = "13 mm" }
+
+Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode), mechanical port
+``centre``: mean axial displacement of a small patch on top, upwards. Left out: glue unless it is a
+layer, silver, solder and wires, the air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from kc2spice.bodies.keys import Damping, Mesh
+from kc2spice.bodies.piezo import piezo_model
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Length, Ratio, Section
+from kc2spice.core.schema import validated
+from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
+from kc2spice.fem.materials import Material, material
+from kc2spice.fem.potentials import PiezoOperators
+from kc2spice.rom.linear import LinearModel, Port
+
+_CELLS = 20  # along the largest radius (or half the height) before refinement
+
+
+class Feedback(Section):
+    """A ring (or disc) cut out of the top electrode, for self-oscillating buzzers.
+
+    Sheets show a tongue; the ring stands for it: the area counts, not the angle.
+    """
+
+    inner: Length = Field(0.0, ge=0)
+    outer: Length = Field(gt=0)
+    gap: Length = Field(0.5e-3, gt=0, description="bare ceramic to the main electrode")
+
+
+class Layer(Section):
+    """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
+
+    material: str | dict[str, Any]
+    diameter: Length = Field(gt=0)
+    thickness: Length = Field(gt=0)
+    electrodes: Length | None = Field(None, gt=0)
+    feedback: Feedback | None = None
+    poling: Literal["up", "down"] = "up"
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
+
+
+class Node(Section):
+    """A knife edge under the body."""
+
+    node: Length = Field(gt=0, description="diameter")
+
+
+class Disc(Section):
+    """Keys of the part. ``wiring`` matters with more than one ceramic layer: ``parallel`` connects
+    every second electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and
+    the highest and leaves those between floating."""
+
+    layers: tuple[Layer, ...] = Field(min_length=1)
+    support: Literal["free", "clamped", "simply_supported"] | Node = "free"
+    wiring: Literal["parallel", "series"] = "parallel"
+    centre: Length | None = Field(
+        None, gt=0, description="diameter of the port's patch; the thickness on the axis if absent"
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+
+def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc") -> LinearModel:
+    """Full model of the disc. ``refine`` divides the cells of ``keys.mesh`` once more.
+
+    Facts: ``mass_kg``, ``unknowns``, ``capacitance_free_f``, ``capacitance_clamped_f``,
+    ``resonance_short_hz``, ``resonance_open_hz``, ``feedback_capacitance_f`` if there is one, and
+    ``rigid_modes`` (1 if the support is free: then K is singular along z).
+
+    Raises
+    ------
+    UsageError : a key is wrong, or names electrodes or supports that touch nothing.
+    """
+    disc = validated(Disc, keys, where)
+    materials = _materials(disc, where)
+    ports = [_electrical("anode")]
+    if any(layer.feedback for layer in disc.layers):
+        ports.append(_electrical("feedback"))
+    ports.append(Port("centre", "mechanical", "um", "N"))
+    qualities = _qualities(disc, materials, where) if disc.damping.per_material else ()
+    return piezo_model(operators(disc, refine=refine, where=where), ports, disc.damping, qualities)
+
+
+def operators(disc: Disc, *, refine: int = 1, where: str = "disc") -> PiezoOperators:
+    """The assembled operators before potentials are eliminated."""
+    materials = _materials(disc, where)
+    heights = _heights(disc)
+    blocks = [
+        Block((0.0, layer.diameter / 2), (heights[i], heights[i + 1]), materials[i])
+        for i, layer in enumerate(disc.layers)
+    ]
+    return assemble(
+        blocks,
+        _electrodes(disc, materials, heights, where),
+        _supports(disc, heights, where),
+        [_centre(disc, heights, where)],
+        size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
+        refine=refine * disc.mesh.refine,
+    )
+
+
+def _electrical(name: str) -> Port:
+    return Port(name, "electrical", "V", "A", (name, "cathode"))
+
+
+def _materials(disc: Disc, where: str) -> list[Material]:
+    materials = []
+    for i, layer in enumerate(disc.layers):
+        here = f"{where}.layers.{i}"
+        one = material(layer.material, f"{here}.material")
+        if layer.electrodes is not None and not one.piezoelectric:
+            raise UsageError(
+                "an electrode on a material that is not piezoelectric", where=here, got=one.name
+            )
+        if layer.electrodes is not None and layer.electrodes > layer.diameter * (1 + 1e-9):
+            raise UsageError(
+                "electrodes larger than the layer",
+                where=f"{here}.electrodes",
+                got=f"{layer.electrodes:g} m",
+                expected=f"at most {layer.diameter:g} m",
+            )
+        materials.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
+    if not any(one.piezoelectric for one in materials):
+        raise UsageError(
+            "no piezoelectric layer",
+            where=f"{where}.layers",
+            got=", ".join(one.name for one in materials),
+        )
+    return materials
+
+
+def _qualities(disc: Disc, materials: list[Material], where: str) -> list[float]:
+    qualities = []
+    for i, (layer, one) in enumerate(zip(disc.layers, materials, strict=True)):
+        quality = layer.quality or one.quality
+        if quality is None:
+            raise UsageError(
+                "damping per material needs the quality of each",
+                where=f"{where}.layers.{i}.quality",
+                got=f"none for {one.name}",
+            )
+        qualities.append(quality)
+    return qualities
+
+
+def _heights(disc: Disc) -> list[float]:
+    heights = [0.0]
+    for layer in disc.layers:
+        heights.append(heights[-1] + layer.thickness)
+    return heights
+
+
+def _electrodes(
+    disc: Disc, materials: list[Material], heights: list[float], where: str
+) -> list[Electrode]:
+    """Equipotentials from the bottom up, joined as the wiring says, and the feedback."""
+    conductors = _conductors(disc, materials, heights, where)
+    if disc.wiring == "series":
+        roles = ["cathode", *[f"inner{i}" for i in range(1, len(conductors) - 1)], "anode"]
+    else:
+        roles = ["cathode" if i % 2 == 0 else "anode" for i in range(len(conductors))]
+    joined: dict[str, list[Face]] = {"anode": []}
+    for role, faces in zip(roles, conductors, strict=True):
+        joined.setdefault(role, []).extend(faces)
+    kinds: dict[str, Literal["terminal", "ground"]] = {"anode": "terminal", "cathode": "ground"}
+    electrodes = [
+        Electrode(name, tuple(faces), kinds.get(name, "floating")) for name, faces in joined.items()
+    ]
+    for i, layer in enumerate(disc.layers):
+        if layer.feedback is not None:
+            ring = layer.feedback
+            face = Face((ring.inner / 2, ring.outer / 2), heights[i + 1])
+            electrodes.append(Electrode("feedback", (face,)))
+    return electrodes
+
+
+def _conductors(
+    disc: Disc, materials: list[Material], heights: list[float], where: str
+) -> list[list[Face]]:
+    """Faces of each electrode in order of height; a metal layer is one electrode."""
+    conductors: list[list[Face]] = []
+    last_metal: int | None = None
+    for i, height in enumerate(heights):
+        below = i - 1 if i > 0 else None
+        above = i if i < len(materials) else None
+        beside = [k for k in (below, above) if k is not None]
+        ceramic = [k for k in beside if materials[k].piezoelectric]
+        metal = [k for k in beside if materials[k].conductor]
+        if not ceramic:
+            continue
+        if metal:
+            contact = min(disc.layers[k].diameter for k in (ceramic[0], metal[0])) / 2
+            faces = [Face((0.0, contact), height)]
+            if metal[0] == last_metal:
+                conductors[-1].extend(faces)
+            else:
+                conductors.append(faces)
+            last_metal = metal[0]
+        else:
+            conductors.append(_plane(disc, ceramic, height, below, where))
+    return conductors
+
+
+def _plane(
+    disc: Disc, ceramic: list[int], height: float, below: int | None, where: str
+) -> list[Face]:
+    """Electrode on bare ceramic, without the feedback's ring and its gaps."""
+    diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
+    if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
+        raise UsageError(
+            "two layers state different diameters of the electrode between them",
+            where=f"{where}.layers.{ceramic[-1]}.electrodes",
+            got=sorted(diameters),
+        )
+    radius = min(diameters) / 2
+    ring = disc.layers[below].feedback if below in ceramic and below is not None else None
+    if ring is None:
+        return [Face((0.0, radius), height)]
+    inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
+    if not ring.inner < ring.outer <= 2 * radius or (inner <= 0 and outer >= radius):
+        raise UsageError(
+            "no room for the feedback electrode",
+            where=f"{where}.layers.{below}.feedback",
+            got=f"{ring.inner:g} to {ring.outer:g} m, gap {ring.gap:g} m",
+            expected=f"inner < outer, within the electrode of {2 * radius:g} m, some of it left",
+        )
+    faces = [Face((0.0, inner), height)] if inner > 0 else []
+    return faces + ([Face((outer, radius), height)] if outer < radius else [])
+
+
+def _supports(disc: Disc, heights: list[float], where: str) -> list[Fixed]:
+    if disc.support == "free":
+        return []
+    if isinstance(disc.support, Node):
+        r = disc.support.node / 2
+        lowest = next((i for i, x in enumerate(disc.layers) if x.diameter / 2 >= r), None)
+        if lowest is None:
+            raise UsageError(
+                "the node lies outside the body",
+                where=f"{where}.support.node",
+                got=f"{2 * r:g} m",
+                expected=f"at most {max(x.diameter for x in disc.layers):g} m",
+            )
+        return [Fixed("z", (r, r), (heights[lowest],) * 2)]
+    radius = max(layer.diameter for layer in disc.layers) / 2
+    rim = [i for i, layer in enumerate(disc.layers) if layer.diameter / 2 >= radius * (1 - 1e-9)]
+    z = (heights[rim[0]], heights[rim[-1] + 1])
+    if disc.support == "clamped":
+        return [Fixed("r", (radius, radius), z), Fixed("z", (radius, radius), z)]
+    return [Fixed("z", (radius, radius), (sum(z) / 2,) * 2)]
+
+
+def _centre(disc: Disc, heights: list[float], where: str) -> Face:
+    diameter = disc.centre or heights[-1]
+    smallest = disc.layers[-1].diameter
+    if disc.centre is None:
+        diameter = min(diameter, smallest)
+    if diameter > smallest * (1 + 1e-9):
+        raise UsageError(
+            "the centre port is wider than the top layer",
+            where=f"{where}.centre",
+            got=f"{diameter:g} m",
+            expected=f"at most {smallest:g} m",
+        )
+    return Face((0.0, diameter / 2), heights[-1])

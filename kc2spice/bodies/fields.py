@@ -1,0 +1,183 @@
+"""Stress and electric field in a body, at one instant or at their worst over a run.
+
+With the displacement u and the potential phi of the full model, element by element,
+
+    S = B u,   E = -grad phi,   T = C S - e' E,
+
+so that stresses may jump between materials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from skfem import Basis
+
+from kc2spice.bodies.device import Device
+from kc2spice.bodies.recover import Motion
+from kc2spice.fem.solid import Solid, element, strains
+
+INSTANTS = 200  # at which extremes are looked for: half evenly spread, half of most energy
+CHUNK = 20
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Stress (points, 6) [Pa] in Voigt order, field (points, 3) [V/m], displacement (points, 3)
+    and potential (points,) at points of the elements; element by element, point by point.
+    """
+
+    stress: np.ndarray
+    field: np.ndarray
+    displacement: np.ndarray
+    potential: np.ndarray
+
+
+class Probe:
+    """Evaluates fields at the same points of every element: its nodes, or Gauss points."""
+
+    def __init__(self, device: Device, *, gauss: bool) -> None:
+        self.device = device
+        solid = device.solid
+        self.basis = _points(solid, gauss)
+        self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
+        self._operators = list(strains(solid, self.basis))
+
+    def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (d nodes, k) and potentials (nodes, k) of columns z (n, k), V (e, k)."""
+        device, K = self.device, self.device.model.K
+        phi = device.drive @ voltages
+        if device.potential.shape[1]:
+            # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
+            phi = phi - device.potential @ K.inner.solve(K.pu @ z + device.lift @ voltages)
+        return device.displacement @ z, phi
+
+    def __call__(self, z: np.ndarray, voltages: np.ndarray) -> Fields:
+        """Fields of one state z (n,) with voltages (e,)."""
+        u, phi = (x[..., 0] for x in self.nodal(z[:, None], voltages[:, None]))
+        T, E = self.stress(u[:, None], phi[:, None])
+        solid = self.device.solid
+        d, nodes = solid.components, self.basis.element_dofs.T
+        N = np.stack([value for value, _, _ in self._operators], 1)
+        moves = np.zeros((*N.shape[:2], 3))
+        axes = [0, 1, 2] if d == 3 else [0, 2]
+        moves[..., axes] = np.einsum("eql,elc->eqc", N, u.reshape(-1, d)[nodes])
+        potential = np.einsum("eql,el->eq", N, phi[nodes])
+        return Fields(T[..., 0], E[..., 0], moves.reshape(-1, 3), potential.ravel())
+
+    def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""
+        solid = self.device.solid
+        d, nodes = solid.components, self.basis.element_dofs.T
+        moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
+        C = np.array([m.C for m in solid.materials])[solid.owner]
+        e = np.array([m.e for m in solid.materials])[solid.owner]
+        active = e.any(axis=(1, 2), keepdims=True)
+        stresses, fields = [], []
+        for _, B, G in self._operators:
+            E = -(G @ phi[nodes]) * active
+            stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
+            fields.append(E)
+        T, E = np.stack(stresses, 1), np.stack(fields, 1)
+        return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
+
+
+def _points(solid: Solid, gauss: bool) -> Basis:
+    if gauss:
+        return solid.basis(2)
+    local = element(solid.mesh).doflocs
+    return Basis(solid.mesh, element(solid.mesh), quadrature=(local.T, np.ones(len(local))))
+
+
+def principal(stress: np.ndarray) -> np.ndarray:
+    """Largest principal stress of Voigt stresses (..., 6): the trigonometric root of the cubic."""
+    xx, yy, zz, yz, xz, xy = np.moveaxis(stress, -1, 0)
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
+    determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    cube = np.where(radius > 0, radius, 1.0) ** 3
+    angle = np.arccos(np.clip(determinant / (2 * cube), -1, 1)) / 3
+    return np.asarray(mean + 2 * radius * np.cos(angle))
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """Largest value in one material over time: ``value`` at ``instant`` [s], ``place`` [m].
+
+    ``curve`` (instants,) is the largest in the material at each of ``time``; ``limit`` is the
+    material's, None if it is not known.
+    """
+
+    material: str
+    quantity: str
+    unit: str
+    value: float
+    limit: float | None
+    instant: float
+    place: tuple[float, ...]
+    time: np.ndarray
+    curve: np.ndarray
+
+
+def extremes(motion: Motion, instants: int = INSTANTS) -> list[Extreme]:
+    """Largest principal stress of every material and largest field of the piezoelectric ones.
+
+    Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
+    linear elasticity grows without bound as the mesh is refined.
+    """
+    probe = Probe(motion.device, gauss=True)
+    chosen = _instants(motion, instants)
+    solid = motion.device.solid
+    places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
+    u, phi = probe.nodal(motion.basis, np.zeros((motion.voltages.shape[1], motion.basis.shape[1])))
+    T, E = probe.stress(u, phi)
+    _, drive = probe.nodal(
+        np.zeros((motion.basis.shape[0], motion.voltages.shape[1])),
+        np.eye(motion.voltages.shape[1]),
+    )
+    T_V, E_V = probe.stress(np.zeros((u.shape[0], drive.shape[1])), drive)
+    T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
+    states = np.hstack([motion.states, motion.voltages])[chosen]
+    curves = {key: np.empty((2, len(chosen))) for key in _quantities(solid)}
+    for start in range(0, len(chosen), CHUNK):
+        part = slice(start, min(start + CHUNK, len(chosen)))
+        stress = principal(np.moveaxis(T @ states[part].T, -1, 0))
+        field = np.linalg.norm(np.moveaxis(E @ states[part].T, -1, 0), axis=-1)
+        for number, quantity in curves:
+            own = np.flatnonzero(probe.owner == number)
+            values = (stress if quantity == "principal_stress" else field)[:, own]
+            best = values.argmax(axis=1)
+            curves[number, quantity][:, part] = values.max(axis=1), own[best]
+    found = []
+    for (number, quantity), (curve, points) in curves.items():
+        k = int(curve.argmax())
+        material = solid.materials[number]
+        stress_like = quantity == "principal_stress"
+        limit = material.tensile_strength if stress_like else material.depoling_field
+        found.append(Extreme(
+            material.name, quantity, "Pa" if stress_like else "V/m", float(curve[k]), limit,
+            float(motion.time[chosen[k]]), tuple(places[:, int(points[k])]),
+            motion.time[chosen], curve,
+        ))  # fmt: skip
+    return found
+
+
+def _quantities(solid: Solid) -> Iterator[tuple[int, str]]:
+    for number, material in enumerate(solid.materials):
+        yield number, "principal_stress"
+        if material.piezoelectric:
+            yield number, "electric_field"
+
+
+def _instants(motion: Motion, count: int) -> np.ndarray:
+    """Samples evenly spread over time, and those of most energy in states and voltages."""
+    K = motion.device.model.pencil.project(motion.basis).coefficients[0]
+    energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
+    energy = energy / (energy.max() or 1.0)
+    drive = np.sum(motion.voltages**2, axis=1)
+    energy = energy + drive / (drive.max(initial=0.0) or 1.0)
+    even = np.linspace(motion.time[0], motion.time[-1], count - count // 2)
+    return np.union1d(np.searchsorted(motion.time, even), np.argsort(energy)[-(count // 2) :])

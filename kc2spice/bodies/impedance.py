@@ -1,0 +1,190 @@
+"""What a designer reads off an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD.
+
+The Butterworth-Van Dyke circuit is a capacitor C0 beside a series branch R, L, C; with s = j w
+
+    Y(s) = s C0 + s C / (1 + s R C + s^2 L C),
+
+f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective coupling
+``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied by its
+denominator the circuit is linear in its coefficients; they are fitted to the samples around the
+resonance with weights renewed a few times (Sanathanan and Koerner, IEEE Trans. Autom. Control 8
+(1963) 56), so that f_s is not tied to the sample frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+
+_FEWEST = 7  # samples around the resonance, for six real coefficients
+_PASSES = 8
+
+
+@dataclass(frozen=True)
+class BVD:
+    """Butterworth-Van Dyke elements of one resonance (SI)."""
+
+    c0_f: float
+    rm_ohm: float
+    lm_h: float
+    cm_f: float
+
+    def admittance(self, frequency: np.ndarray) -> np.ndarray:
+        """Y (n,) complex at frequencies [Hz]."""
+        s = 2j * np.pi * np.asarray(frequency)
+        branch = self.rm_ohm + s * self.lm_h + 1 / (s * self.cm_f)
+        return s * self.c0_f + 1 / branch
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The analyser's figures. ``fit_error`` is the largest relative error of the BVD circuit's
+    admittance over the samples that it was fitted to, ``band_hz``."""
+
+    resonance_hz: float
+    antiresonance_hz: float
+    quality: float
+    coupling: float
+    capacitance_f: float
+    bvd: BVD
+    fit_error: float
+    band_hz: tuple[float, float]
+
+    def metrics(self) -> dict[str, Any]:
+        """The metrics of an ``ac`` scene, by their names."""
+        bvd = vars(self.bvd)
+        names = ("resonance_hz", "antiresonance_hz", "quality", "coupling", "capacitance_f")
+        return {name: getattr(self, name) for name in names} | {"bvd": dict(bvd)}
+
+
+def impedance(model: Any, frequency: np.ndarray, port: str | None = None) -> np.ndarray:
+    """Z (n,) of an electrical port of a LinearModel, all other electrical ports shorted.
+
+    ``transfer`` gives charge per voltage, so ``Z = 1/(j w H)``.
+
+    Raises
+    ------
+    UsageError : the model has no such electrical port.
+    """
+    electrical = [p.name for p in model.ports if p.kind == "electrical"]
+    name = electrical[0] if port is None and electrical else port
+    if name not in electrical:
+        raise UsageError("no electrical port", got=port, expected=", ".join(electrical) or "one")
+    index = [p.name for p in model.ports].index(name)
+    frequency = np.asarray(frequency, float)
+    return 1 / (2j * np.pi * frequency * model.transfer(frequency)[:, index, index])
+
+
+def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Reading:
+    """Figures of the first resonance in samples of Z over f (increasing, Hz).
+
+    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower (from
+    the circuit where the samples do not go down that far).
+
+    Raises
+    ------
+    UsageError : samples that are no impedance, or too few around the resonance.
+    """
+    f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
+    _check(f, Z)
+    Y = 1 / Z
+    window = _window(f, Y)
+    bvd = _fit(f[window], Y[window])
+    residual = np.abs(bvd.admittance(f[window]) / Y[window] - 1)
+    ratio = bvd.cm_f / bvd.c0_f
+    resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
+    return Reading(
+        resonance_hz=resonance,
+        antiresonance_hz=resonance * math.sqrt(1 + ratio),
+        quality=math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm,
+        coupling=math.sqrt(ratio / (1 + ratio)),
+        capacitance_f=_capacitance(f, Y, bvd, min(1e3, resonance / 10)),
+        bvd=bvd,
+        fit_error=float(residual.max()),
+        band_hz=(float(f[window][0]), float(f[window][-1])),
+    )
+
+
+def _check(f: np.ndarray, Z: np.ndarray) -> None:
+    if f.ndim != 1 or f.shape != Z.shape or len(f) < _FEWEST:
+        raise UsageError(
+            "not samples of an impedance",
+            got=f"shapes {f.shape} and {Z.shape}",
+            expected=f"two arrays of one length, at least {_FEWEST}",
+        )
+    good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
+    if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
+        raise UsageError(
+            "not samples of an impedance",
+            expected="finite values at frequencies that increase from above zero",
+        )
+
+
+def _window(f: np.ndarray, Y: np.ndarray) -> slice:
+    """Samples from half the resonance's skirt below f_s to its antiresonance and beyond.
+
+    A resonance is a local maximum of G/w that reaches a twentieth of the strongest one.
+    """
+    G = Y.real / f
+    inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
+    inner = inner[G[inner] > 0]
+    if len(inner) == 0:
+        raise UsageError(
+            "no resonance among the samples",
+            got=f"{f[0]:g} to {f[-1]:g} Hz",
+            hint="widen the band, or add damping so that samples can see the peak",
+        )
+    peak = int(inner[G[inner] >= G[inner].max() / 20][0])
+    R = (1 / Y).real
+    later = np.flatnonzero((R[1:-1] >= R[:-2]) & (R[1:-1] > R[2:])) + 1
+    later = later[later > peak]
+    top = int(later[0]) if len(later) else min(peak + _FEWEST, len(f) - 1)
+    reach = max(top - peak, 4)
+    low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
+    if high - low < _FEWEST:
+        raise UsageError(
+            "too few samples around the resonance",
+            got=f"{high - low} around {f[peak]:g} Hz",
+            expected=f"at least {_FEWEST}",
+        )
+    return slice(low, high)
+
+
+def _fit(f: np.ndarray, Y: np.ndarray) -> BVD:
+    """Weighted linear least squares, with f and Y scaled to one, for the coefficients of
+
+        Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
+
+    The term g takes up the loss of the dielectric and of higher modes, which the circuit lacks.
+    """
+    unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
+    s, y = 1j * f / unit, Y / size
+    weight = 1 / np.abs(y)
+    for _ in range(_PASSES):
+        columns = np.column_stack([-y * s, -y * s**2, s, s**2, s**3, s**4]) * weight[:, None]
+        system = np.concatenate([columns.real, columns.imag])
+        right = np.concatenate([(y * weight).real, (y * weight).imag])
+        a, b, c1, _, c3, c4 = (float(x) for x in np.linalg.lstsq(system, right, rcond=None)[0])
+        weight = 1 / (np.abs(y) * np.abs(1 + a * s + b * s**2))
+    c0 = (c3 - a * c4 / b) / b
+    cm = c1 - c0
+    if not min(a, b, c0, cm) > 0:
+        raise UsageError(
+            "the samples are not those of a resonance beside a capacitor",
+            got=f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)",
+            hint="take more samples between resonance and antiresonance",
+        )
+    scale = 1 / (2 * math.pi * unit)
+    farad = size * scale
+    return BVD(c0 * farad, a * scale / (cm * farad), b * scale**2 / (cm * farad), cm * farad)
+
+
+def _capacitance(f: np.ndarray, Y: np.ndarray, bvd: BVD, at: float) -> float:
+    if f[0] > at:
+        return float(bvd.admittance(np.array([at]))[0].imag / (2 * math.pi * at))
+    return float(np.interp(at, f, Y.imag / (2 * np.pi * f)))

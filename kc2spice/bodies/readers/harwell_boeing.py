@@ -1,0 +1,131 @@
+"""Harwell-Boeing files, symmetric ones too, and the mapping that Ansys writes beside them.
+
+scipy's ``hb_read`` refuses symmetric matrices, which is what ``HBMAT`` writes. Fields have a fixed
+width and may touch, so they are cut by the widths that the header states.
+Format: Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection (1992).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.bodies.readers.limits import (
+    bounded,
+    checked,
+    content,
+    guarded,
+    indices,
+    mirrored,
+    refused,
+)
+from kc2spice.bodies.readers.raw import CODES, Dofs
+from kc2spice.rom.operators import Matrix
+
+_EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
+_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
+_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
+_ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
+
+
+def is_harwell_boeing(head: bytes) -> bool:
+    """Whether the first lines of a file are a Harwell-Boeing header."""
+    lines = head.split(b"\n", 4)
+    return len(lines) > 3 and _TYPE.match(lines[2] + b" ") is not None
+
+
+def read_harwell_boeing(path: Path, letter: str) -> Matrix:
+    """The matrix in ``path``, whole: the stored triangle of RSA is mirrored.
+
+    Raises
+    ------
+    UsageError : binary, elemental, complex, a pattern, damaged or too large.
+    """
+    return checked(guarded(path, _EXPECTED, lambda: _read(path, letter)), letter, path)
+
+
+def _read(path: Path, letter: str) -> sparse.csc_array:
+    lines = content(path).splitlines()
+    if len(lines) < 5:
+        raise ValueError("the header is cut off")
+    match = _TYPE.match(lines[2] + b" ")
+    if match is None:
+        raise ValueError(f"the third line is {lines[2][:40]!r}")
+    kind = match[1].decode().upper()
+    if kind not in ("RSA", "RUA", "RZA", "RRA"):
+        raise ValueError(f"type {kind}")
+    counts = [int(word) for word in lines[1].split()[:4]]
+    rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
+    bounded(path, letter, (rows, columns), entries)
+    if min(counts) < 0 or (kind in ("RSA", "RZA") and rows != columns):
+        raise ValueError("the header is damaged")
+    formats = _FORMAT.findall(lines[3])
+    if len(formats) < 3:
+        raise ValueError("the line of formats is damaged")
+    start = 5 if len(counts) > 3 and _right_hand_sides(lines[1]) else 4
+    parts = []
+    for (repeat, width), length, number in zip(
+        formats, counts[1:], (columns + 1, entries, entries), strict=False
+    ):
+        section = lines[start : start + length]
+        parts.append(_fields(section, int(repeat or 1), int(width), number))
+        start += length
+    pointer, row = parts[0], indices(parts[1], rows)
+    sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
+    if not sound:
+        raise ValueError("column pointers do not rise from 1 to the number of entries")
+    inner = (parts[2], row, pointer.astype(np.int64) - 1)
+    matrix = sparse.csc_array(inner, shape=(rows, columns))
+    if kind in ("RUA", "RRA"):
+        return matrix
+    triangle = sparse.coo_array(matrix)
+    if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
+        raise refused(path, f"type {kind} with entries on both sides", "one triangle")
+    return mirrored(matrix, 1 if kind == "RSA" else -1)
+
+
+def _right_hand_sides(counts: bytes) -> bool:
+    words = counts.split()
+    return len(words) > 4 and int(words[4]) > 0
+
+
+def _fields(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
+    """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
+    if len(lines) * repeat < number:
+        raise ValueError(f"{len(lines)} lines for {number} numbers: is it cut off?")
+    text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
+    text = text.translate(bytes.maketrans(b"Dd", b"EE"))
+    values = np.frombuffer(text, dtype=f"S{width}")[:number]
+    return np.char.strip(values).astype(float)
+
+
+def read_mapping(path: Path, size: int) -> Dofs:
+    """Node and freedom of each equation from Ansys' ``NAME.mapping``.
+
+    Raises
+    ------
+    UsageError : damaged, an equation missing or twice, a freedom that is not known.
+    """
+    expected = f"lines of equation, node and freedom for {size} equations"
+    return guarded(path, expected, lambda: _mapping(path, size))
+
+
+def _mapping(path: Path, size: int) -> Dofs:
+    rows = [line.split() for line in content(path).decode("ascii", "replace").splitlines()]
+    rows = [row for row in rows if row and row[0].isdigit()]
+    if len(rows) != size or any(len(row) != 3 for row in rows):
+        raise ValueError(f"{len(rows)} equations")
+    names = [_ANSYS.get(row[2].upper(), row[2].lower()) for row in rows]
+    unknown = sorted(set(names) - set(CODES))
+    if unknown:
+        raise ValueError(f"freedom {unknown[0]}")
+    place = indices(np.array([float(row[0]) for row in rows]), size)
+    if len(np.unique(place)) < size:
+        raise ValueError("an equation stands there twice")
+    node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    node[place] = [int(row[1]) for row in rows]
+    kind[place] = [CODES[name] for name in names]
+    return Dofs(node, kind)

@@ -1,0 +1,173 @@
+"""What every reader of a foreign file refuses before it takes memory or follows an index."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.operators import Matrix
+
+LETTERS = ("M", "E", "K", "A", "B", "C", "D")
+WIDE = ("B", "C", "D")  # few rows or columns, kept dense
+MAX_SIZE = 5_000_000  # rows or columns
+MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
+MAX_DENSE = 50_000_000  # entries of a full matrix
+MAX_BYTES = 4_000_000_000  # one file, unpacked
+_FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
+_BOM = b"\xef\xbb\xbf"
+
+T = TypeVar("T")
+
+
+def refused(path: Path, got: object, expected: str, hint: str | None = None) -> UsageError:
+    """The error for a file that cannot be used."""
+    return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
+
+
+def present(path: Path) -> bool:
+    """Whether ``path`` is a file; a name that no file can have (NUL, too long) is none."""
+    try:
+        return path.is_file()
+    except (ValueError, OSError):
+        return False
+
+
+def existing(path: Path) -> Path:
+    """``path``, which is a file of a size that can be read.
+
+    Raises
+    ------
+    UsageError : no such file, or one above ``MAX_BYTES``.
+    """
+    if not present(path):
+        where = str(path).replace("\0", "\\0")
+        raise UsageError("no such file", where=where, expected="a model in this file")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise refused(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
+    return path
+
+
+def content(path: Path) -> bytes:
+    """The bytes of a text file without its UTF-8 byte order mark."""
+    return existing(path).read_bytes().removeprefix(_BOM)
+
+
+def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
+    """``read()``; whatever a damaged file makes a parser raise becomes one clear error."""
+    try:
+        return read()
+    except UsageError:
+        raise
+    except NotImplementedError:
+        raise UsageError(
+            "is in a format that is not read", where=str(path), expected=expected,
+            hint="in MATLAB: save(..., '-v7')",
+        ) from None  # fmt: skip
+    except Exception as error:  # parsers of hostile bytes raise nearly anything
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise UsageError("cannot be read", where=str(path), got=reason, expected=expected) from None
+
+
+def numbers(text: bytes) -> np.ndarray:
+    """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
+
+    Fortran's ``1.5D+3`` is a number.
+
+    Raises
+    ------
+    ValueError : something else stands among them.
+    """
+    if not text.strip():
+        return np.empty(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # numpy stops at damage with a warning only
+        try:
+            return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise ValueError("something in it is not a number") from None
+
+
+def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
+    """Refuse a matrix by its declared size, before memory is taken for it.
+
+    Raises
+    ------
+    UsageError : not two-dimensional, or above the limits of this module.
+    """
+    shape = tuple(int(k) for k in shape)
+    if len(shape) != 2:
+        raise refused(path, f"matrix {letter} has {len(shape)} dimensions", "2 dimensions")
+    size = " x ".join(map(str, shape))
+    if max(shape) > MAX_SIZE or min(shape) < 0:
+        got = f"matrix {letter} of {size}"
+        raise refused(path, got, f"at most {MAX_SIZE} rows and columns")
+    if letter in WIDE and shape[0] * shape[1] > MAX_DENSE:
+        raise refused(path, f"matrix {letter} of {size}", "few inputs or outputs")
+    limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
+    if entries is not None and not 0 <= entries <= limit:
+        raise refused(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
+
+
+def indices(values: np.ndarray, size: int) -> np.ndarray:
+    """``values`` counted from 1 as integers counted from 0.
+
+    Raises
+    ------
+    ValueError : one is not a whole number from 1 to ``size``.
+    """
+    sound = (values >= 1) & (values <= size) & (values == np.floor(values))
+    if not sound.all():
+        raise ValueError(f"an index is {values[~sound][0]:g}, the matrix has {size} rows")
+    return values.astype(np.int64) - 1
+
+
+def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
+    """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
+    diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
+    return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
+
+
+def whole(matrix: sparse.csc_array) -> sparse.csc_array:
+    """A matrix whose pairs off the diagonal were stored once, on either side of it; as it is where
+    any pair is stored twice.
+    """
+    below = abs(sparse.tril(matrix, -1, format="csc")) > 0
+    above = abs(sparse.triu(matrix, 1, format="csc")) > 0
+    return matrix if below.multiply(above.T).nnz else mirrored(matrix)
+
+
+def checked(matrix: Any, letter: str, path: Path) -> Matrix:
+    """``matrix`` as float64, two-dimensional, real and finite; csc unless few columns.
+
+    Raises
+    ------
+    UsageError : it is anything else; the message says what.
+    """
+    if sparse.issparse(matrix):
+        if matrix.format in ("csc", "csr"):  # indices out of range would be followed unseen
+            guarded(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
+        data = matrix.data
+    elif isinstance(matrix, np.ndarray):
+        data = matrix
+    else:
+        raise refused(path, f"matrix {letter} is a {type(matrix).__name__}", "a numeric matrix")
+    if data.dtype.kind not in "fiub":
+        what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
+        raise refused(path, f"matrix {letter} is {what}", "a real numeric matrix")
+    bounded(path, letter, matrix.shape, matrix.nnz if sparse.issparse(matrix) else matrix.size)
+    if not np.isfinite(data).all():
+        raise refused(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
+    if letter in WIDE:
+        plain = matrix.toarray() if sparse.issparse(matrix) else matrix
+        return np.asarray(plain, dtype=float)
+    matrix = sparse.csc_array(matrix, dtype=float)
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix

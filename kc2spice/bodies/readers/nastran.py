@@ -1,0 +1,182 @@
+"""Nastran's matrices: DMIG cards of a punch file, and OUTPUT4 files through pyyeti.
+
+``K...`` is the stiffness, ``M...`` the mass, ``B...`` the viscous damping, unless the sidecar's
+``matrices`` names others. DMIG: MSC Nastran Quick Reference Guide; large, small and free fields.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.bodies.readers.limits import (
+    bounded,
+    checked,
+    content,
+    existing,
+    guarded,
+    refused,
+    whole,
+)
+from kc2spice.bodies.readers.raw import Raw, labelled
+from kc2spice.core.errors import MissingToolError
+
+_FIRST = {"K": "K", "M": "M", "B": "E"}
+_SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
+_SQUARE, _SYMMETRIC = 1, 6
+
+
+def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str, str]:
+    """Which of the file's matrices stands for which letter.
+
+    Raises
+    ------
+    UsageError : a name that is not there, or two that may stand for one letter.
+    """
+    known = {name.upper(): name for name in names}
+    chosen = {}
+    for letter, name in wanted.items():
+        if name.upper() not in known:
+            raise refused(path, f"no matrix {name}", f"one of {', '.join(names)}")
+        chosen[letter] = known[name.upper()]
+    for first, letter in _FIRST.items():
+        fits = [n for u, n in known.items() if u.startswith(first) and not u.startswith("K4")]
+        if letter in chosen or not fits or wanted:
+            continue
+        if len(fits) > 1:
+            raise refused(
+                path, f"matrices {', '.join(fits)}", f"one that is {letter}",
+                hint=f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file',
+            )  # fmt: skip
+        chosen[letter] = fits[0]
+    if not chosen:
+        raise refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
+    return chosen
+
+
+def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
+    """Matrices of the DMIG cards in ``path``, rows named by grid and component.
+
+    Raises
+    ------
+    UsageError : no such cards, complex or rectangular ones, or damage.
+    """
+    expected = "real, square DMIG cards"
+    headers, entries = guarded(path, expected, lambda: _cards(path))
+    if not headers:
+        raise refused(path, "no DMIG card", expected)
+    chosen = choose(
+        [n for n, form in headers.items() if form in (_SQUARE, _SYMMETRIC)], wanted, path
+    )
+    triples = {}
+    for letter, name in chosen.items():
+        table = np.array(entries.get(name, []), dtype=float).reshape(-1, 5)
+        keys = table[:, [0, 2]].astype(np.int64) * 64 + table[:, [1, 3]].astype(np.int64)
+        triples[letter] = (keys[:, 0], keys[:, 1], table[:, 4])
+    matrices, dofs = labelled(triples)
+    found = {}
+    for letter, matrix in matrices.items():
+        symmetric = headers[chosen[letter]] == _SYMMETRIC
+        found[letter] = checked(whole(matrix) if symmetric else matrix, letter, path)
+    return Raw(found, dofs)
+
+
+def _cards(path: Path) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]]]]:
+    """Form of each matrix by name, and its (row grid, component, column grid, component, value)."""
+    headers: dict[str, int] = {}
+    entries: dict[str, list[tuple[float, ...]]] = {}
+    text = content(path).decode("ascii", "replace")
+    if text and not text.endswith("\n"):
+        raise ValueError("the last line has no end: is it cut off?")
+    for cells in _joined(text):
+        name = cells[0].strip().upper()
+        if cells[1].strip() == "0":
+            form, kind = int(cells[2]), int(cells[3])
+            if kind not in (1, 2):
+                raise ValueError(f"matrix {name} is complex")
+            headers[name] = form
+            continue
+        if name not in headers:
+            raise ValueError(f"matrix {name} has no header card")
+        column = (int(cells[1]), _component(cells[2]))
+        rows = entries.setdefault(name, [])
+        for at in range(4, len(cells), 4):
+            grid, component, value = [*cells[at : at + 3], "", ""][:3]
+            if grid.strip():
+                rows.append((int(grid), _component(component), *column, _number(value)))
+    return headers, entries
+
+
+def _joined(text: str) -> Iterator[list[str]]:
+    """The fields of each DMIG card behind its name, continuation lines joined."""
+    cells: list[str] = []
+    for line in text.splitlines():
+        line = line.split("$", 1)[0].rstrip()
+        if line[:4].upper() == "DMIG":
+            if cells:
+                yield cells
+            cells = _fields(line)
+        elif cells and (line[:1] in ("*", "+", ",") or (line and not line[:8].strip())):
+            cells += _fields(line)
+        elif cells and line:
+            yield cells
+            cells = []
+    if cells:
+        yield cells
+
+
+def _fields(line: str) -> list[str]:
+    if "," in line:
+        cells = line.split(",")[1:9]
+        return cells + [""] * (8 - len(cells))
+    width, count = (16, 4) if "*" in line[:8] else (8, 8)
+    return [line[8 + k * width : 8 + (k + 1) * width] for k in range(count)]
+
+
+def _component(text: str) -> int:
+    value = int(text.strip() or 0)
+    if not 0 <= value <= 6:
+        raise ValueError(f"component {value}")
+    return value
+
+
+def _number(text: str) -> float:
+    text = text.strip().upper().replace("D", "E")
+    try:
+        return float(text)
+    except ValueError:
+        return float(_SHORT_EXPONENT.sub(r"E\1", text))
+
+
+def read_op4(path: Path, wanted: Mapping[str, str]) -> Raw:
+    """Matrices of an OUTPUT4 file, text or binary, of either byte order.
+
+    Raises
+    ------
+    UsageError : damaged, too large, complex, or no stiffness in it.
+    MissingToolError : pyyeti is not installed.
+    """
+    try:
+        from pyyeti.nastran import op4
+    except ImportError:
+        raise MissingToolError(
+            "pyyeti is not installed", where=str(path), expected="it to read OUTPUT4 files",
+            hint="pip install 'kc2spice[nastran]'",
+        ) from None  # fmt: skip
+    existing(path)
+    expected = "a Nastran OUTPUT4 file"
+    names, sizes, _, _ = guarded(path, expected, lambda: op4.dir(str(path), verbose=False))
+    chosen = choose(list(names), wanted, path)
+    for letter, name in chosen.items():
+        bounded(path, letter, sizes[names.index(name)], None)
+    wants = list(chosen.values())
+    loaded = guarded(path, expected, lambda: op4.load(str(path), wants, sparse=True))
+    found = {}
+    for letter, name in chosen.items():
+        matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
+        found[letter] = checked(whole(matrix) if form == _SYMMETRIC else matrix, letter, path)
+    return Raw(found)

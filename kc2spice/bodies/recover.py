@@ -1,0 +1,121 @@
+"""The motion of a whole body from the port waveforms of a run.
+
+A run knows what the ports did. The body's own motion under these inputs follows from a projection
+of the full model on a Krylov basis V, whose modes are integrated exactly for inputs that are
+linear between samples: whatever simulator made the waveforms, z = V x is the full model's answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from kc2spice.bodies.device import Device
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.krylov import block_arnoldi
+
+ORDER = 40
+SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacements ``z(t) = basis @ states[t]`` and ``voltages`` (times, electrical ports)."""
+
+    device: Device
+    time: np.ndarray
+    inputs: np.ndarray
+    basis: np.ndarray
+    states: np.ndarray
+
+    @property
+    def voltages(self) -> np.ndarray:
+        """Inputs of the electrical ports (times, e)."""
+        return self.inputs[:, _electrical(self.device)]
+
+    @property
+    def outputs(self) -> np.ndarray:
+        """(times, ports) in SI, to be compared with the run's own."""
+        model = self.device.model
+        return np.asarray(self.states @ (model.C @ self.basis).T + self.inputs @ model.D.T)
+
+    def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s].
+
+        Raises
+        ------
+        UsageError : not within the run.
+        """
+        if not self.time[0] <= instant <= self.time[-1]:
+            raise UsageError(
+                "instant outside the run", where="fields", got=instant,
+                expected=f"{self.time[0]:g} to {self.time[-1]:g} s",
+            )  # fmt: skip
+        k = int(np.argmin(np.abs(self.time - instant)))
+        return self.basis @ self.states[k], self.voltages[k]
+
+
+def recover(
+    device: Device, time: np.ndarray, inputs: Mapping[str, np.ndarray], *, order: int = ORDER
+) -> Motion:
+    """The motion of the body under port inputs (by port name, SI, over ``time``); ports that are
+    not named get none. It starts at rest under the first values.
+
+    Raises
+    ------
+    UsageError : a port that the body does not have, or waveforms of another length.
+    """
+    names = [port.name for port in device.model.ports]
+    u = np.zeros((len(time), len(names)))
+    for name, wave in inputs.items():
+        if name not in names or np.shape(wave) != np.shape(time):
+            raise UsageError(
+                "not a port waveform of this body", where="fields", got=f"{name} {np.shape(wave)}",
+                expected=f"{len(time)} values of one of {', '.join(names)}",
+            )  # fmt: skip
+        u[:, names.index(name)] = wave
+    basis, poles = _modes(device, order, float(time[-1] - time[0]))
+    force = u @ (basis.T @ device.model.B).T
+    return Motion(device, np.asarray(time), u, basis, _integrate(np.asarray(time), force, poles))
+
+
+def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mass-normalised modes (n, q) of the projected model and their pairs of poles (2, q)."""
+    model, shift = device.model, device.shift
+    solve = model.pencil.pencil_solver(-shift).solve
+    V = block_arnoldi(
+        lambda v: model.K @ v + shift * (model.M @ v), solve, lambda v: model.M @ v, model.B, order
+    )
+    K, E, M = model.pencil.project(V).coefficients
+    squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+    squares = np.maximum(squares, (SLOWEST / span) ** 2)
+    damping = np.einsum("ij,ik,kj->j", X, E, X) / 2
+    root = np.sqrt(damping**2 - squares + 0j)
+    root = np.where(np.abs(root) < SLOWEST * np.sqrt(squares), SLOWEST * np.sqrt(squares), root)
+    return V @ X, np.array([-damping + root, -damping - root])
+
+
+def _integrate(time: np.ndarray, force: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """States (times, q) of ``x'' - (p1 + p2) x' + p1 p2 x = force``, linear between samples.
+
+    ``x = (w1 - w2) / (p1 - p2)`` with ``w' = p w + force``, each step exact:
+    ``w+ = e^a w + h f (e^a - 1)/a + h df (e^a - 1 - a)/a^2``, ``a = p h``.
+    """
+    w = -force[0] / poles
+    states = np.empty(force.shape)
+    states[0] = ((w[0] - w[1]) / (poles[0] - poles[1])).real
+    for k, h in enumerate(np.diff(time)):
+        a = poles * h
+        first = np.expm1(a) / a
+        # the series where rounding would eat the difference
+        second = np.where(np.abs(a) < 1e-3, 0.5 + a / 6 + a**2 / 24, (first - 1) / a)
+        w = np.exp(a) * w + h * (force[k] * first + (force[k + 1] - force[k]) * second)
+        states[k + 1] = ((w[0] - w[1]) / (poles[0] - poles[1])).real
+    return states
+
+
+def _electrical(device: Device) -> list[int]:
+    return [k for k, port in enumerate(device.model.ports) if port.kind == "electrical"]

@@ -1,0 +1,177 @@
+"""What a person sees in the terminal: progress on stderr, tables on stdout, errors in one block."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import typer
+
+from kc2spice.core.errors import Kc2spiceError
+
+if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
+    from rich.progress import Progress, TaskID
+
+INTERRUPTED = 130  # what a shell reports after Ctrl-C
+
+
+class ProgressCallback(Protocol):
+    """``progress("magnetics", 0.25, "height 10 of 41")``; ``done`` is None where it is unknown."""
+
+    def __call__(self, stage: str, done: float | None, text: str) -> None:
+        """Take note that ``stage`` got as far as ``done`` (0 … 1)."""
+
+
+@contextmanager
+def shown_progress(quiet: bool) -> Iterator[ProgressCallback]:
+    """Progress bars in a terminal, one line for each stage elsewhere, nothing when quiet."""
+    if quiet:
+        yield lambda stage, done, text: None
+    elif sys.stderr.isatty():
+        with _bars() as progress:
+            bars = _Bars(progress)
+            yield bars
+            bars.complete()
+    else:
+        yield _Lines()
+
+
+def _bars() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.fields[stage]:<10}"), BarColumn(24))
+    text = TextColumn("{task.description}", markup=False)
+    return Progress(*columns, TimeElapsedColumn(), text, console=Console(stderr=True))
+
+
+class _Bars:
+    """One bar for each stage."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, stage: str, done: float | None, text: str) -> None:
+        if stage not in self._tasks:
+            self.complete()
+            self._tasks[stage] = self._progress.add_task(text, total=None, stage=stage)
+        task, total = self._tasks[stage], None if done is None else 1.0
+        self._progress.update(task, description=text, total=total, completed=done or 0.0)
+
+    def complete(self) -> None:
+        """Fill all bars."""
+        for task in self._tasks.values():
+            self._progress.update(task, total=1, completed=1)
+
+
+class _Lines:
+    """One line when a stage begins, for logs and pipes."""
+
+    def __init__(self) -> None:
+        self._stage = ""
+
+    def __call__(self, stage: str, done: float | None, text: str) -> None:
+        if stage != self._stage:
+            self._stage = stage
+            print(f"{stage}: {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def reported_errors() -> Iterator[None]:
+    """Turn exceptions into one message and the exit code of the contract."""
+    warnings.showwarning = _show_warning
+    try:
+        yield
+    except Kc2spiceError as error:
+        _fail(str(error))
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        _fail("interrupted; nothing was written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:  # the reader of a pipe left, as in `kc2spice scenes | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(0) from None
+    except typer.Exit:
+        raise
+    except Exception as error:
+        if os.environ.get("KC2SPICE_DEBUG"):
+            traceback.print_exc()
+        detail = f"{type(error).__name__}: {error}".splitlines()[0]
+        _fail(f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details")
+        raise typer.Exit(1) from None
+
+
+def _fail(text: str) -> None:
+    print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
+
+
+def _show_warning(message: Any, *_: Any, **__: Any) -> None:
+    print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
+
+
+def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> None:
+    """A small table on stdout; plain text where stdout is no terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.show_header = bool(header)
+    for name in header or [""] * max((len(row) for row in rows), default=0):
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+    width = None if sys.stdout.isatty() else 80
+    Console(width=width).print(table)
+
+
+def print_facts(title: str, facts: Mapping[str, Any]) -> None:
+    """Numbers of a result, each with the unit that its key ends in."""
+    rows = [fact_row(name, value) for name, value in facts.items() if _is_plain(value)]
+    if rows:
+        print_table(title, rows)
+
+
+_UNITS = {
+    "m_per_100v": "m per 100 V", "m_s": "m/s", "v_m": "V/m", "pa": "Pa", "kg": "g", "hz": "Hz",
+    "ohm": "Ohm", "m": "m", "s": "s", "a": "A", "f": "F", "h": "H", "n": "N", "v": "V",
+}  # fmt: skip
+_PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "u", -9: "n", -12: "p", -15: "f"}
+
+
+def fact_row(name: str, value: Any) -> tuple[str, str]:
+    """``("settling time", "1.67647 ms")`` from ``settling_time_s`` and ``1.67647e-3``."""
+    label, unit, factor = name, "", 1.0
+    for suffix, candidate in _UNITS.items():
+        if name.endswith(f"_{suffix}"):
+            label, unit = name.removesuffix(f"_{suffix}"), candidate
+            factor = 1e3 if suffix == "kg" else 1.0
+            break
+    if value is None:
+        text = "-"
+    elif isinstance(value, bool):
+        text = "yes" if value else "no"
+    elif isinstance(value, str):
+        text = value
+    else:
+        text = _with_prefix(factor * value, unit) if unit else f"{value:.6g}"
+    return label.replace("_", " "), text
+
+
+def _with_prefix(value: float, unit: str) -> str:
+    """Six digits with the prefix that leaves one to three of them before the point."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g} {unit}"
+    exponent = 3 * math.floor(math.log10(abs(value)) / 3)
+    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
+    return f"{value / 10.0**exponent:.6g} {_PREFIXES[exponent]}{unit}"
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, (bool, int, float, str))

@@ -1,0 +1,178 @@
+"""Is everything here that kc2spice needs? Each finding comes with the command that mends it."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import importlib.metadata
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from kc2spice.core.cache import cache_dir
+from kc2spice.core.errors import Kc2spiceError
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
+
+_PYTHON = (
+    "numpy", "scipy", "scikit-fem", "gmsh", "PySpice", "matplotlib", "typer", "rich", "pydantic",
+    "Jinja2",
+)  # fmt: skip
+# Shared libraries that the gmsh wheel loads, and the Debian and Ubuntu packages that have them.
+_GMSH = {
+    "libGLU.so.1": "libglu1-mesa", "libGL.so.1": "libgl1", "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6", "libXrender.so.1": "libxrender1", "libXcursor.so.1": "libxcursor1",
+    "libXfixes.so.3": "libxfixes3", "libXft.so.2": "libxft2", "libXinerama.so.1": "libxinerama1",
+    "libfontconfig.so.1": "libfontconfig1", "libgomp.so.1": "libgomp1",
+}  # fmt: skip
+# A gain block exists only where XSPICE and its code models are loaded.
+_XSPICE_DECK = """* code model probe
+V1 in 0 DC 1
+A1 in out probe
+.model probe gain(gain=2)
+R1 out 0 1
+.op
+.end
+"""
+# What our netlists ask of ngspice: parameters in braces, pwl and max in a behavioural source, and
+# the current of such a source among the results.
+_FEATURE_DECK = """* feature probe
+.param eps=2
+V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
+B1 0 out I={eps*max(0, V(in)-0.5)+pwl(V(in), 0, 0, 1, 3)}
+R1 out 0 1
+.options reltol=1e-4 trtol=1 chgtol=1e-8 method=trap pivrel=0.1
+.tran 1e-6 1e-5
+.save v(out)
+.save @b1[i]
+.end
+"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: ``fix`` is empty where all is well; a ``needed`` one must be well to run."""
+
+    name: str
+    ok: bool
+    found: str
+    fix: str = ""
+    needed: bool = True
+
+
+def examine() -> Iterator[Finding]:
+    """All checks, the quick ones first."""
+    yield _python()
+    for library in _PYTHON:
+        yield _library(library)
+    if sys.platform == "linux":
+        yield _gmsh_libraries()
+    yield _ngspice()
+    yield _features()
+    yield _code_models()
+    yield _libngspice()
+    yield _cache()
+
+
+def _python() -> Finding:
+    version = ".".join(map(str, sys.version_info[:3]))
+    return Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
+
+
+def _library(name: str) -> Finding:
+    fix = f"{sys.executable} -m pip install {name}"
+    try:
+        return Finding(name, True, importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, "not installed", fix)
+
+
+def _loads(soname: str) -> bool:
+    try:
+        ctypes.CDLL(soname)
+    except OSError:
+        return False
+    return True
+
+
+def _gmsh_libraries() -> Finding:
+    missing = [soname for soname in _GMSH if not _loads(soname)]
+    fix = "apt-get install " + " ".join(_GMSH[soname] for soname in missing)
+    if missing:
+        return Finding("system libraries of gmsh", False, "missing " + ", ".join(missing), fix)
+    return Finding("system libraries of gmsh", True, f"{len(_GMSH)} found")
+
+
+def _ngspice() -> Finding:
+    fix = "apt-get install ngspice"
+    program = shutil.which("ngspice")
+    if program is None:
+        return Finding("ngspice", False, "not on PATH", fix)
+    text = _output([program, "--version"])
+    version = re.search(r"ngspice-(\S+)", text)
+    if version is None:
+        return Finding("ngspice", False, f"{program} does not answer to --version", fix)
+    return Finding("ngspice", True, f"{version[1]} ({program})")
+
+
+def _features() -> Finding:
+    """Run a deck with the language that our netlists use, whatever the version says."""
+    fix = "install a complete ngspice, version 39 or later"
+    if shutil.which("ngspice") is None:
+        return Finding("ngspice runs our netlists", False, "no ngspice", fix)
+    vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
+    deck = Deck("probe", "probe.cir", {"probe.cir": _FEATURE_DECK}, vectors, 1e-5)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            waves = run_deck(deck, Path(folder), timeout=20)
+        except Kc2spiceError as error:
+            return Finding("ngspice runs our netlists", False, error.message, fix)
+    ends = float(waves["out"][-1]), float(abs(waves["source"][-1]))
+    ok = all(abs(end - 4.0) < 1e-6 for end in ends)
+    return Finding("ngspice runs our netlists", ok, "a probe does" if ok else f"got {ends}", fix)
+
+
+def _code_models() -> Finding:
+    """Run a deck with a code model; the op-amp benches of users may need them, ours do not."""
+    fix = "reinstall ngspice; its code models (*.cm) or its spinit file are missing"
+    program = shutil.which("ngspice")
+    if program is None:
+        return Finding("XSPICE code models", False, "no ngspice", fix, needed=False)
+    with tempfile.TemporaryDirectory() as folder:
+        deck = Path(folder) / "probe.cir"
+        deck.write_text(_XSPICE_DECK)
+        text = _output([program, "-b", "-n", str(deck)])
+    ok = re.search(r"^\s*out\s+2\.0*e\+00", text, re.MULTILINE | re.IGNORECASE) is not None
+    return Finding("XSPICE code models", ok, "load" if ok else "do not load", fix, needed=False)
+
+
+def _output(command: list[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout + done.stderr
+
+
+def _libngspice() -> Finding:
+    fix = "apt-get install libngspice0"
+    names = (os.environ.get("NGSPICE_LIBRARY_PATH"), ctypes.util.find_library("ngspice"))
+    for name in filter(None, (*names, "libngspice.so.0")):
+        if _loads(name):
+            return Finding("libngspice", True, name)
+    return Finding("libngspice", False, "not found", fix, needed=False)
+
+
+def _cache() -> Finding:
+    folder = cache_dir()
+    fix = "set KC2SPICE_CACHE to a directory that you can write to"
+    existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+    ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
+    found = str(folder) if ok else f"{folder} cannot be written"
+    return Finding("cache", ok, found, fix, needed=False)

@@ -1,0 +1,173 @@
+"""What the commands print for a person: results, verdicts, plans, keys and findings as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kc2spice.cli.console import print_facts, print_table
+
+if TYPE_CHECKING:
+    from kc2spice.cli.doctor import Finding
+    from kc2spice.scene.keys import Key
+    from kc2spice.scene.partdocs import PartDoc
+    from kc2spice.scene.plan import Plan
+
+
+def show_result(result: Mapping[str, Any], directory: Path) -> None:
+    """What ``run`` found."""
+    for part, facts in result.get("model", {}).items():
+        print_facts(f"model: {part}", facts)
+    if "rom" in result:
+        rom = result["rom"]
+        low, high = rom["band_hz"]
+        rows = [
+            ("order", str(rom["order"])),
+            ("band", f"{low:g} … {high:g} Hz"),
+            ("error estimate", f"{rom['error_estimate']:.3g}"),
+        ]
+        if "contact_error" in rom:
+            rows.append(("error of the launch", contact_error(rom["contact_error"])))
+        print_table("reduced model", rows)
+    print_facts("metrics", result.get("metrics", {}))
+    _show_checks(result.get("checks", ()))
+    _show_attempts(result.get("simulator", {}).get("attempts", ()))
+    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+
+
+def contact_error(value: float | None) -> str:
+    """What the reduction does where bodies meet; its certificate is that of the response."""
+    if value is None:
+        return "not estimated; checks.reduction = 'warn' compares with a richer model"
+    return f"{value:.2g}"
+
+
+def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            "ok" if check["passed"] else "VIOLATED",
+            check["name"],
+            f"{check['value']:.3g} {check['unit']}",
+            f"limit {check['limit']:.3g}",
+        )
+        for check in checks
+    ]
+    if rows:
+        print_table("physics checks", rows)
+
+
+def _show_attempts(attempts: Sequence[Mapping[str, Any]]) -> None:
+    """All retry settings, where more than the first was needed."""
+    rows = [
+        (each["setting"], each["settings"], each["cause"] or "succeeded", f"{each['wall_s']:.3g} s")
+        for each in attempts
+    ]
+    if len(rows) > 1:
+        print_table("retries", rows, header=("setting", "changes", "outcome", "time"))
+
+
+def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
+    """What ``verify`` found."""
+    for name, record in found.items():
+        rows = [
+            (
+                "ok" if check["passed"] else "MISSED",
+                check["name"],
+                "-" if check["value"] is None else f"{check['value']:.3g}",
+                f"{check['limit']:.3g}" + ("" if check["unit"] == "1" else f" {check['unit']}"),
+            )
+            for check in record["checks"]
+        ]
+        print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
+        costs = [(cost["name"], f"{cost['wall_s']:.3g} s") for cost in record["costs"]]
+        print_table(f"{name}: solutions", costs, header=("solution", "wall time"))
+        for baseline, ratio in record["speedup"].items():
+            print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
+        for note in record["notes"]:
+            print(f"  {note}")
+        if "meshes" in record:
+            _show_meshes(name, record["meshes"])
+    print(f"all of it, with errors and plots: {directory / 'verify.html'}")
+
+
+def _show_meshes(name: str, points: Iterable[Mapping[str, Any]]) -> None:
+    rows = [
+        (
+            point["label"],
+            f"{point['unknowns']}",
+            f"{point['imprint_force_n']:.5g}",
+            f"{point['resonance_short_hz'] / 1e3:.5g}",
+            f"{point['resonance_open_hz'] / 1e3:.5g}",
+            f"{point['min_position_m'] * 1e6:.5g}",
+            f"{point['rebound_velocity_m_s']:.5g}",
+        )
+        for point in points
+    ]
+    head = ("mesh", "unknowns", "force N", "short kHz", "open kHz", "lowest um", "rebound m/s")
+    print_table(f"{name}: meshes", rows, header=head)
+
+
+def show_plan(plan: Plan) -> None:
+    """What ``explain`` says after the scene's name."""
+    rows = [(part.part, part.source, part.detail) for part in plan.parts]
+    print_table("modelled", rows, header=("part", "model", "detail"))
+    print_table("joined", [(line,) for line in plan.joins])
+    title = "errors, relative"
+    if plan.error_budget is not None:
+        title += f"; error_budget {plan.error_budget:g} divided"
+    errors = [
+        (
+            each.stage,
+            _ratio(each.share),
+            _ratio(each.expected, "not estimated"),
+            each.settings,
+            each.why,
+        )
+        for each in plan.errors
+    ]
+    print_table(title, errors, header=("stage", "share", "expected", "settings", ""))
+    left = [(item.effect, item.why, item.error) for item in plan.left_out]
+    print_table("left out", left, header=("effect", "why", "size"))
+
+
+def _ratio(value: float | None, unknown: str = "-") -> str:
+    return unknown if value is None else f"{value:.2g}"
+
+
+def show_keys(keys: Iterable[Key]) -> None:
+    """What ``scenes --keys`` lists."""
+    rows = [
+        (
+            key.name,
+            key.unit or "",
+            "" if key.default is None else str(key.default),
+            " | ".join(key.choices) or key.doc,
+        )
+        for key in keys
+    ]
+    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+
+
+def show_parts(docs: Iterable[PartDoc]) -> None:
+    """What ``scenes --parts`` lists."""
+    for doc in docs:
+        rows = [("pin", pin.name, pin.kind, f"default {pin.default}" if pin.default else "")
+                for pin in doc.pins]  # fmt: skip
+        rows += [
+            ("key", key.name, key.unit or " | ".join(key.choices),
+             "" if key.default is None else f"default {key.default}")
+            for key in doc.keys
+        ]  # fmt: skip
+        print_table(f"{doc.name}: {doc.title}", rows)
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """What ``doctor`` found."""
+    marks = {(True, True): "ok", (True, False): "ok", (False, True): "MISSING"}
+    rows = [
+        (marks.get((f.ok, f.needed), "absent"), f.name, f.found, "" if f.ok else f.fix)
+        for f in findings
+    ]
+    print_table("doctor", rows, header=("", "what", "found", "fix"))

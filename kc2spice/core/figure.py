@@ -1,0 +1,54 @@
+"""Figures as data: what to plot, without a plotting library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line: ``x`` and ``y`` (n,) in the panel's units."""
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    style: str = "-"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes. ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded
+    ranges ``(low, high, label)``, ``marks`` vertical lines; ``span`` is the range of x; ``equal``
+    gives both axes one scale.
+    """
+
+    x: str
+    y: str
+    curves: tuple[Curve, ...]
+    levels: tuple[tuple[float, str], ...] = ()
+    bands: tuple[tuple[float, float, str], ...] = ()
+    marks: tuple[tuple[float, str], ...] = ()
+    span: tuple[float, float] | None = None
+    log_x: bool = False
+    log_y: bool = False
+    equal: bool = False
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels above each other with one x axis; ``name`` is that of its file, without ending."""
+
+    name: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+
+
+def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
+    """Mask (n,) of the points from ``first`` to ``last`` and one more on either side."""
+    low, high = np.searchsorted(t, (first, last))
+    inside = np.zeros(t.size, dtype=bool)
+    inside[max(low - 1, 0) : high + 1] = True
+    return inside

@@ -1,0 +1,181 @@
+"""Results appear in their directory all at once, after everything worked, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kc2spice.core.errors import UsageError
+
+# What a reader opens first. They go before any other file changes and come after all others:
+# whoever sees one sees the files that belong to it, even after a kill between two renames.
+RESULT = "result.json"
+ENTRIES = (".cir", "verify.json", RESULT)
+_SUFFIX = ".part"
+_PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_LARGEST = 10_000_000  # bytes of a record that is read back
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_ABANDONED = 60.0  # s after which a work directory without a living owner is cleared away
+
+
+@contextmanager
+def staged(out: Path | str) -> Iterator[Path]:
+    """Directory to build results in; its files move into ``out`` when the block ends well.
+
+    If the block raises, nothing was written and earlier results in ``out`` are as they were.
+    Files are moved by rename under a lock on ``out``: two runs into one directory finish one after
+    the other, and no reader ever sees half a file.
+
+    Raises
+    ------
+    UsageError : ``out`` is a file, or cannot be created or written.
+    """
+    out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
+    parent = _nearest_directory(out.parent)
+    _nearest_directory(out)
+    if os.path.isdir(out) and not os.access(out, os.W_OK | os.X_OK):
+        raise UsageError("cannot be written", where=str(out), hint="choose another --out")
+    work = _work_directory(out, parent)
+    try:
+        with _locked(work):
+            _clear_abandoned(work, _prefix(out))
+            try:
+                yield work
+            except OSError as error:
+                if error.errno not in _FULL:
+                    raise
+                raise _unwritable(parent, error) from None
+            try:
+                _publish(work, out)
+            except OSError as error:
+                raise _unwritable(out, error) from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _work_directory(out: Path, parent: Path) -> Path:
+    """A new directory beside ``out``, or within it where it is a mount point or alone writable."""
+    places = [parent, out] if out.is_dir() else [parent]
+    reason = OSError()
+    for place in places:
+        try:
+            work = Path(tempfile.mkdtemp(prefix=_prefix(out), suffix=_SUFFIX, dir=place))
+        except OSError as error:
+            reason = error
+            continue
+        if place == places[-1] or _renames(work, out):
+            return work
+        work.rmdir()
+    raise _unwritable(parent, reason) from None
+
+
+def _renames(work: Path, out: Path) -> bool:
+    """Whether a file of ``work`` gets into ``out`` by a rename: both are one file system."""
+    probe = out / work.name
+    (work / work.name).touch()
+    try:
+        os.rename(work / work.name, probe)
+    except OSError:
+        (work / work.name).unlink()
+        return False
+    probe.unlink()
+    return True
+
+
+def _nearest_directory(path: Path) -> Path:
+    """``path`` or its first ancestor that exists: results are made on the same file system."""
+    # os.path answers False where pathlib raises, below directories that may not be entered.
+    nearest = next(item for item in (path, *path.parents) if os.path.exists(item))
+    if not os.path.isdir(nearest):
+        where = str(nearest)
+        raise UsageError("is a file, not a directory", where=where, hint="choose another --out")
+    return nearest
+
+
+def _unwritable(path: Path, error: OSError) -> UsageError:
+    reason = error.strerror or str(error)
+    return UsageError(f"cannot be written: {reason}", where=str(path), hint="choose another --out")
+
+
+def _prefix(out: Path) -> str:
+    return f".kc2spice.{out.name}."
+
+
+def _publish(work: Path, out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    with _locked(out):
+        files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
+        stale = _earlier(out) - {str(name) for name in files}
+        for name in files:
+            if _rank(name) >= 0:
+                (out / name).unlink(missing_ok=True)
+        for old in stale:
+            with contextlib.suppress(OSError):
+                (out / old).unlink()
+        for name in sorted(files, key=lambda path: (_rank(path), path)):
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(work / name, out / name)
+
+
+def _earlier(out: Path) -> set[str]:
+    """Files that an earlier run into ``out`` lists as its own; anything else there is not ours.
+
+    The list is data: names with folders in them, hidden ones and links are left alone.
+    """
+    try:
+        if (out / RESULT).stat().st_size > _LARGEST:
+            return set()
+        record = json.loads((out / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return set()
+    names = record.get("files") if isinstance(record, dict) and "scene" in record else None
+    if not isinstance(names, list):
+        return set()
+    plain = (name for name in names if isinstance(name, str) and _PLAIN.fullmatch(name))
+    return {name for name in plain if (out / name).is_file() and not (out / name).is_symlink()}
+
+
+def _rank(path: Path) -> int:
+    """Position among the files that are opened first; -1 for all others."""
+    return next((rank for rank, end in enumerate(ENTRIES) if path.name.endswith(end)), -1)
+
+
+def _clear_abandoned(own: Path, prefix: str) -> None:
+    """Remove work directories of runs that were killed: nobody holds their locks any more."""
+    for other in own.parent.iterdir():
+        if not (other.name.startswith(prefix) and other.name.endswith(_SUFFIX)):
+            continue
+        with contextlib.suppress(OSError):
+            if other != own and time.time() - other.stat().st_mtime > _ABANDONED:
+                with _locked(other, wait=False):
+                    shutil.rmtree(other, ignore_errors=True)
+
+
+@contextmanager
+def _locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
+    """Exclusive lock on the directory itself, which leaves no lock file behind.
+
+    Raises
+    ------
+    BlockingIOError : without ``wait``, another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system: each rename is still atomic
+        yield
+        return
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,91 @@
+"""What the keys of a scene are made of: numbers in SI with their units, and frozen tables."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict
+from pydantic_core import PydanticCustomError
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
+
+
+def _number(si: str, value: object) -> float:
+    try:
+        return quantity(value, si)
+    except UsageError as error:
+        context = {"reason": error.message, "expected": error.expected}
+        raise PydanticCustomError("quantity", "{reason}", context) from None
+
+
+def _number_with_unit(si: str, value: object) -> float:
+    if not isinstance(value, str):
+        context = {"reason": "needs its unit", "expected": f'a string such as "1 {si}"'}
+        raise PydanticCustomError("quantity", "{reason}", context)
+    return _number(si, value)
+
+
+def _rings(value: object) -> object:
+    if value in ("needed", "all") or (type(value) is int and value >= 1):
+        return value
+    context = {"reason": "no such choice", "expected": "needed, all, or a whole number from 1 on"}
+    raise PydanticCustomError("quantity", "{reason}", context)
+
+
+MOUNTINGS = ("roller", "glued", "free")
+
+
+def _mounting(value: object) -> object:
+    if value in MOUNTINGS:
+        return value
+    try:
+        stiffness = quantity(value, "N/m3")
+    except UsageError:
+        stiffness = -1.0
+    if 0 < stiffness < float("inf"):
+        return stiffness
+    expected = f'{", ".join(MOUNTINGS)}, or a stiffness per area above zero such as "1e14 N/m3"'
+    context = {"reason": "no such mounting", "expected": expected}
+    raise PydanticCustomError("quantity", "{reason}", context)
+
+
+def si(unit: str) -> BeforeValidator:
+    """Marks a number that is kept in ``unit`` and may be written as a string with any other."""
+    return BeforeValidator(partial(_number, unit))
+
+
+Length = Annotated[float, si("m")]
+Time = Annotated[float, si("s")]
+Frequency = Annotated[float, si("Hz")]
+Voltage = Annotated[float, si("V")]
+Current = Annotated[float, si("A")]
+Velocity = Annotated[float, si("m/s")]
+Acceleration = Annotated[float, si("m/s2")]
+Stiffness = Annotated[float, si("N/m")]
+Density = Annotated[float, si("kg/m3")]
+Pressure = Annotated[float, si("Pa")]
+Polarisation = Annotated[float, si("C/m2")]
+FluxDensity = Annotated[float, si("T")]
+Resistivity = Annotated[float, si("Ohm m")]
+Rate = Annotated[float, si("1/s")]
+Resistance = Annotated[float, si("Ohm")]
+Capacitance = Annotated[float, si("F")]
+Inductance = Annotated[float, si("H")]
+Mass = Annotated[float, si("kg")]
+MechanicalDamping = Annotated[float, si("N s/m")]
+Charge = Annotated[float, si("C")]
+Slew = Annotated[float, si("V/s")]
+Ratio = Annotated[float, si("")]
+Count = Annotated[int, Strict()]
+Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
+Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
+GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
+GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
+
+
+class Section(BaseModel):
+    """A table of the scene file: no unknown keys, no later change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)

@@ -1,0 +1,133 @@
+"""Numbers with units at the TOML edge: ``"0.5 mm"`` becomes ``5e-4`` in SI, exact to the last bit.
+
+All factors are powers of ten, so a quantity is a decimal number with a shifted exponent and is
+rounded once, when it becomes a float: ``"50 um"`` equals ``50e-6``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from decimal import Decimal
+from numbers import Real
+from typing import NamedTuple
+
+from kc2spice.core.errors import UsageError
+
+_PREFIX = {
+    "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,
+    "k": 3, "M": 6, "G": 9, "T": 12,
+}  # fmt: skip
+
+
+class _Unit(NamedTuple):
+    """A power of ten times powers of the base units (kg, m, s, A, K)."""
+
+    exponent: int
+    dimension: tuple[int, int, int, int, int]
+
+
+_UNITS = {
+    "g": _Unit(-3, (1, 0, 0, 0, 0)),
+    "m": _Unit(0, (0, 1, 0, 0, 0)),
+    "s": _Unit(0, (0, 0, 1, 0, 0)),
+    "A": _Unit(0, (0, 0, 0, 1, 0)),
+    "K": _Unit(0, (0, 0, 0, 0, 1)),
+    "1": _Unit(0, (0, 0, 0, 0, 0)),
+    "%": _Unit(-2, (0, 0, 0, 0, 0)),
+    "Hz": _Unit(0, (0, 0, -1, 0, 0)),
+    "N": _Unit(0, (1, 1, -2, 0, 0)),
+    "Pa": _Unit(0, (1, -1, -2, 0, 0)),
+    "J": _Unit(0, (1, 2, -2, 0, 0)),
+    "W": _Unit(0, (1, 2, -3, 0, 0)),
+    "C": _Unit(0, (0, 0, 1, 1, 0)),
+    "V": _Unit(0, (1, 2, -3, -1, 0)),
+    "Ohm": _Unit(0, (1, 2, -3, -2, 0)),
+    "F": _Unit(0, (-1, -2, 4, 2, 0)),
+    "H": _Unit(0, (1, 2, -2, -2, 0)),
+    "Wb": _Unit(0, (1, 2, -2, -1, 0)),
+    "T": _Unit(0, (1, 0, -2, -1, 0)),
+}
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
+_FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
+_SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "})
+_LONGEST = 200  # characters; nothing sensible comes near it
+
+
+def _symbol(text: str) -> _Unit | None:
+    """A unit with or without prefix; the unprefixed reading wins (``m`` is metre, ``T`` tesla)."""
+    if text in _UNITS:
+        return _UNITS[text]
+    unit, shift = _UNITS.get(text[1:]), _PREFIX.get(text[:1])
+    return None if unit is None or shift is None else unit._replace(exponent=unit.exponent + shift)
+
+
+def _product(text: str) -> _Unit | None:
+    """``"A s"`` or ``"m2"``: factors between blanks, each with an optional one-digit power."""
+    exponent, dimension = 0, [0, 0, 0, 0, 0]
+    for factor in text.split():
+        match = _FACTOR.fullmatch(factor)
+        unit = _symbol(match[1]) if match else None
+        if match is None or unit is None:
+            return None
+        power = int(match[2] or 1)
+        exponent += power * unit.exponent
+        dimension = [a + power * b for a, b in zip(dimension, unit.dimension, strict=True)]
+    return _Unit(exponent, tuple(dimension))  # type: ignore[arg-type]
+
+
+def _parse_unit(text: str) -> _Unit | None:
+    """``"A/(m s)"``: one product over another one; None where the text is no unit."""
+    top, slash, bottom = text.translate(_SPELLINGS).partition("/")
+    if slash and not bottom.strip():
+        return None
+    above = _product(top)
+    below = _product(bottom.strip().removeprefix("(").removesuffix(")"))
+    if above is None or below is None:
+        return None
+    dimension = tuple(a - b for a, b in zip(above.dimension, below.dimension, strict=True))
+    return _Unit(above.exponent - below.exponent, dimension)  # type: ignore[arg-type]
+
+
+def _from_text(text: str, si: str) -> float:
+    """Value of a number with a unit; ValueError says in a few words what is wrong with it."""
+    match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is None:
+        raise ValueError("not a quantity")
+    if not match[2] and si:
+        raise ValueError("a quantity in quotes needs its unit")
+    unit, target = _parse_unit(match[2]), _parse_unit(si)
+    assert target is not None, f"{si!r} is not a unit"
+    if unit is None:
+        raise ValueError(f"unknown unit {match[2]!r}")
+    if unit.dimension != target.dimension:
+        raise ValueError(f"wrong unit {match[2]!r}")
+    return float(Decimal(match[1]).scaleb(unit.exponent - target.exponent))
+
+
+def quantity(value: object, si: str, *, where: str | None = None) -> float:
+    """Return ``value`` in the SI unit ``si`` (``""`` for a plain number, where ``%`` is a unit).
+
+    A number is taken as SI already; a string is a number with a unit (``"100 V"``, ``"25 us"``).
+
+    Raises
+    ------
+    UsageError : not a finite number, or a unit of another dimension.
+    """
+    expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
+    if not si:
+        expected = "a plain number"
+    try:
+        if isinstance(value, str):
+            result = _from_text(value, si)
+        elif isinstance(value, Real) and not isinstance(value, bool):
+            result = float(value)
+        else:
+            raise ValueError("not a quantity")
+        if not math.isfinite(result):
+            raise ValueError("not a finite number")
+    except (ValueError, OverflowError) as error:
+        got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
+        message = "not a finite number" if isinstance(error, OverflowError) else str(error)
+        raise UsageError(message, where=where, got=got, expected=expected) from None
+    return result

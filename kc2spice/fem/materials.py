@@ -1,0 +1,486 @@
+"""Materials: a library with sources, tables of the user's own, and tensors turned to any poling.
+
+Interface::
+
+    material("PZT-5A")                       # from the library, -> Material
+    material({"density": 8530, "youngs_modulus": "100 GPa", "poisson_ratio": 0.35})
+    names()                                  # what the library holds
+    pzt.poled((0, 0, -1))                    # tensors in the axes of the body
+    pzt.C, pzt.e, pzt.eps_S                  # (6, 6) Pa, (3, 6) C/m^2, (3, 3) F/m
+
+Voigt order xx yy zz yz xz xy with engineering shear strains. Every :class:`Material` is in
+stress-charge form with constants of piezoelectricity at constant field and constant strain,
+
+    T = C S - e' E,   D = e S + eps_S E,
+
+whatever form its table had (IEEE Std 176-1987): with ``s = C^-1`` and strain-charge data d, eps_T
+
+    C = s^-1,   e = d C,   eps_S = eps_T - e C^-1 e'.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+from scipy.constants import epsilon_0
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si
+from kc2spice.core.schema import validated
+from kc2spice.core.units import quantity
+
+Symmetry: TypeAlias = Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"]
+
+# Components that a symmetry class leaves free, and where else in the tensor they stand.
+_ELASTIC: dict[str, dict[str, tuple[tuple[str, float], ...]]] = {
+    "cubic": {
+        "11": (("22", 1), ("33", 1)),
+        "12": (("13", 1), ("23", 1)),
+        "44": (("55", 1), ("66", 1)),
+    },
+    "hexagonal": {
+        "11": (("22", 1),),
+        "12": (),
+        "13": (("23", 1),),
+        "33": (),
+        "44": (("55", 1),),
+        "66": (),
+    },
+    "trigonal": {
+        "11": (("22", 1),),
+        "12": (),
+        "13": (("23", 1),),
+        "14": (("24", -1), ("56", 1)),
+        "33": (),
+        "44": (("55", 1),),
+        "66": (),
+    },
+    "orthotropic": dict.fromkeys(("11", "12", "13", "22", "23", "33", "44", "55", "66"), ()),
+}
+_COUPLING: dict[str, dict[str, tuple[tuple[str, float], ...]]] = {
+    "cubic": {"14": (("25", 1), ("36", 1))},
+    "hexagonal": {"31": (("32", 1),), "33": (), "15": (("24", 1),)},
+    "trigonal": {"11": (("12", -1), ("26", -1)), "14": (("25", -1),)},
+    "orthotropic": dict.fromkeys(("31", "32", "33", "15", "24"), ()),
+}
+_DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
+
+
+@dataclass(frozen=True, repr=False)
+class Material:
+    """Linear (piezo)elastic material in stress-charge form, in the axes of the body.
+
+    Attributes
+    ----------
+    name : of the library, or what the user called it.
+    density : kg/m^3.
+    C : (6, 6) stiffness at constant field [Pa], Voigt order xx yy zz yz xz xy.
+    e : (3, 6) piezoelectric stress coefficients [C/m^2], zero of other materials.
+    eps_S : (3, 3) permittivity at constant strain [F/m]; that of vacuum where none is given.
+    conductor : no field inside; a face against an insulator is an electrode.
+    quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
+    tensile_strength, depoling_field : limits [Pa], [V/m], None if not known.
+    sources : where each number comes from.
+    """
+
+    name: str
+    density: float
+    C: np.ndarray
+    e: np.ndarray
+    eps_S: np.ndarray
+    conductor: bool = False
+    quality: float | None = None
+    loss_tangent: float | None = None
+    tensile_strength: float | None = None
+    depoling_field: float | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        kind = "piezoelectric" if self.piezoelectric else "elastic"
+        return f"Material({self.name!r}, {kind}, {self.density:g} kg/m3)"
+
+    @property
+    def piezoelectric(self) -> bool:
+        """Whether stress and field are coupled at all."""
+        return bool(np.any(self.e))
+
+    @property
+    def eps_T(self) -> np.ndarray:
+        """(3, 3) permittivity at constant stress [F/m]."""
+        return self.eps_S + self.e @ np.linalg.solve(self.C, self.e.T)
+
+    @property
+    def d(self) -> np.ndarray:
+        """(3, 6) piezoelectric strain coefficients [C/N] = [m/V]."""
+        return np.linalg.solve(self.C, self.e.T).T
+
+    def rotated(self, R: np.ndarray) -> Material:
+        """The material turned by the rotation ``R`` (3, 3): its axis i points along ``R[:, i]``.
+
+        Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
+        (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
+
+        Raises
+        ------
+        UsageError : ``R`` is not a rotation.
+        """
+        R = np.asarray(R, float)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9):
+            raise UsageError("not a rotation", where=self.name, got=R.tolist())
+        M = bond(R)
+        return replace(self, C=M @ self.C @ M.T, e=R @ self.e @ M.T, eps_S=R @ self.eps_S @ R.T)
+
+    def poled(self, direction: Sequence[float]) -> Material:
+        """The material with its z axis (poling of a ceramic) along ``direction`` in body axes.
+
+        The rotation is the smallest one; for -z it is half a turn about x.
+
+        Raises
+        ------
+        UsageError : ``direction`` has no length.
+        """
+        n = np.asarray(direction, float)
+        if n.shape != (3,) or not np.all(np.isfinite(n)) or not np.linalg.norm(n) > 0:
+            raise UsageError(
+                "no poling direction",
+                where=self.name,
+                got=list(direction),
+                expected="three numbers, not all of them zero",
+            )
+        return self.rotated(_smallest_rotation(n / np.linalg.norm(n)))
+
+
+def _smallest_rotation(n: np.ndarray) -> np.ndarray:
+    """Rodrigues' rotation (3, 3) that takes z to the unit vector ``n``."""
+    if n[2] < -1 + 1e-14:
+        return np.diag([1.0, -1.0, -1.0])
+    K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])
+    return np.eye(3) + K + K @ K / (1 + n[2])
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+def bond(R: np.ndarray) -> np.ndarray:
+    """Bond matrix (6, 6) of a rotation: ``T' = M T`` for stresses in Voigt order.
+
+    Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.
+    """
+    M = np.empty((6, 6))
+    for J, (k, l) in enumerate(_PAIRS):
+        unit = np.zeros((3, 3))
+        unit[k, l] = unit[l, k] = 1.0
+        turned = R @ unit @ R.T
+        M[:, J] = [turned[i, j] for i, j in _PAIRS]
+    return M
+
+
+def _components(unit: str) -> BeforeValidator:
+    """A tensor as named components or as nested lists, each number with or without unit."""
+
+    def convert(value: object) -> object:
+        if isinstance(value, Mapping):
+            return {str(key): convert(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [convert(item) for item in value]
+        try:
+            return quantity(value, unit)
+        except UsageError as error:
+            raise ValueError(f"{error.message}: {error.got}; expected {error.expected}") from None
+
+    return BeforeValidator(convert)
+
+
+_Tensor: TypeAlias = dict[str, float] | list[list[float]]
+_Modulus: TypeAlias = float | list[float]
+
+
+class MaterialTable(Section):
+    """What a scene or the library says of a material; :meth:`build` makes the tensors.
+
+    Elasticity, one of: ``youngs_modulus`` and ``poisson_ratio`` (isotropic, or orthotropic with
+    three moduli, ``nu_xy nu_yz nu_xz`` and ``shear_modulus``); ``stiffness`` ``c11``…;
+    ``compliance`` ``s11``…; each as components under a ``symmetry`` or as a full 6 by 6 list.
+    Piezoelectricity: ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
+    ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3, at constant ``stress``
+    or ``strain``, which a piezoelectric material must say.
+    """
+
+    density: Density = Field(gt=0)
+    symmetry: Symmetry | None = None
+    youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = None
+    poisson_ratio: Annotated[float | dict[str, float], _components("")] | None = None
+    shear_modulus: Annotated[dict[str, float], _components("Pa")] | None = None
+    stiffness: Annotated[_Tensor, _components("Pa")] | None = None
+    compliance: Annotated[_Tensor, _components("1/Pa")] | None = None
+    stress_coupling: Annotated[_Tensor, _components("C/m2")] | None = None
+    strain_coupling: Annotated[_Tensor, _components("C/N")] | None = None
+    permittivity: Annotated[_Tensor, _components("")] | None = None
+    permittivity_at: Literal["stress", "strain"] | None = None
+    conductor: bool = False
+    quality: Ratio | None = Field(None, gt=0)
+    loss_tangent: Ratio | None = Field(None, ge=0)
+    tensile_strength: Pressure | None = Field(None, gt=0)
+    depoling_field: Annotated[float, si("V/m")] | None = Field(None, gt=0)
+    source: str = ""
+    sources: dict[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_form(self) -> MaterialTable:
+        elastic = [self.youngs_modulus, self.stiffness, self.compliance]
+        if sum(x is not None for x in elastic) != 1:
+            raise ValueError("give exactly one of youngs_modulus, stiffness, compliance")
+        if self.stress_coupling is not None and self.strain_coupling is not None:
+            raise ValueError("give stress_coupling or strain_coupling, not both")
+        coupled = self.stress_coupling is not None or self.strain_coupling is not None
+        if coupled and (self.permittivity is None or self.permittivity_at is None):
+            raise ValueError(
+                "a piezoelectric material needs permittivity and permittivity_at"
+                ' ("stress" as in most data sheets, or "strain")'
+            )
+        if coupled and self.conductor:
+            raise ValueError("a conductor is not piezoelectric")
+        unknown = set(self.sources) - set(type(self).model_fields)
+        if unknown:
+            raise ValueError(f"sources names no such key: {', '.join(sorted(unknown))}")
+        return self
+
+    def build(self, name: str, where: str | None = None) -> Material:
+        """Tensors in stress-charge form.
+
+        Raises
+        ------
+        UsageError : components missing or unknown, units that cannot be right, or a matrix that
+            is not positive definite.
+        """
+        where = where or f"material {name}"
+        C = self._stiffness(where)
+        e = self._coupling(C, where)
+        eps = epsilon_0 * self._permittivity(where)
+        if self.permittivity_at == "stress":
+            eps = eps - e @ np.linalg.solve(C, e.T)
+        hint = None
+        if np.any(e):
+            hint = "is the permittivity at constant stress or at constant strain?"
+        _require_definite(eps, f"{where}: permittivity at constant strain", hint)
+        given = {k for k in type(self).model_fields if getattr(self, k) is not None}
+        given -= {"source", "sources", "symmetry", "permittivity_at", "conductor"}
+        sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
+        return Material(
+            name, self.density, C, e, eps, self.conductor, self.quality, self.loss_tangent,
+            self.tensile_strength, self.depoling_field, sources,
+        )  # fmt: skip
+
+    def _stiffness(self, where: str) -> np.ndarray:
+        if self.stiffness is not None:
+            C = _elastic(self.stiffness, "c", self.symmetry, f"{where}: stiffness")
+        elif self.compliance is not None:
+            s = _elastic(self.compliance, "s", self.symmetry, f"{where}: compliance")
+            _require_definite(s, f"{where}: compliance")
+            C = np.linalg.inv(s)
+        else:
+            s = self._engineering(where)
+            _require_definite(s, f"{where}: youngs_modulus and poisson_ratio")
+            C = np.linalg.inv(s)
+        _require_definite(C, f"{where}: stiffness")
+        _require_scale(C, where)
+        return (C + C.T) / 2
+
+    def _engineering(self, where: str) -> np.ndarray:
+        """Compliance of Young's moduli and Poisson's ratios ``nu_ij = -S_jj/S_ii``."""
+        given, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
+        if isinstance(given, float) and isinstance(nu, float) and G is None:
+            shear = given / (2 * (1 + nu)) if nu > -1 else np.nan
+            E, n, g = [given] * 3, [nu] * 3, [shear] * 3
+        else:
+            n = _named(nu, ("nu_xy", "nu_xz", "nu_yz"), f"{where}: poisson_ratio")
+            g = _named(G, ("g_yz", "g_xz", "g_xy"), f"{where}: shear_modulus")
+            if not isinstance(given, list) or len(given) != 3:
+                raise UsageError(
+                    "orthotropic moduli", where=where, got=given, expected="three Young's moduli"
+                )
+            E = given
+        if min(E) <= 0 or not min(g) > 0:
+            raise UsageError("moduli must be positive", where=where, got=[*E, *g])
+        s = np.diag([1 / E[0], 1 / E[1], 1 / E[2], 1 / g[0], 1 / g[1], 1 / g[2]])
+        s[0, 1] = s[1, 0] = -n[0] / E[0]
+        s[0, 2] = s[2, 0] = -n[1] / E[0]
+        s[1, 2] = s[2, 1] = -n[2] / E[1]
+        return s
+
+    def _coupling(self, C: np.ndarray, where: str) -> np.ndarray:
+        if self.stress_coupling is not None:
+            return _coupling(self.stress_coupling, "e", self.symmetry, f"{where}: stress_coupling")
+        if self.strain_coupling is not None:
+            table, key = self.strain_coupling, f"{where}: strain_coupling"
+            return _coupling(table, "d", self.symmetry, key) @ C
+        return np.zeros((3, 6))
+
+    def _permittivity(self, where: str) -> np.ndarray:
+        where = f"{where}: permittivity"
+        if self.permittivity is None:
+            return np.eye(3)
+        if isinstance(self.permittivity, list):
+            return _full(self.permittivity, (3, 3), where)
+        values = dict(self.permittivity)
+        unknown = set(values) - {"eps11", "eps22", "eps33"}
+        if unknown or "eps11" not in values:
+            raise UsageError(
+                "permittivity components",
+                where=where,
+                got=", ".join(values),
+                expected="eps11, and eps22 or eps33 where they differ from it",
+            )
+        first = values["eps11"]
+        return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
+
+
+def _named(values: Any, names: tuple[str, ...], where: str) -> list[float]:
+    if not isinstance(values, dict) or set(values) != set(names):
+        raise UsageError("orthotropic material", where=where, got=values, expected=", ".join(names))
+    return [values[name] for name in names]
+
+
+def _full(rows: list[list[float]], shape: tuple[int, int], where: str) -> np.ndarray:
+    try:
+        matrix = np.array(rows, float)
+    except ValueError:
+        matrix = np.empty(0)
+    if matrix.shape != shape:
+        raise UsageError("wrong shape", where=where, got=rows, expected=f"{shape[0]} x {shape[1]}")
+    if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
+        raise UsageError("not symmetric", where=where, got=rows)
+    return matrix
+
+
+def _spread(
+    values: Mapping[str, float],
+    letter: str,
+    table: dict[str, tuple[tuple[str, float], ...]],
+    shape: tuple[int, int],
+    where: str,
+) -> np.ndarray:
+    """Matrix from its independent components (not yet symmetric)."""
+    wanted = {letter + index for index in table}
+    if set(values) != wanted:
+        raise UsageError(
+            "wrong components for this symmetry",
+            where=where,
+            got=", ".join(sorted(values)),
+            expected=", ".join(sorted(wanted)),
+        )
+    matrix = np.zeros(shape)
+    for index, others in table.items():
+        value = values[letter + index]
+        for place, sign in ((index, 1.0), *others):
+            matrix[int(place[0]) - 1, int(place[1]) - 1] = sign * value
+    return matrix
+
+
+def _elastic(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
+    if isinstance(values, list):
+        return _full(values, (6, 6), where)
+    table = _ELASTIC[_known(symmetry, _ELASTIC, where)]
+    values = dict(values)
+    difference = f"{letter}11", f"{letter}12"
+    if symmetry in _DERIVED_66 and f"{letter}66" not in values and set(difference) <= set(values):
+        factor = 0.5 if letter == "c" else 2.0
+        values[f"{letter}66"] = factor * (values[difference[0]] - values[difference[1]])
+    matrix = _spread(values, letter, table, (6, 6), where)
+    if symmetry == "trigonal" and letter == "s":
+        matrix[4, 5] *= 2  # engineering shear strains: s56 = 2 s14
+    return np.triu(matrix) + np.triu(matrix, 1).T
+
+
+def _coupling(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
+    if isinstance(values, list):
+        return _full(values, (3, 6), where)
+    table = _COUPLING[_known(symmetry, _COUPLING, where)]
+    matrix = _spread(values, letter, table, (3, 6), where)
+    if symmetry == "trigonal" and letter == "d":
+        matrix[1, 5] *= 2  # engineering shear strains: d26 = -2 d11
+    return matrix
+
+
+def _known(symmetry: str | None, tables: Mapping[str, object], where: str) -> str:
+    if symmetry is None or symmetry not in tables:
+        raise UsageError(
+            "components need a symmetry",
+            where=where,
+            got=symmetry,
+            expected=f"symmetry = {', '.join(tables)}, or a full matrix",
+        )
+    return symmetry
+
+
+def _require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
+    """Positive definite after scaling the diagonal to one, so that units do not matter."""
+    diagonal = np.diag(matrix)
+    smallest = float(diagonal.min())
+    if smallest > 0:
+        scale = 1 / np.sqrt(diagonal)
+        smallest = float(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0])
+    if not smallest > 1e-9:
+        raise UsageError(
+            "no such material: not positive definite",
+            where=where,
+            got=f"smallest eigenvalue {smallest:g}",
+            expected="greater than 0",
+            hint=hint,
+        )
+
+
+def _require_scale(C: np.ndarray, where: str) -> None:
+    """Catch GPa written as Pa, and compliances in pm^2/N written as m^2/N."""
+    largest = float(np.diag(C).max())
+    if not 1e3 <= largest <= 2e12:
+        raise UsageError(
+            "stiffness out of any material's range",
+            where=where,
+            got=f"{largest:g} Pa",
+            expected="1e3 to 2e12 Pa",
+            hint='numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12',
+        )
+
+
+@cache
+def _library() -> dict[str, Material]:
+    tables = tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
+    return {
+        name: validated(MaterialTable, table, name).build(name) for name, table in tables.items()
+    }
+
+
+def names() -> tuple[str, ...]:
+    """Materials of the library."""
+    return tuple(_library())
+
+
+def material(given: str | Mapping[str, Any] | Material, where: str = "material") -> Material:
+    """Material by its name in the library (case does not matter) or from a table.
+
+    Raises
+    ------
+    UsageError : no such name, or a table that describes no material.
+    """
+    if isinstance(given, Material):
+        return given
+    if isinstance(given, Mapping):
+        return validated(MaterialTable, given, where).build(where.rsplit(".", 1)[-1], where)
+    by_name = {name.lower(): value for name, value in _library().items()}
+    if not isinstance(given, str) or given.lower() not in by_name:
+        raise UsageError(
+            "no such material",
+            where=where,
+            got=given,
+            expected=", ".join(names()),
+            hint="or a table with density, youngs_modulus, poisson_ratio, …",
+        )
+    return by_name[given.lower()]

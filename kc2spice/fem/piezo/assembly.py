@@ -1,0 +1,262 @@
+"""Piezoelectric FE model of the kick actuator: paper 2.2.2 and appendix A.2, equations 1 and 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.constants import epsilon_0
+from skfem import Basis, BilinearForm, ElementVector, FacetBasis
+
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.keys import Chip, Material
+from kc2spice.fem.piezo.memory import require_memory
+from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.rom.linear import Port
+
+QUARTERS = 4
+_AXES = 3
+
+
+@dataclass(frozen=True)
+class PiezoMaterial:
+    """Constants of the stress-charge form ``T = C S - e' E``, ``D = e S + eps E``, poled along +z.
+
+    ``C`` (6, 6) [Pa] at constant field, ``e`` (3, 6) [C/m^2], ``eps`` (3, 3) [F/m] at constant
+    *strain*; Voigt order xx yy zz yz xz xy with engineering shear. ``density`` [kg/m^3].
+    """
+
+    C: np.ndarray
+    e: np.ndarray
+    eps: np.ndarray
+    density: float
+
+
+def piezo_material(material: Material) -> PiezoMaterial:
+    """Voigt matrices of a ceramic (6mm) and its permittivity at constant strain.
+
+    Data sheets give eps^T, at constant stress; the stress-charge form needs
+    ``eps^S = eps^T - e C^-1 e'`` (IEEE Std 176).
+
+    Raises
+    ------
+    UsageError : stiffness or eps^S is not positive definite, so no such material exists.
+    """
+    c11, c12, c13, c33, c44, c66 = material.stiffness
+    C = np.diag([c11, c11, c33, c44, c44, c66])
+    C[0, 1] = C[1, 0] = c12
+    C[:2, 2] = C[2, :2] = c13
+    e31, e33, e15 = material.coupling
+    e = np.zeros((3, 6))
+    e[0, 4] = e[1, 3] = e15
+    e[2, :3] = e31, e31, e33
+    in_plane, axial = material.permittivity
+    eps = epsilon_0 * np.diag([in_plane, in_plane, axial])
+    _require_definite(C, "kick.material.stiffness")
+    if material.permittivity_at == "stress":
+        eps = eps - e @ np.linalg.solve(C, e.T)
+    _require_definite(eps, "kick.material.permittivity")
+    return PiezoMaterial(C, e, eps, material.density)
+
+
+def _require_definite(matrix: np.ndarray, where: str) -> None:
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest <= 0:
+        raise UsageError(
+            "no such material: not positive definite",
+            where=where,
+            got=f"smallest eigenvalue {smallest:g}",
+            expected="greater than 0",
+            hint="is the permittivity at constant stress or strain (permittivity_at)?",
+        )
+
+
+def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
+    """FE model of the quarter chip with ring ports R0, R1, ... and the anode, voltage driven.
+
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
+    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. Even electrode planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
+    of nodes lies inside a layer. ``mesh`` is that of ``kick``, made here if not given.
+
+    Raises
+    ------
+    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
+        for the memory.
+    """
+    require_memory(kick)
+    mesh = kick_mesh(kick) if mesh is None else mesh
+    M, K_uu, K_uphi, K_phi = assemble_matrices(mesh, piezo_material(kick.material))
+    if isinstance(kick.mounting, float):
+        K_uu = _symmetric(K_uu + kick.mounting * bottom_face(mesh))
+    free = free_displacements(mesh, kick.mounting)
+    anode, inner = _electrodes(mesh)
+    K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
+    K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
+    rings = [Port(f"R{i}", "mechanical") for i in range(len(mesh.rings))]
+    return PiezoSystem(
+        M=M[free][:, free],
+        K_uu=K_uu[free][:, free],
+        K_up=K_up,
+        K_pp=K_pp,
+        k_uV=k_uV,
+        k_pV=k_pV,
+        c_VV=float(anode @ K_phi @ anode),
+        B=ring_shapes(mesh)[free],
+        ports=(*rings, Port("anode", "electrical", pins=("anode", "cathode"))),
+        alpha=kick.damping.alpha,
+        beta=kick.damping.beta,
+        sectors=QUARTERS,
+        ring_radii=kick.mesh.ring_spacing * np.arange(len(mesh.rings)),
+        mass=float(M.sum()) / _AXES,
+        held=kick.mounting != "free",
+    )
+
+
+def assemble_matrices(
+    mesh: KickMesh, material: PiezoMaterial
+) -> tuple[sparse.csc_array, sparse.csc_array, sparse.csc_array, sparse.csc_array]:
+    """``M, K_uu, K_uphi, K_phi`` over all nodes, no constraint; displacement ``3 node + axis``.
+
+    Equal layers differ only in the direction of polarisation, hence in the sign of the coupling:
+    poled along -z above a cathode, so that a positive anode voltage lengthens every layer.
+    """
+    scalar = Basis(mesh.layer, mesh.element, intorder=2 * mesh.order + 1)
+    _require_upright(scalar)
+    vector = scalar.with_element(ElementVector(mesh.element))
+    potentials = mesh.node
+    displacements = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
+    same = np.ones(mesh.layers)
+    poling = np.where(np.arange(mesh.layers) % 2, 1.0, -1.0)
+    M = _mass(material.density).assemble(vector)
+    K_uu = _stiffness(material.C).assemble(vector)
+    K_uphi = _coupling(material.e).assemble(scalar, vector)
+    K_phi = _dielectric(material.eps).assemble(scalar)
+    return (
+        _symmetric(_sweep(M, mesh, same, displacements, displacements)),
+        _symmetric(_sweep(K_uu, mesh, same, displacements, displacements)),
+        _sweep(K_uphi, mesh, poling, displacements, potentials),
+        _symmetric(_sweep(K_phi, mesh, same, potentials, potentials)),
+    )
+
+
+def _require_upright(basis: Basis) -> None:
+    """scikit-fem integrates with |det|, which would count a folded cell as volume."""
+    determinant = basis.mapping.detDF(basis.X)
+    if determinant.min() * determinant.max() <= 0:  # scikit-fem's boxes are left-handed
+        raise UsageError(
+            "mesh cells turned inside out",
+            where="kick.mesh",
+            got=f"Jacobian determinants {determinant.min():g} ... {determinant.max():g}",
+            expected="one sign",
+            hint="grade the mesh less: raise kick.mesh.outer_rings or kick.mesh.ring_spacing",
+        )
+
+
+def _sweep(
+    layer: sparse.csr_matrix,
+    mesh: KickMesh,
+    sign: np.ndarray,
+    row_dofs: np.ndarray,
+    col_dofs: np.ndarray,
+) -> sparse.csc_array:
+    """Sum of ``sign[l]`` times the matrix of one layer, moved up by ``l`` layers of nodes."""
+    local = layer.tocoo()
+    nodes, stride = len(mesh.plane) * len(mesh.heights), len(mesh.plane) * mesh.steps
+    per_node = [dofs.size // mesh.node.size for dofs in (row_dofs, col_dofs)]
+    index = [
+        np.add.outer(n * stride * np.arange(mesh.layers), dofs[entry]).ravel()
+        for n, dofs, entry in zip(
+            per_node, (row_dofs, col_dofs), (local.row, local.col), strict=True
+        )
+    ]
+    values = np.outer(sign, local.data).ravel()
+    shape = (per_node[0] * nodes, per_node[1] * nodes)
+    return sparse.csc_array(sparse.coo_array((values, tuple(index)), shape=shape))
+
+
+def _symmetric(matrix: sparse.csc_array) -> sparse.csc_array:
+    """Remove the last-digit asymmetry of quadrature sums."""
+    return sparse.csc_array((matrix + matrix.T) * 0.5)
+
+
+def _strain(gradient: np.ndarray) -> np.ndarray:
+    """Engineering strain (6, ...) in the Voigt order of the material."""
+    g = gradient
+    return np.stack(
+        [g[0, 0], g[1, 1], g[2, 2], g[1, 2] + g[2, 1], g[0, 2] + g[2, 0], g[0, 1] + g[1, 0]]
+    )
+
+
+def _pair(left: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """``left' matrix right`` at every quadrature point."""
+    return np.sum(left * np.tensordot(matrix, right, axes=1), axis=0)
+
+
+def _mass(density: float) -> BilinearForm:
+    return BilinearForm(lambda u, v, _: density * np.sum(u * v, axis=0))
+
+
+def _stiffness(C: np.ndarray) -> BilinearForm:
+    return BilinearForm(lambda u, v, _: _pair(_strain(v.grad), C, _strain(u.grad)))
+
+
+def _coupling(e: np.ndarray) -> BilinearForm:
+    """``K_uphi = int S(v)' e' grad(phi)``: the stress of the field ``E = -grad(phi)``."""
+    return BilinearForm(lambda phi, v, _: _pair(_strain(v.grad), e.T, phi.grad))
+
+
+def _dielectric(eps: np.ndarray) -> BilinearForm:
+    return BilinearForm(lambda phi, psi, _: _pair(psi.grad, eps, phi.grad))
+
+
+def bottom_face(mesh: KickMesh) -> sparse.csc_array:
+    """``int u . v dA`` over the bottom face, displacements ``3 node + axis``: its sum is 3 areas."""
+    facets = mesh.layer.facets_satisfying(lambda x: np.abs(x[2]) < 1e-9 * mesh.heights[-1])
+    basis = FacetBasis(
+        mesh.layer, ElementVector(mesh.element), facets=facets, intorder=2 * mesh.order + 1
+    )
+    local = BilinearForm(lambda u, v, _: np.sum(u * v, axis=0)).assemble(basis).tocoo()
+    dofs = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
+    size = _AXES * len(mesh.plane) * len(mesh.heights)
+    entries = (local.data, (dofs[local.row], dofs[local.col]))
+    return sparse.csc_array(sparse.coo_array(entries, shape=(size, size)))
+
+
+def free_displacements(mesh: KickMesh, mounting: str | float = "roller") -> np.ndarray:
+    """Numbers ``3 node + axis`` of the unconstrained displacements, plane by plane."""
+    tolerance = 1e-9 * mesh.heights[-1]
+    x, y = np.abs(mesh.plane.T) < tolerance
+    free = np.ones((len(mesh.heights), len(mesh.plane), _AXES), dtype=bool)
+    free[:, x, 0] = False
+    free[:, y, 1] = False
+    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(mounting), ())
+    for axis in held:
+        free[0, :, axis] = False
+    return np.flatnonzero(free)
+
+
+def _electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Indicator (nodes,) of the anode planes, and the numbers of the free potentials."""
+    plane = np.arange(len(mesh.heights))
+    anode = np.repeat(plane % (2 * mesh.steps) == mesh.steps, len(mesh.plane))
+    inner = np.repeat(plane % mesh.steps != 0, len(mesh.plane))
+    return anode.astype(float), np.flatnonzero(inner)
+
+
+def ring_shapes(mesh: KickMesh) -> np.ndarray:
+    """Columns (3 nodes, rings): force shape of a unit ring force, equal along the circle.
+
+    Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
+    one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
+    """
+    shapes = np.zeros((_AXES * len(mesh.plane) * len(mesh.heights), len(mesh.rings)))
+    top = len(mesh.plane) * (len(mesh.heights) - 1)
+    for column, ring in enumerate(mesh.rings):
+        weights = np.ones(len(ring))
+        if len(ring) > 1:
+            weights[[0, -1]] = 0.5
+        shapes[_AXES * (top + ring) + 2, column] = weights / weights.sum()
+    return shapes

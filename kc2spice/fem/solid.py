@@ -1,0 +1,171 @@
+"""Piezoelectric solids on any mesh of scikit-fem: tetrahedra, hexahedra, axisymmetric triangles.
+
+Weak form of ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E`` and
+``E = -grad phi``, for a displacement u and a potential phi on the nodes of one scalar element:
+
+    M    = int rho v u          K_uu = int S(v)' C S(u)
+    K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
+
+Displacement unknowns are numbered ``d node + axis`` with d components (3; of an axisymmetric
+mesh r and z), potentials by node. Strains are in Voigt order xx yy zz yz xz xy, engineering
+shear; of an axisymmetric body x is radial, y the hoop direction, and volumes are those of the
+full turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from skfem import Basis, ElementHex2, ElementTetP2, ElementTriP2
+from skfem.mesh import Mesh, MeshHex, MeshTet
+
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.materials import Material
+
+ORDER = 4  # exact for the mass of a straight quadratic tetrahedron
+CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
+# Voigt row of the derivative of component i by coordinate j.
+_VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+_FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled).
+
+    Raises
+    ------
+    UsageError : an element is turned inside out, or an axisymmetric mesh crosses the axis.
+    """
+
+    mesh: Mesh
+    materials: tuple[Material, ...]
+    owner: np.ndarray
+    axisymmetric: bool = False
+
+    def __post_init__(self) -> None:
+        determinant = self.mesh.mapping().detDF(self.basis(2).X)
+        flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
+        if flipped.any():
+            raise UsageError(
+                "elements turned inside out", where="mesh", got=f"{flipped.sum()} of them",
+                expected="Jacobian determinants of one sign", hint="repair or refine the mesh",
+            )  # fmt: skip
+        if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
+            raise UsageError(
+                "axisymmetric mesh crosses its axis", where="mesh",
+                got=f"x = {self.mesh.p[0].min():g} m", expected="x (the radius) of at least 0",
+            )  # fmt: skip
+
+    @property
+    def components(self) -> int:
+        """Components of the displacement."""
+        return self.mesh.dim()
+
+    def basis(self, order: int = ORDER, **options: Any) -> Basis:
+        """The scalar basis whose degrees of freedom are called nodes here."""
+        return Basis(self.mesh, element(self.mesh), intorder=order, **options)
+
+    def nodes(self, elements: np.ndarray) -> np.ndarray:
+        """Numbers of the nodes of some elements."""
+        return np.unique(self.basis(1).element_dofs[:, elements])
+
+
+@dataclass(frozen=True)
+class Operators:
+    """Matrices over all nodes of a solid, no constraint; see the module."""
+
+    M: sparse.csc_array
+    K_uu: sparse.csc_array
+    K_up: sparse.csc_array
+    K_pp: sparse.csc_array
+
+
+def element(mesh: Mesh) -> Any:
+    """The quadratic scalar element of a mesh."""
+    if isinstance(mesh, MeshTet):
+        return ElementTetP2()
+    return ElementHex2() if isinstance(mesh, MeshHex) else ElementTriP2()
+
+
+def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """At each point of ``basis``: values N (elements, l), strain operator B (elements, 6, l d)
+    and gradient G (elements, 3, l) of the l local shape functions.
+    """
+    local = [function[0] for function in basis.basis]
+    d = solid.components
+    axes = np.arange(3) if d == 3 else _FLAT
+    radius = np.asarray(basis.global_coordinates())[0]
+    for q in range(basis.X.shape[-1]):
+        value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)
+        slope = np.stack([f.grad[:, :, q] for f in local], -1)
+        B = np.zeros((*value.shape[:1], 6, value.shape[1], d))
+        G = np.zeros((*value.shape[:1], 3, value.shape[1]))
+        for j, y in enumerate(axes):
+            G[:, y] = slope[j]
+            for i, x in enumerate(axes):
+                B[:, _VOIGT[x, y], :, i] += slope[j]
+        if solid.axisymmetric:
+            r = radius[:, q, None]
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # there u_r / r is the derivative
+            B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
+        yield value, B.reshape(len(B), 6, -1), G
+
+
+def assemble(solid: Solid, *, only: int | None = None) -> Operators:
+    """Matrices of the solid; coupling and permittivity only where it is piezoelectric.
+
+    ``only`` is the number of the one material that is taken.
+    """
+    d = solid.components
+    parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
+    for material, cells in _chunks(solid, only):
+        basis = solid.basis(elements=cells)
+        weights = basis.dx
+        if solid.axisymmetric:
+            weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
+        nodes = basis.element_dofs.T
+        moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
+        m, k, c, p = (np.zeros(()) for _ in range(4))
+        for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
+            m = m + w * material.density * N[:, :, None] * N[:, None]
+            k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))
+            if material.piezoelectric:
+                c = c + w * (B.transpose(0, 2, 1) @ (material.e.T @ G))
+                p = p + w * (G.transpose(0, 2, 1) @ (material.eps_S @ G))
+        for axis in range(d):
+            parts[0].append((m, moves[:, axis::d], moves[:, axis::d]))
+        parts[1].append((k, moves, moves))
+        if material.piezoelectric:
+            parts[2].append((c, moves, nodes))
+            parts[3].append((p, nodes, nodes))
+    n = int(solid.basis(1).N)
+    shapes = ((d * n, d * n), (d * n, d * n), (d * n, n), (n, n))
+    M, K_uu, K_up, K_pp = (_gather(p, s) for p, s in zip(parts, shapes, strict=True))
+    return Operators(_symmetric(M), _symmetric(K_uu), K_up, _symmetric(K_pp))
+
+
+def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
+    for number in range(len(solid.materials)) if only is None else (only,):
+        material = solid.materials[number]
+        cells = np.flatnonzero(solid.owner == number)
+        for start in range(0, len(cells), CHUNK):
+            yield material, cells[start : start + CHUNK]
+
+
+def _gather(parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]) -> sparse.csc_array:
+    total = sparse.csc_array(shape)
+    for values, rows, columns in parts:
+        i = np.broadcast_to(rows[:, :, None], values.shape).ravel()
+        j = np.broadcast_to(columns[:, None, :], values.shape).ravel()
+        total = total + sparse.csc_array(sparse.coo_array((values.ravel(), (i, j)), shape=shape))
+    return total
+
+
+def _symmetric(matrix: sparse.csc_array) -> sparse.csc_array:
+    """Remove the last-digit asymmetry of sums."""
+    return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -1,0 +1,70 @@
+"""Energy balance of a reduced body against its exact response to the loads of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts._modalstep import chip_response
+from kc2spice.parts.sphere import integral
+from kc2spice.rom.modal import Resonators
+from kc2spice.scene.judge import Balance
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build
+
+STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 MHz
+
+
+def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray] | None:
+    """Force [N] over time on every mechanical pin; None where one of them is not recorded."""
+    found: dict[str, np.ndarray] = {}
+    pins = part.type.pins(part, build.scene)
+    mechanical = {pin.name for pin in pins if pin.unit == "um" and pin.name != "base"}
+    for (name, pin), net in build.scene.nets.items():
+        if name != part.name or net == "0" or pin not in mechanical:
+            continue
+        found[pin] = np.zeros(waves["time"].size)
+        for other, theirs in build.scene.joined(part.name, pin):
+            neighbour = build.scene.parts[other]
+            force = neighbour.type.force_on(neighbour, theirs, build, waves)
+            if force is None:
+                return None
+            found[pin] = found[pin] + force
+    return found
+
+
+def balance(
+    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
+) -> Balance:
+    """Work of voltage and forces on the body against its exact response to the same loads.
+
+    What the exact response takes in and does not store is damped. The electrical part needs the
+    body's current among the waveforms. The scale is the largest energy stored at any time.
+    """
+    t, none = waves["time"], np.zeros(waves["time"].size)
+    loads = np.column_stack(
+        [
+            waves[f"{name}.voltage"] if p.kind == "electrical" else forces.get(p.name, none)
+            for p in model.ports
+        ]
+    )
+    response = chip_response(model, t, loads)
+    entries: dict[str, float] = {}
+    gap, damped = np.zeros(t.size), response.stored[0] - response.stored
+    for k, port in enumerate(model.ports):
+        load, exact = loads[:, k], response.output[:, k]
+        electrical = port.kind == "electrical"
+        took = integral(load, exact)
+        damped = damped + took
+        if electrical and f"{name}.current" in waves:
+            found = integral(load * waves[f"{name}.current"], t)
+        elif electrical:
+            found = took
+        else:
+            found = integral(load, waves[f"{name}.u.{port.name}"])
+        what = "electrical work" if electrical else "work of the contact"
+        entries[what] = entries.get(what, 0.0) + float(found[-1])
+        gap += found - took
+    entries |= {"stored": float(response.stored[-1]), "damped": float(damped[-1])}
+    scale = float(np.ptp(response.stored))
+    return Balance(entries, float(np.abs(gap).max()), scale, STORED)

@@ -1,0 +1,139 @@
+"""What all drivers share: electronics between a command and electrodes or coils."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kc2spice.core.quantities import (
+    Section,
+)
+from kc2spice.fem.magnetics.table import EMTable, inductances
+from kc2spice.parts._opamp import Level, opamp_subcircuit
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.naming import self_contained
+from kc2spice.spice.render import render
+
+CARRIER = 10.0  # V, peak of the modulator's triangle
+_VOLT, _SIGNAL = ("V", "A"), ("V", "-")
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the coils are between ``drive`` and ``ret``: both in series, the lower one reversed."""
+
+    inductance: float  # H
+    resistance: float  # Ohm
+
+
+def coil_load(table: EMTable, height: float) -> Load:
+    """``L11 + L22 - 2 L12`` and both resistances, with the sphere at ``height`` [m]."""
+    matrix = inductances(table, height)
+    return Load(
+        float(matrix[0, 0] + matrix[1, 1] - 2 * matrix[0, 1]), float(table.resistance.sum())
+    )
+
+
+AMPLIFIER = {
+    "rail": "supply",
+    "resistance": "between amplifier and chip",
+    "bandwidth": "of the closed loop",
+    "slew": "fastest change of the output",
+    "current_limit": "largest output current",
+}
+# The operational amplifier that each driver contains.
+_AMPLIFIERS: dict[str, Level] = {
+    "amplifier": "slew", "charge": "slew", "linear": "slew", "pwm": "pole",
+}  # fmt: skip
+_UNITS = {
+    "rail": "V", "resistance": "Ohm", "gate_resistance": "Ohm", "supply_resistance": "Ohm",
+    "current_limit": "A", "reservoir": "F", "capacitance": "F", "sense": "F",
+    "bandwidth": "Hz", "slew": "V/s",
+}  # fmt: skip
+
+
+def driver_part(
+    header: Header,
+    template: str,
+    name: str,
+    title: str,
+    drive: Section,
+    docs: dict[str, str],
+    terminals: tuple[str, ...] = ("out",),
+) -> Subcircuit:
+    """A driver whose parameters are the keys of its scene section."""
+    params = tuple(
+        positive(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items()
+    )
+    return rendered_driver(header, template, name, title, params, terminals)
+
+
+def rendered_driver(
+    header: Header,
+    template: str,
+    name: str,
+    title: str,
+    params: tuple[Param, ...],
+    terminals: tuple[str, ...],
+    **values: object,
+) -> Subcircuit:
+    pins = (
+        Pin("command", *_SIGNAL),
+        *(Pin(terminal, *_VOLT) for terminal in terminals),
+        Pin("ref", *_VOLT),
+    )
+    text = render(
+        f"driver_{template}.j2",
+        header=part_header(header, f"{name}: {title}", pins, params),
+        name=name,
+        pins=[pin.name for pin in pins],
+        parameters=parameter_list(params),
+        **values,
+    )
+    helpers = [opamp_subcircuit(header, level)] if (level := _AMPLIFIERS.get(template)) else []
+    return self_contained(Subcircuit(name, pins, params, text), helpers)
+
+
+class Driver(PartType):
+    """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``."""
+
+    terminals: tuple[str, ...] = ("out",)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        ends = (Terminal(name, *_VOLT, required=True) for name in self.terminals)
+        return (Terminal("command", *_SIGNAL), *ends, Terminal("ref", *_VOLT, "gnd"))
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        values = ", ".join(f"{key} {value:g}" for key, value in part.keys)
+        return Modelled(f"{part.name} ({self.name})", "circuit", values)
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        if pin == self.terminals[0] and self.terminals[0] != "drive":
+            return Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
+        return None
+
+
+class CoilDriver(Driver):
+    terminals = ("drive", "ret")
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        control = scene.only("pid")
+        return {} if control is None else {"command": f"{control.name}.command"}
+
+    def load(self, part: Part, build: Build) -> Load:
+        """What the coils at its terminals are, with the sphere at the set point."""
+        coils = neighbour(part, "drive", build.scene, "ring_magnet_coils")
+        control = neighbour(part, "command", build.scene, "pid")
+        height = control.keys.setpoint if control else 0.0
+        return coil_load(build.model(coils), height)
+
+
+def neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
+    """The part of this kind that a pin is joined to."""
+    for name, _ in scene.joined(part.name, pin):
+        if scene.parts[name].type.name == kind:
+            return scene.parts[name]
+    return None

@@ -1,0 +1,547 @@
+"""Base of all parts whose model is linear: FE bodies and matrices, reduced, with typed ports."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kc2spice.bodies.convergence import MeshError, headline_error
+from kc2spice.core import laws
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel, window
+from kc2spice.core.progress import Clock, silent
+from kc2spice.core.quantities import Section
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import _chipbook as chipbook
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.scene.judge import Balance
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.settings import Rom
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import reference, subcircuit
+
+# SI per netlist unit, SI unit and short word of what a port answers with
+ANSWERS = {
+    "mechanical": (1e-6, "m", "u"),
+    "rotational": (1.0, "rad", "angle"),
+    "acceleration": (1.0, "m/s2", "a"),
+}
+FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
+PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
+
+
+class BodyKeys(Section):
+    """Keys of every linear body."""
+
+    rom: Rom | None = None
+
+
+class LinearBody(PartType):
+    """A part whose model is a :class:`kc2spice.rom.linear.LinearModel`.
+
+    A subclass says which :meth:`ports` its keys give and builds the :meth:`full` model of the
+    whole device with them.
+    """
+
+    reduced = True
+    #: what the reduced model's head and ``explain`` call it
+    source = "FE, linear"
+
+    # --- what a subclass says -------------------------------------------------------------------
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        """All ports that the body offers."""
+        raise NotImplementedError
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        """The full model of the whole device, every cell divided into ``refine`` along each axis."""
+        raise NotImplementedError
+
+    def body_keys(self, part: Part) -> Any:
+        """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
+        plain = type(part.keys).__mro__[1]
+        return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
+
+    def headline(self, part: Part) -> str:
+        """First line of its library: what it is and what it assumes."""
+        return self.title
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        """What the full model depends on."""
+        return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
+
+    # --- scene ----------------------------------------------------------------------------------
+
+    def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        """The ports that the scene needs: electrical ones, and others that something names.
+
+        All where the body is the only part: the scene is there to export it.
+        """
+        every = self.ports(part, scene)
+        if len(scene.parts) == 1:
+            return every
+        names = wanted(part, scene)
+        unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
+        for name in unknown:
+            if name not in ("base", "ground", "ref"):
+                raise UsageError(
+                    f"{part.name} has no such port", where=part.name, got=repr(name),
+                    expected=", ".join(p.name for p in every),
+                )  # fmt: skip
+        used = [
+            p
+            for p in every
+            if p.kind in ("electrical", "input", "output")
+            or names & {p.name, *p.terminals}
+        ]  # fmt: skip
+        return tuple(used) or every[:1]
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return tuple(_terminals(part, self.kept(part, scene), scene))
+
+    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return tuple(_terminals(part, self.ports(part, scene), scene))
+
+    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+        mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
+        names = ports or tuple(mechanical[:1])
+        for name in names:
+            if name not in mechanical:
+                raise UsageError(
+                    f"{part.name} has no such mechanical port", where=part.name, got=repr(name),
+                    expected=", ".join(mechanical) or "none",
+                )  # fmt: skip
+        return Surface(names, names, names, (0.0,) * len(names)) if names else None
+
+    # --- model and netlist ----------------------------------------------------------------------
+
+    def settings(self, part: Part, scene: Scene) -> Rom:
+        """Reduction of this body: its own, else the scene's."""
+        own: Rom | None = getattr(part.keys, "rom", None)
+        if own is not None:
+            return own
+        if "rom" in scene.frame.model_fields_set:
+            return scene.rom
+        return self.usual(scene)
+
+    def usual(self, scene: Scene) -> Rom:
+        """Where nothing is said: a tolerance over the band that the analysis sees.
+
+        That is the range of ``ac`` and a fifth more, and for a transient what ten of its largest
+        steps to a period resolve.
+        """
+        if scene.analysis.type == "ac":
+            low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
+            return Rom(tolerance=1e-5, band=(0.8 * low, 1.2 * high))
+        return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
+
+    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        rom = self.settings(part, scene)
+        kept = [port.name for port in self.kept(part, scene)]
+        own = rom.model_dump(mode="json")
+        return {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
+
+    def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        kept = [port.name for port in self.kept(part, scene)]
+        target = self.settings(part, scene)
+
+        def build() -> LinearModel:
+            from kc2spice.rom.reduce import reduce
+
+            full = self.full(part, scene, clock)
+            with clock.stage("reduce", f"reduction of {part.name}"):
+                chosen = full.select(kept)
+                order = None if target.order is None else min(target.order, chosen.order)
+                small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+            modal = modal_form(small)  # whose later use needs no eigenvalues
+            return (
+                small
+                if modal is None
+                else replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            )
+
+        model, _ = cached(
+            "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
+        )  # fmt: skip
+        return model
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (subcircuit(build.model(part), name, header, title=self.headline(part)),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found: dict[str, Vector] = {}
+        ports = self.kept(part, build.scene)
+        first = True
+        for port in ports:
+            if port.kind == "electrical":
+                prefix = part.name if first else f"{part.name}.{port.name}"
+                found |= _electrical(part, port, prefix, build)
+                first = False
+            elif port.kind in ANSWERS:
+                factor, unit, word = ANSWERS[port.kind]
+                node = build.net(part, port.terminals[0])
+                if node != "0":
+                    name = f"{part.name}.{word}.{port.name}"
+                    found[name] = Vector(f"v({node})", factor, unit)
+            else:
+                node = build.net(part, port.terminals[0])
+                if node != "0":
+                    found[f"{part.name}.{port.name}"] = Vector(f"v({node})", 1.0, port.across)
+        return found
+
+    # --- what a run says ------------------------------------------------------------------------
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        z = impedance(part, waves)
+        if z is None:
+            return {}
+        from kc2spice.bodies.impedance import analyse
+
+        frequency = waves["frequency"].real
+        figures = {"frequency_hz": frequency.tolist(), "impedance_ohm": np.abs(z).tolist()}
+        try:
+            return {**figures, **analyse(frequency, z).metrics()}
+        except UsageError:  # no resonance in the range: nothing to read off but the curve
+            return figures
+
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
+        if "time" not in waves:
+            return {}
+        modal = modal_form(build.model(part))
+        kinds = {port.kind for port in self.kept(part, build.scene)}
+        if modal is None or not kinds <= {"electrical", "mechanical"}:
+            return {}
+        if build.scene.parts and part_starts_moving(part, build.scene):
+            return {}
+        forces = chipbook.port_forces(part, build, waves)
+        voltages = [p for p in modal.ports if p.kind == "electrical"]
+        known = all(_voltage_name(part, modal, p) in waves for p in voltages)
+        if forces is None or not known:
+            return {}
+        return {part.name: chipbook.balance(part.name, modal, waves, forces)}
+
+    def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
+        """(ports, ports) displacement [m] per force [N] at rest, electrodes at constant voltage."""
+        model: LinearModel = build.model(part)
+        rows = [model.outputs.index(name) for name in ports]
+        return np.asarray(model.transfer(np.zeros(1))[0][np.ix_(rows, rows)].real)
+
+    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
+        return dict(build.model(part).facts)
+
+    def rom(self, part: Part, build: Build) -> Mapping[str, Any]:
+        model: LinearModel = build.model(part)
+        certificate = model.certificate
+        found: dict[str, Any] = {
+            "order": model.order,
+            "ports": [port.name for port in model.ports],
+        }
+        if certificate is not None:
+            found |= {
+                "band_hz": list(certificate.band_hz),
+                "error_estimate": certificate.error_estimate,
+                "method": certificate.method,
+                "stable": certificate.stable,
+                "passive": certificate.passive,
+            }
+        return found
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        yield from port_figures(part, waves)
+        z = impedance(part, waves)
+        if z is not None:
+            yield impedance_figure(part.name, waves["frequency"].real, z)
+        elif "frequency" in waves:
+            yield from response_figures(part, waves)
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        model: LinearModel = build.model(part)
+        ports, n = model.ports, part.name
+        pins = {pin.name for pin in self.pins(part, build.scene)}
+        if build.net(part, next(p for p in ("base", "ground", "ref") if p in pins)) != "0":
+            return None
+        if all(port.kind in ("input", "output") for port in ports):
+            return _signal_law(n, model)
+        if model.first_order or not all(port.conservative for port in ports):
+            return None
+        modal = modal_form(model)
+        kinds = {"mechanical": "displacement", "rotational": "rotation"}
+        own = tuple(
+            laws.Port(p.name, kinds.get(p.kind, p.kind), "".join(p.terminals[1:])) for p in ports
+        )
+        if modal is not None:
+            law = laws.LinearBody(
+                n, np.ones(modal.order), modal.damp, modal.omega**2, modal.gain, modal.gain.T,
+                modal.D, own,
+            )  # fmt: skip
+        else:
+            K, E, M = model.pencil.dense().coefficients
+            law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
+        joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
+        joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        return laws.Equations((law,), tuple(joins), _readings(part, model))
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
+        return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        rom = self.settings(part, scene)
+        target = (
+            f"order {rom.order}"
+            if rom.order is not None
+            else f"as many states as keep the error below {rom.tolerance:g}"
+        )
+        low, high = rom.band
+        ports = ", ".join(port.name for port in self.kept(part, scene))
+        detail = f"reduced to {target}, band {low:g} … {high:g} Hz; ports {ports}"
+        return Modelled(part.name, self.source, detail)
+
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        found = self.mesh_error(part, scene)
+        if found is None:
+            return
+        fact = found.fact.rpartition("_")[0].replace("_", " ")
+        why = "against cells of half the size"
+        if found.error is None:
+            why = f"not estimated: takes about {found.seconds:.0f} s"
+        yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
+
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
+        """Error of the headline number on this mesh, None where there is no mesh."""
+
+        def estimate() -> MeshError | None:
+            return headline_error(lambda k: self.full(part, scene, Clock(silent), k), PATIENCE)
+
+        key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
+        found, _ = cached(
+            "mesh_error", key, estimate, classes=(MeshError,),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.bodies"),
+        )  # fmt: skip
+        return found
+
+    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        kept = self.kept(part, scene)
+        rest = [port.name for port in self.ports(part, scene) if port not in kept]
+        if rest:
+            what = f"{part.name}: ports {', '.join(rest)}"
+            yield LeftOut(what, "nothing of the scene needs them", "none")
+
+
+def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
+    """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
+    found: dict[str, laws.Reading] = {}
+    n = part.name
+    electrical = [port for port in model.ports if port.kind == "electrical"]
+    for port in model.ports:
+        if port.kind == "electrical":
+            prefix = n if port is electrical[0] else f"{n}.{port.name}"
+            found[f"{prefix}.voltage"] = laws.difference(
+                f"{n}.{port.name}", f"{n}.{port.terminals[1]}"
+            )
+            found[f"{prefix}.current"] = laws.reading(f"{n}.{port.name}.through")
+        elif port.kind in ANSWERS:
+            found[f"{n}.{ANSWERS[port.kind][2]}.{port.name}"] = laws.reading(f"{n}.{port.name}")
+    return found
+
+
+def _signal_law(name: str, model: LinearModel) -> laws.Equations:
+    """Signals in, signals out, in first order: ``x = [q, q']`` where the model has inertia."""
+    *rest, last = model.pencil.dense().coefficients
+    B, C = model.B, model.C
+    if model.first_order:
+        E, A = last, -rest[0]
+    else:
+        one, none = np.eye(model.order), np.zeros((model.order, model.order))
+        E = np.block([[one, none], [none, last]])
+        A = np.block([[none, one], [-rest[0], -rest[1]]])
+        B, C = np.vstack([0.0 * B, B]), np.hstack([C, 0.0 * C])
+    law = laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
+    pins = tuple((port.terminals[0], f"{name}.{port.name}") for port in model.ports)
+    results = {f"{name}.{port.name}": laws.reading(f"{name}.{port.name}") for port in model.ports}
+    return laws.Equations((law,), pins, results)
+
+
+def wanted(part: Part, scene: Scene) -> set[str]:
+    """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
+    prefix = f"{part.name}."
+    found = set(part.pins)
+    for other in scene.parts.values():
+        names = (*other.pins.values(), *other.type.wants(other, scene))
+        found |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+    for probe in scene.probes.values():
+        if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
+            found.add(probe.of.rpartition(".")[2])
+    return found
+
+
+def part_starts_moving(part: Part, scene: Scene) -> bool:
+    """Whether its reaction to a moving frame is not recorded."""
+    return any(
+        other.keys.kind == "acceleration"
+        for other in scene.of("source")
+        if any(target.startswith(f"{part.name}.") for target in other.pins.values())
+    )
+
+
+def file_stamp(path: Path) -> str:
+    """What tells one content of a file from another: a copy elsewhere has the same."""
+    try:
+        found = path.stat()
+        return _content(path, found.st_size, found.st_mtime_ns)
+    except OSError:
+        return "absent"
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def modal_form(model: LinearModel) -> Resonators | None:
+    """The model as decoupled resonators, None where its form has none."""
+    try:
+        return resonators(model)
+    except UsageError:
+        return None
+
+
+def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
+    """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
+
+    None as well where the body feeds the circuit, so that V / I is not its own impedance.
+    """
+    voltage = waves.data.get(f"{part.name}.voltage")
+    current = waves.data.get(f"{part.name}.current")
+    if "frequency" not in waves or voltage is None or current is None:
+        return None
+    if not np.abs(current).min() > 0:
+        return None
+    found = np.asarray(voltage / current)
+    return None if (found.real < -FEEDING * np.abs(found)).any() else found
+
+
+def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray) -> Figure:
+    """Magnitude and phase over frequency, as an analyser shows them."""
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    f = frequency / 1e3
+    size = Curve("", f, np.abs(z))
+    phase = Curve("", f, np.angle(z, deg=True))
+    return Figure(
+        f"{name}_impedance", f"Impedance of {name}",
+        "Magnitude and phase at the electrical port: minimum at resonance, maximum at "
+        "antiresonance.",
+        (
+            Panel("", "|Z| in Ω", (size,), log_x=log, log_y=True),
+            Panel("frequency in kHz", "phase in °", (phase,), log_x=log),
+        ),
+    )  # fmt: skip
+
+
+def response_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
+    """Size of voltages and displacements over frequency, where no impedance was measured."""
+    frequency = waves["frequency"].real
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    words = {"displacement in µm": (f"{part.name}.u.", 1e6), "voltage in V": ("voltage", 1.0)}
+    panels = []
+    for label, (word, scale) in words.items():
+        found = {n: v for n, v in waves.data.items() if n.startswith(part.name) and word in n}
+        curves = tuple(
+            Curve(n.removeprefix(f"{part.name}.").removeprefix("u."), frequency, scale * np.abs(v))
+            for n, v in found.items()
+        )
+        if curves:
+            panels.append(Panel("", label, curves, log_x=log, log_y=True))
+    if panels:
+        panels[-1] = replace(panels[-1], x="frequency in Hz")
+        caption = f"What the ports of {part.name} answer with."
+        yield Figure(f"{part.name}_response", f"Response of {part.name}", caption, tuple(panels))
+
+
+def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
+    """Displacements of its ports around the time of their largest swing, over the voltage."""
+    moved = {n: v for n, v in waves.data.items() if n.startswith(f"{part.name}.u.")}
+    if "time" not in waves or not moved:
+        return
+    t = waves["time"]
+    inside = busy(t, np.sum([np.abs(v) for v in moved.values()], axis=0))
+    x = 1e6 * t[inside]
+    curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
+    panels = [Panel("", "displacement in µm", curves)]
+    voltage, current = (waves.data.get(f"{part.name}.{n}") for n in ("voltage", "current"))
+    if voltage is not None:
+        panels.append(Panel("", "voltage in V", (Curve("", x, voltage[inside]),)))
+    if current is not None:
+        panels.append(Panel("", "current in A", (Curve("", x, current[inside]),)))
+    panels[-1] = replace(panels[-1], x="time in µs")
+    caption = f"Ports of {part.name} while they move most."
+    yield Figure(f"{part.name}_ports", f"Motion of {part.name}", caption, tuple(panels))
+
+
+def busy(t: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the shortest stretch that holds all that is above 2 % of the largest value."""
+    above = np.flatnonzero(size > 0.02 * size.max(initial=0.0))
+    if above.size == 0:
+        return np.ones(t.size, dtype=bool)
+    first, last = t[above[0]], t[above[-1]]
+    margin = 0.1 * (last - first)
+    return window(t, first - margin, last + margin)
+
+
+def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Terminal]:
+    """Pins in the order of the subcircuit."""
+    electrical = [p for p in ports if p.kind == "electrical"]
+    moved = [p for p in ports if p.kind in ANSWERS]
+    signals = [p for p in ports if p.kind in ("input", "output")]
+    shared: set[str] = set()
+    for port in electrical:
+        plus, minus = port.terminals
+        yield Terminal(plus, port.across, port.flow)
+        if minus not in shared:
+            floating = minus in wanted(part, scene) - set(part.pins)
+            yield Terminal(minus, port.across, port.flow, None if floating else "gnd")
+        shared.add(minus)
+    for port in moved:
+        yield Terminal(port.terminals[0], port.across, port.flow)
+    for port in signals:
+        out = port.kind == "output"
+        yield Terminal(port.terminals[0], port.across, "-", signal_out=out)
+    if electrical or moved:
+        yield Terminal(reference(ports), "um", "N", "gnd")
+    if not electrical and not moved:
+        yield Terminal("ref", "V", "A", "gnd")
+
+
+def _voltage_name(part: Part, model: Resonators, port: Port) -> str:
+    first = next(p for p in model.ports if p.kind == "electrical")
+    return f"{part.name}.voltage" if port == first else f"{part.name}.{port.name}.voltage"
+
+
+def _electrical(part: Part, port: Port, prefix: str, build: Build) -> dict[str, Vector]:
+    plus, minus = (build.net(part, pin) for pin in port.terminals)
+    found: dict[str, Vector] = {}
+    terms = [f"v({plus})" if plus != "0" else "", f"-v({minus})" if minus != "0" else ""]
+    if any(terms):
+        found[f"{prefix}.voltage"] = Vector("".join(terms), 1.0, "V")
+    joined = build.scene.joined(part.name, port.terminals[0])
+    if len(joined) == 1:  # a source with other loads tells the sum of their currents
+        ((name, pin),) = joined
+        other = build.scene.parts[name]
+        meter = other.type.current(other, pin, build)
+        if meter is not None:
+            found[f"{prefix}.current"] = Vector(meter.expression, meter.factor, "A")
+    return found

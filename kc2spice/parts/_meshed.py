@@ -1,0 +1,209 @@
+"""Bodies whose stress and field a run recovers on their mesh, where the key ``fields`` asks for it.
+
+The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.recover`) gives
+the largest principal stress and field of every material beside its limit, a VTU file of the instant
+of the largest stress and a picture of the body at that instant.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import _chipbook as chipbook
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Device
+    from kc2spice.bodies.fields import Extreme
+    from kc2spice.bodies.recover import Motion
+
+SHOWN = 0.1  # of the body's size: the largest displacement in the picture
+ADVICE = (
+    "look at the VTU file: edges of clamps and re-entrant corners exceed any limit when refined"
+)
+_QUANTITIES = {"principal_stress": ("stress", "pa"), "electric_field": ("field", "v_m")}
+# What the last run of each part gave: metrics, checks, figures and files all ask for it.
+_recent: dict[str, tuple[Waveforms, Recovered]] = {}
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Motion of a body in a run and the extremes of its fields."""
+
+    motion: Motion
+    extremes: tuple[Extreme, ...]
+
+    @property
+    def worst(self) -> Extreme:
+        """The stress nearest to or farthest beyond its limit; the largest without any limit."""
+        stresses = [each for each in self.extremes if each.quantity == "principal_stress"]
+        limited = [each for each in stresses if each.limit]
+        if not limited:
+            return max(stresses, key=lambda each: each.value)
+        return max(limited, key=lambda each: each.value / (each.limit or 1.0))
+
+
+class MeshedBody(LinearBody):
+    """A body with a key ``fields``; a subclass gives its :meth:`device`."""
+
+    def device(self, part: Part, scene: Scene) -> Device:
+        """The full model with its mesh."""
+        raise NotImplementedError
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        if part.keys.fields and scene.analysis.type != "transient":
+            yield UsageError(
+                "fields are recovered from waveforms over time", where=f"{part.name}.fields",
+                got=f"analysis {scene.analysis.type}", expected="a transient, or fields = false",
+            )  # fmt: skip
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        found = dict(super().metrics(part, build, waves))
+        recovered = self.recovered(part, build, waves)
+        if recovered is None:
+            return found
+        for each in recovered.extremes:
+            quantity, unit = _QUANTITIES[each.quantity]
+            found[f"{quantity}_{_slug(each.material)}_{unit}"] = each.value
+            found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
+        return found | {"worst_stress_time_s": recovered.worst.instant}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        yield from super().checks(part, build, waves)
+        recovered = self.recovered(part, build, waves)
+        for each in recovered.extremes if recovered else ():
+            if each.limit is not None:
+                what = each.quantity.replace("_", " ")
+                name = f"{what} in {each.material} of {part.name}"
+                yield Check(name, each.value, each.limit, each.unit, ADVICE, "warn")
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        yield from super().figures(part, build, waves)
+        recovered = self.recovered(part, build, waves)
+        if recovered is not None:
+            yield _over_time(part.name, recovered)
+            yield _deformed(part.name, recovered)
+
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterator[str]:
+        recovered = self.recovered(part, build, waves)
+        if recovered is None:
+            return
+        from kc2spice.bodies.vtu import write_vtu
+
+        motion = recovered.motion
+        name = f"{part.name}_fields.vtu"
+        write_vtu(folder / name, motion.device, *motion.at(recovered.worst.instant))
+        yield name
+
+    def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
+        """What the run says of the body's inside; None where nobody asks.
+
+        Raises
+        ------
+        UsageError : what a port does is not recorded.
+        """
+        if not part.keys.fields or "time" not in waves:
+            return None
+        known = _recent.get(part.name)
+        if known is None or known[0] is not waves:
+            from kc2spice.bodies.fields import extremes
+            from kc2spice.bodies.recover import recover
+
+            loads = self.loads(part, build, waves)
+            motion = recover(self.device(part, build.scene), waves["time"], loads)
+            known = _recent[part.name] = (waves, Recovered(motion, tuple(extremes(motion))))
+        return known[1]
+
+    def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+        """Waveforms of all kept ports in SI: voltages, forces, accelerations."""
+        kept = self.kept(part, build.scene)
+        first = next((p for p in kept if p.kind == "electrical"), None)
+        forces = chipbook.port_forces(part, build, waves)
+        found = {}
+        for port in kept:
+            wave = None if forces is None else forces.get(port.name, np.zeros(waves["time"].size))
+            if port.kind == "electrical":
+                prefix = part.name if port == first else f"{part.name}.{port.name}"
+                wave = waves.data.get(f"{prefix}.voltage", np.zeros(waves["time"].size))
+            elif port.kind == "acceleration":
+                still = np.zeros(waves["time"].size)
+                wave = waves.data.get(f"{part.name}.a.{port.name}", still)
+            if wave is None:
+                raise UsageError(
+                    "fields need every load of the body", where=f"{part.name}.fields",
+                    got=f"a force on {port.name} that its part does not record",
+                    expected="contacts, springs, dampers, masses and sources",
+                )  # fmt: skip
+            found[port.name] = np.asarray(wave)
+        return found
+
+
+def _slug(material: str) -> str:
+    """Part of a metric's name: letters, digits and single underscores."""
+    return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
+
+
+def _over_time(name: str, found: Recovered) -> Figure:
+    panels = []
+    for quantity, (label, scale) in {
+        "principal_stress": ("largest principal stress in MPa", 1e-6),
+        "electric_field": ("largest field in kV/mm", 1e-6),
+    }.items():
+        rows = [each for each in found.extremes if each.quantity == quantity]
+        if not rows:
+            continue
+        curves = tuple(Curve(e.material, 1e3 * e.time, scale * e.curve) for e in rows)
+        limits = dict.fromkeys(e.limit for e in rows if e.limit and e.value > 0.2 * e.limit)
+        levels = tuple((scale * limit, "limit") for limit in limits)
+        panels.append(Panel("time in ms", label, curves, levels=levels))
+    caption = "Largest value in each material at any Gauss point; limits where they are near."
+    return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))
+
+
+def _deformed(name: str, found: Recovered) -> Figure:
+    """The surface mesh at the instant of the worst stress, displacements enlarged."""
+    motion, worst = found.motion, found.worst
+    solid = motion.device.solid
+    mesh = solid.mesh
+    basis = solid.basis(1)
+    moves = (motion.device.displacement @ motion.at(worst.instant)[0]).reshape(-1, solid.components)
+    moves = moves[basis.nodal_dofs[0]].T
+    size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
+    factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
+    edges = (
+        mesh.edges[:, mesh.boundary_edges()]
+        if mesh.dim() == 3
+        else mesh.facets[:, mesh.boundary_facets()]
+    )
+    curves = (
+        _wires("at rest", mesh.p, edges, ":"),
+        _wires(f"displacement x {factor:g}", mesh.p + factor * moves, edges, "-"),
+    )
+    caption = (
+        f"At {1e3 * worst.instant:.4g} ms, the instant of the worst stress: "
+        f"{1e-6 * worst.value:.3g} MPa in {worst.material}."
+    )
+    panel = Panel("mm", "mm", curves, equal=True)
+    return Figure(f"{name}_deformed", f"Deformed {name}", caption, (panel,))
+
+
+def _wires(label: str, points: np.ndarray, edges: np.ndarray, style: str) -> Curve:
+    """Edges of a mesh in oblique projection, separated by points that are not numbers [mm]."""
+    flat = points if len(points) == 2 else points[[0, 2]] + 0.35 * points[1]
+    path = np.full((2, 3, edges.shape[1]), np.nan)
+    path[:, :2] = 1e3 * flat[:, edges]
+    x, y = path.transpose(0, 2, 1).reshape(2, -1)
+    return Curve(label, x, y, style)

@@ -1,0 +1,56 @@
+"""The part ``amplifier``: high-voltage amplifier with slew rate and current limit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    Current,
+    Frequency,
+    Resistance,
+    Section,
+    Slew,
+    Voltage,
+)
+from kc2spice.parts._drivers import (
+    AMPLIFIER,
+    Driver,
+    driver_part,
+)
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build, register
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.header import Header
+
+
+class AmplifierKeys(Section):
+    """High-voltage operational amplifier with a class-AB output stage, gain 20."""
+
+    rail: Voltage = Field(120.0, gt=0)
+    resistance: Resistance = Field(2.0, gt=0, description="between the amplifier and the chip")
+    bandwidth: Frequency = Field(2e6, gt=0, description="of the closed loop")
+    slew: Slew = Field(1e9, gt=0)
+    current_limit: Current = Field(15.0, gt=0)
+
+
+class Amplifier(Driver):
+    name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
+    schema = AmplifierKeys
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (amplifier_subcircuit(header, part.keys, name),)
+
+
+def amplifier_subcircuit(
+    header: Header, drive: AmplifierKeys, name: str = "amplifier"
+) -> Subcircuit:
+    """``V(out) = V(command)`` within rails, bandwidth, slew rate and current."""
+    return driver_part(
+        header, "amplifier", name, "high-voltage amplifier for the chip", drive, AMPLIFIER
+    )
+
+
+register(Amplifier())

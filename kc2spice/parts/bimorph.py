@@ -1,0 +1,66 @@
+"""The part ``bimorph``: layered beams and plates that bend (:mod:`kc2spice.bodies.bimorph`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kc2spice.bodies import bimorph
+from kc2spice.bodies.device import Device
+from kc2spice.fem.materials import material
+from kc2spice.parts._meshed import MeshedBody
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class BimorphKeys(bimorph.Bimorph):
+    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
+
+    rom: Rom | None = None
+    fields: bool = False
+
+
+class Bimorph(MeshedBody):
+    name = "bimorph"
+    title = "layered beam that bends (3-D piezoelectric FE, reduced)"
+    schema = BimorphKeys
+    example = """
+[bimorph]
+part = "bimorph"
+length = "30 mm"
+width = "5 mm"
+layers = [
+  { material = "PZT-5A", thickness = "0.3 mm" },
+  { material = "PZT-5A", thickness = "0.3 mm" },
+]
+wiring = "parallel"
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+dc = "50 V"
+"""
+    source = "FE (piezoelectric, hexahedra)"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        keys = part.keys
+        found = []
+        if any(material(x.material, part.name).piezoelectric for x in keys.layers):
+            found.append(Port("anode", "electrical", pins=("anode", "cathode")))
+        if keys.support != "clamped":
+            found.append(Port("tip", "mechanical"))
+        found += [Port(name, "mechanical") for name in keys.points]
+        if keys.support != "free":
+            found.append(Port("base", "acceleration"))
+        return tuple(found)
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"matrices of {part.name}"):
+            return bimorph.build(self.body_keys(part), scene.home, refine=refine)
+
+    def device(self, part: Part, scene: Scene) -> Device:
+        return bimorph.device(self.body_keys(part), scene.home, where=part.name)
+
+
+register(Bimorph())

@@ -1,0 +1,195 @@
+"""Force of a pair of coils on a sphere over its height, for every pair of currents (Fig. 6)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.quantities import Current, Section
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import PAIRS, FullSolution, Gate, Limit
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.spice.cards import number
+
+FINER = 4  # field solutions per interval of the table that the lookup is compared with
+HEIGHTS = 2001  # at which the lookup is read: five per segment
+
+
+class CurrentCasesKeys(Section):
+    """Each coil takes each current; the sphere's height is swept over the whole table."""
+
+    currents: tuple[Current, ...] = Field((-0.1, 0.0, 0.1), min_length=1, max_length=1000)
+
+
+class CurrentCases(PartType):
+    name = "current_cases"
+    title = "force on a sphere over height for every pair of coil currents"
+    schema = CurrentCasesKeys
+    analysis_type = "dc"
+
+    def analysis(self, part: Part, scene: Scene) -> Analysis:
+        return Analysis(type="dc", sweep=f"{part.name}.height", points=HEIGHTS)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
+
+    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (_sphere(scene),)
+
+    def coil_currents(self, part: Part, scene: Scene) -> float | None:
+        return max(abs(current) for current in part.keys.currents)
+
+    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
+        return {_coils(build.scene).name: ()}
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        library, cards = build.libraries[_coils(build.scene).name], []
+        cards.append(f"Vheight {build.net(part, 'y')} 0 0")
+        y = build.net(part, "y")
+        for k, (lower, upper) in enumerate(cases(part)):
+            cards += [
+                f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
+                f"Xcatch{k} lower{k} 0 upper{k} 0 {y} force{k} 0 {library}",
+                f"Ilower{k} 0 lower{k} {number(lower)}",
+                f"Iupper{k} 0 upper{k} {number(upper)}",
+                f"Rforce{k} force{k} 0 1",
+            ]
+        return tuple(cards)
+
+    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
+        return ("Vheight", 1e6) if key == "height" else None
+
+    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
+        keys = _coils(scene).keys
+        return (keys.y_min + keys.shift, keys.y_max + keys.shift)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found = {f"{_sphere(build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
+        for k in range(len(cases(part))):
+            found[f"{_coils(build.scene).name}.force.{k}"] = Vector(f"v(force{k})", 1.0, "N")
+        return found
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        name = _coils(build.scene).name
+        forces = [waves[f"{name}.force.{k}"] for k in range(len(cases(part)))]
+        return {
+            "force_max_n": max(float(np.abs(force).max()) for force in forces),
+            "position_m": waves[f"{_sphere(build.scene)}.y"].tolist(),
+            "current_pairs_a": [list(case) for case in cases(part)],
+            "force_n": [force.tolist() for force in forces],
+        }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        limits = dict.fromkeys(PAIRS, build.scene.gates.lookup)
+        of = f"{_coils(build.scene).name}.force.*"
+        yield Gate("force, of the largest", of, limits, "largest", leads=True)
+
+    def full_solution(self, part: Part, build: Build, clock: Any, whole: bool) -> FullSolution:
+        """A field solution per current pair and height, and a sweep ``FINER`` times as dense.
+
+        Its spline interpolates ``FINER**4`` times better than the table's.
+        """
+        from kc2spice.fem.magnetics.field import brute_force, catch_table
+        from kc2spice.fem.magnetics.table import em_cases, force
+        from kc2spice.parts.ring_magnet_coils import field_keys, mounted, sphere_of
+
+        coils = _coils(build.scene)
+        table, catch = build.model(coils), field_keys(coils)
+        radius = sphere_of(coils, build.scene).keys.radius
+        pairs = np.array(cases(part))
+        largest = float(np.abs(em_cases(table, pairs)).max())
+        with clock.stage("superposition", "four fields per height") as share:
+            started = time.perf_counter()
+            catch_table(catch, radius, lambda done, total: share(done / total))
+            superposed = time.perf_counter() - started
+        with clock.stage("brute force", f"{len(pairs) * table.y.size} cases") as share:
+            started = time.perf_counter()
+            brute = brute_force(catch, radius, pairs, lambda done, total: share(done / total))
+            spent = time.perf_counter() - started
+        apart = float(np.abs(em_cases(table, pairs) - brute).max() / largest)
+        dense = catch.model_copy(update={"positions": FINER * (catch.positions - 1) + 1})
+        with clock.stage("dense sweep", f"{dense.positions} heights") as share:
+            found = catch_table(dense, radius, lambda done, total: share(done / total))
+        exact = mounted(found, 1.0, coils.keys.shift)
+        y = np.linspace(*self.sweep_range(part, build.scene), HEIGHTS)
+        y = np.clip(y, exact.y[0], exact.y[-1])
+        data = {f"{_sphere(build.scene)}.y": y}
+        data |= {f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)}
+        gates = build.scene.gates
+        return FullSolution(
+            Waveforms(data, {}), build, spent,
+            baselines={"refactor": spent, "low_rank": superposed},
+            checks=(Limit("coefficients to a field per case", apart, gates.superposition),),
+            notes=("errors are relative to the largest force of all cases",),
+        )  # fmt: skip
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """The height is a source's; a force on it is the reaction to what the coils exert."""
+        from kc2spice.parts.ring_magnet_coils import force_table
+
+        n, coils = part.name, _coils(build.scene)
+        table, still = force_table(build.model(coils)), laws.Line.constant
+        found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
+        nets = [(f"{n}.out", *(f"{coils.name}{k}.y" for k in range(len(cases(part)))))]
+        results = {f"{_sphere(build.scene)}.y": laws.reading(f"{n}.out")}
+        for k, pair in enumerate(cases(part)):
+            own = f"{coils.name}{k}"
+            found.append(laws.PositionForce(own, table, (1.0, 1.0)))
+            for coil, current in enumerate(pair, 1):
+                found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))
+                nets.append((f"{own}_{coil}.out", f"{own}.i{coil}"))
+            results[f"{coils.name}.force.{k}"] = laws.reading(f"{own}.force")
+        return laws.Equations(
+            tuple(found), (("y", f"{n}.out"),), results, {"height": (n, 1.0)}, tuple(nets)
+        )
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Largest change of slope from one segment of the lookup to the next, of the largest slope;
+        the heights are finer than the lookup, so that a jump shows at full size."""
+        coils = _coils(build.scene).name
+        y = waves[f"{_sphere(build.scene)}.y"]
+        forces = np.array([waves[f"{coils}.force.{k}"] for k in range(len(cases(part)))])
+        slope = np.diff(forces, axis=1) / np.diff(y)
+        jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
+        yield Check(
+            "jump of the lookup's slope", jump, build.scene.gates.lookup_slope,
+            "of the largest slope", f"raise {coils}.points", "warn",
+        )  # fmt: skip
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")
+
+
+def cases(part: Part) -> list[tuple[float, float]]:
+    """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
+    currents = part.keys.currents
+    return [(lower, upper) for lower in currents for upper in currents]
+
+
+def _coils(scene: Scene) -> Part:
+    from kc2spice.core.errors import UsageError
+
+    found = scene.only("ring_magnet_coils")
+    if found is None:
+        raise UsageError(
+            "needs one pair of coils", where="catch",
+            hint="add [catch]; an empty table takes the defaults",
+        )  # fmt: skip
+    return found
+
+
+def _sphere(scene: Scene) -> str:
+    coils = _coils(scene)
+    from kc2spice.parts.ring_magnet_coils import sphere_of
+
+    return sphere_of(coils, scene).name
+
+
+register(CurrentCases())

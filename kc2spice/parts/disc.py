@@ -1,0 +1,39 @@
+"""The part ``disc``: buzzers, diaphragms, piezoelectric discs (:mod:`kc2spice.bodies.disc`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kc2spice.bodies import disc
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class DiscKeys(disc.Disc):
+    """Keys of the body, and its own reduction if it has one."""
+
+    rom: Rom | None = None
+
+
+class Disc(LinearBody):
+    name = "disc"
+    title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
+    schema = DiscKeys
+    source = "FE (piezoelectric, axisymmetric)"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        names = ["anode"]
+        if any(layer.feedback for layer in part.keys.layers):
+            names.append("feedback")
+        electrical = (Port(n, "electrical", pins=(n, "cathode")) for n in names)
+        return (*electrical, Port("centre", "mechanical"))
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"matrices of {part.name}"):
+            return disc.build(self.body_keys(part), refine=refine, where=part.name)
+
+
+register(Disc())

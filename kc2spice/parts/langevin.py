@@ -1,0 +1,55 @@
+"""The part ``langevin``: a bolted sandwich transducer (:mod:`kc2spice.bodies.langevin`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kc2spice.bodies import langevin
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class LangevinKeys(langevin.Langevin):
+    """Keys of the body, and its own reduction if it has one."""
+
+    rom: Rom | None = None
+
+
+class Langevin(LinearBody):
+    name = "langevin"
+    title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
+    schema = LangevinKeys
+    example = """
+[langevin]
+part = "langevin"
+front = [{ material = "aluminium", diameter = "20 mm", length = "30 mm" }]
+back = [{ material = "steel", diameter = "20 mm", length = "20 mm" }]
+rings = { material = "PZT-8", outer = "20 mm", inner = "8 mm", thickness = "3 mm" }
+bolt = { material = "steel", diameter = "6 mm" }
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+ac = "1 V"
+
+[analysis]
+type = "ac"
+start = "10 kHz"
+stop = "100 kHz"
+"""
+    source = "FE (piezoelectric, axisymmetric)"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        faces = ("front",) if part.keys.support == "back" else ("front", "back")
+        anode = Port("anode", "electrical", pins=("anode", "cathode"))
+        return (anode, *(Port(name, "mechanical") for name in faces))
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"matrices of {part.name}"):
+            return langevin.build(self.body_keys(part), refine=refine, where=part.name)
+
+
+register(Langevin())

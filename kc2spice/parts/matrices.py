@@ -1,0 +1,70 @@
+"""The part ``matrices``: a linear model out of another tool's files, with named ports."""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers.source import source_files
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import Section
+from kc2spice.parts._linear_body import LinearBody, file_stamp
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import FileName, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import Rom
+
+
+class MatricesKeys(Section):
+    """Files beside the scene; ports as their sidecar TOML names them."""
+
+    file: FileName
+    sidecar: FileName | None = Field(None, description="TOML with the ports; NAME.toml unless told")
+    rom: Rom | None = None
+
+
+class Matrices(LinearBody):
+    name = "matrices"
+    title = "linear model from the matrices of another tool, reduced"
+    schema = MatricesKeys
+    source = "matrices of another tool"
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        return self._model(part, scene).ports
+
+    def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
+        stamps = {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
+        return {**super().full_key(part, scene), "files": stamps}
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        found = source_files(scene.home / part.keys.file, self._sidecar(part, scene))
+        return tuple(os.path.relpath(path, scene.home) for path in found)
+
+    def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
+        if refine != 1:
+            raise UsageError("matrices cannot be refined", where=part.name, got=refine)
+        return self._model(part, scene)
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """The mesh is that of the other tool."""
+
+    def _model(self, part: Part, scene: Scene) -> LinearModel:
+        stamps = str(self.full_key(part, scene)["files"])
+        return _read(scene.home / part.keys.file, self._sidecar(part, scene), stamps)
+
+    def _sidecar(self, part: Part, scene: Scene) -> Path | None:
+        return None if part.keys.sidecar is None else scene.home / part.keys.sidecar
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
+    return read_model(path, sidecar)
+
+
+register(Matrices())

@@ -1,0 +1,129 @@
+"""A subcircuit out of the user's own netlist, read and checked before a simulator sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Section
+from kc2spice.core.words import did_you_mean
+from kc2spice.scene.model import FileName, Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, register
+from kc2spice.spice.cards import name as checked
+from kc2spice.spice.circuit import Pin, Subcircuit
+from kc2spice.spice.included import included_netlists
+from kc2spice.spice.statements import statements
+
+KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
+
+
+class NetlistKeys(Section):
+    """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
+
+    file: FileName
+    subckt: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
+    units: dict[str, str] = Field(
+        default_factory=dict, description="kind of a pin, V/A unless told: um/N, m/s/N, V"
+    )
+
+
+class Netlist(PartType):
+    name = "netlist"
+    title = "the user's own subcircuit"
+    schema = NetlistKeys
+
+    def uses_netlists(self, part: Part) -> bool:
+        return True
+
+    def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (part.keys.file,)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        found = []
+        for name in _pins(part, scene):
+            unit, flow = KINDS[part.keys.units.get(name, "V/A")]
+            ground = name in ("ref", "gnd", "base")
+            found.append(Terminal(name, unit, flow, "gnd" if ground else None, required=not ground))
+        return tuple(found)
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        pins = _pins(part, scene)
+        for name, kind in part.keys.units.items():
+            if name not in pins or kind not in KINDS:
+                yield UsageError(
+                    "not a kind of a pin", where=f"{part.name}.units.{name}", got=repr(kind),
+                    expected=f"one of {', '.join(KINDS)} for one of {', '.join(pins)}",
+                )  # fmt: skip
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return str(part.keys.subckt)
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        found = included_netlists((part.keys.file,), build.scene.home, trust=build.trust)
+        (name, text), *_ = found.items()
+        pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
+        return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        detail = f".subckt {part.keys.subckt} of {part.keys.file}"
+        return Modelled(part.name, "yours", detail)
+
+
+def first_netlist(where: str, data: Mapping[str, Any]) -> str:
+    """The first file of a scene's ``include``, for drivers that name none.
+
+    Raises
+    ------
+    UsageError : the scene includes none.
+    """
+    include = data.get("include")
+    if not isinstance(include, (list, tuple)) or not include:
+        raise UsageError(
+            "needs a netlist", where=where, expected='include = ["FILE"], a file beside the scene'
+        )
+    return str(include[0])
+
+
+def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
+    """Pins of the subcircuit in its own order.
+
+    Raises
+    ------
+    UsageError : the file cannot be read or has no such subcircuit.
+    """
+    path = scene.home / part.keys.file
+    stamp = path.stat().st_mtime_ns if path.is_file() else 0
+    known = _subcircuits(part.keys.file, scene.home, stamp)
+    pins = known.get(part.keys.subckt.lower())
+    if pins is None:
+        raise UsageError(
+            "no such subcircuit", where=f"{part.name}.subckt", got=repr(part.keys.subckt),
+            expected=", ".join(known) or f"a .subckt in {part.keys.file}",
+            hint=did_you_mean(part.keys.subckt, known),
+        )  # fmt: skip
+    for pin in pins:
+        checked(pin, where=f"{part.name}.subckt")
+    return pins
+
+
+@lru_cache(maxsize=64)
+def _subcircuits(file: str, home: Path, stamp: int) -> dict[str, tuple[str, ...]]:
+    """Pins of every subcircuit of a file, by its name in lower case; ``stamp`` is its age.
+
+    Nothing is run here, so the text need not be trusted yet.
+    """
+    ((name, text),) = included_netlists((file,), home, trust=True).items()
+    found = {}
+    for card in statements(text, name):
+        if card.keyword == ".subckt" and len(card.words) > 1:
+            pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
+            found[card.words[1].lower()] = tuple(pins)
+    return found
+
+
+register(Netlist())

@@ -1,0 +1,439 @@
+"""The layered piezoelectric chip: FE model, reduction, a subcircuit with rings as contact ports."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Section, Time, Voltage
+from kc2spice.core.waveform import Waveform, pulse
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts.netlist import first_netlist
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import (
+    Build,
+    ErrorRow,
+    LeftOut,
+    Modelled,
+    Reach,
+    Surface,
+    register,
+)
+from kc2spice.scene.plausible import within
+from kc2spice.scene.settings import Rom
+
+# What builds is imported where it builds: most runs find their models in the cache.
+if TYPE_CHECKING:
+    from kc2spice.fem.piezo.mesh import KickMesh
+    from kc2spice.fem.piezo.system import PiezoSystem
+    from kc2spice.scene.gates import FullSolution, Table
+
+SECTORS = 4  # the finite-element model is one symmetry sector of this many
+SWING = 2.0  # an elastic body overshoots a step of its load by as much again
+MESH_ERROR = 0.02  # of launch and impact, between rings of 50 and 25 um
+
+
+class Drive(Section):
+    """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
+
+    voltage: Voltage = 100.0
+    width: Time = Field(25e-6, gt=0)
+    edge: Time = Field(0.1e-6, gt=0)
+    start: Time = Field(0.5e-3, ge=0)
+    period: Time | None = Field(None, gt=0, description="of a train of pulses")
+    count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
+
+    @property
+    def waveform(self) -> Waveform:
+        """The pulse as a function of time."""
+        return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
+
+
+class Stack(Chip):
+    """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
+
+    rom: Rom | None = None
+    electrical: Literal["open", "short", "driven"] = "driven"
+    drive: Drive | None = Field(None, description="pulse of an ideal source on the anode")
+    driver: dict[str, dict[str, Any]] | None = Field(
+        None, description="electronics between the pulse and the chip: { TYPE = { keys } }"
+    )
+
+
+class PiezoStack(LinearBody):
+    name = "piezo_stack"
+    title = "layered piezoelectric chip (3-D FE, reduced)"
+    schema = Stack
+    source = "FE (piezoelectric, linear)"
+
+    def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+        driven = table.get("electrical", "driven") == "driven"
+        return {"drive": {}} if driven and "harmonic" not in others else {}
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        keys: Stack = part.keys
+        if keys.electrical == "short":
+            pins = {"out": f"{part.name}.anode"}
+            return {f"{part.name}_drive": {"part": "source", "dc": 0.0, "pins": pins}}
+        if keys.drive is None or keys.electrical == "open":
+            return {}
+        found: dict[str, Mapping[str, Any]] = {}
+        target = f"{part.name}.anode"
+        if keys.driver is not None:
+            if len(keys.driver) != 1:
+                raise UsageError(
+                    "needs one driver", where=f"{part.name}.driver", got=", ".join(keys.driver),
+                    expected="one table of half_bridge, amplifier, charge, user",
+                )  # fmt: skip
+            ((kind, table),) = keys.driver.items()
+            name, chosen = f"{part.name}_driver", _driver_type(part, kind)
+            at = (part.name, "driver", kind)
+            found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
+            target = f"{name}.command"
+        d = keys.drive
+        wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
+        source = {"part": "source", "pulse": wave, "pins": {"out": target}}
+        return {f"{part.name}_drive": source} | found
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        rings = (Port(f"R{k}", "mechanical") for k in range(part.keys.mesh.rings + 1))
+        return (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
+
+    def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        """Rings up to the last that is needed, so that every scene's are nested."""
+        *rings, anode = self.ports(part, scene)
+        return (*rings[: kept_rings(part, scene)], anode)
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from _problems(part, scene)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
+        yield from within(f"{name}.side", keys.side, "m", 1e-4, 0.1, made)
+        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, made)
+        layer = keys.height / keys.layers
+        tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
+        yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
+        if keys.drive is not None and keys.driver is None:
+            field = abs(keys.drive.voltage) / layer
+            why = f"{keys.drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
+            yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
+
+    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
+        radii = ring_radii(part.keys)
+        names = ports or tuple(f"R{k}" for k in range(len(radii)))
+        distance = tuple(float(radii[_ring(part, name)]) for name in names)
+        return Surface(names, names, names, distance, sectors=SECTORS)
+
+    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+        voltage = highest_voltage(part, scene)
+        if voltage:
+            stroke = free_stroke(part.keys, voltage)
+            why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
+            yield Reach(SWING * stroke, why)
+
+    def headline(self, part: Part) -> str:
+        return f"{self.title}; {mounted(part.keys)}"
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        return {"chip": chip_of(part.keys).model_dump(mode="json")}
+
+    def usual(self, scene: Scene) -> Rom:
+        """The paper's order: its contact excites the chip far above any band of a response."""
+        return scene.rom
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        chip = chip_of(part.keys)
+        if refine != 1:
+            mesh = chip.mesh.model_copy(update={"refine": refine * chip.mesh.refine})
+            chip = chip.model_copy(update={"mesh": mesh})
+        with clock.stage("mesh", "chip mesh"):
+            _mesh(chip)
+        with clock.stage("assemble", "piezoelectric matrices"):
+            _assembled(chip)
+        with clock.stage("reduce", "elimination of the potentials"):
+            return _device(chip)
+
+    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
+        from kc2spice.parts._chip_full import players
+        from kc2spice.parts._mesh_study import Load, mesh_table
+
+        found = players(part, build.scene)
+        if found is None:
+            return None
+        contact, sphere = found
+        load = Load(sphere.keys.radius, sphere.keys.mass, contact.keys.penalty)
+        with clock.stage("mesh study", "coarser and finer chips"):
+            return mesh_table(
+                chip_of(part.keys), load, whole,
+                lambda label: clock.progress("mesh study", None, label),
+            )  # fmt: skip
+
+    def full_solution(
+        self, part: Part, build: Build, clock: Any, whole: bool
+    ) -> FullSolution | None:
+        from kc2spice.parts._chip_full import solve
+
+        def assembled() -> PiezoSystem:
+            with clock.stage("assemble", "piezoelectric matrices"):
+                return _assembled(chip_of(part.keys))
+
+        return solve(part, build, assembled, clock, whole)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        found = dict(super().metrics(part, build, waves))
+        if "time" not in waves:
+            return found
+        pressed = bool(build.scene.of("contact"))
+        if pressed and f"{part.name}.u.R0" in waves:
+            found["kick_stroke_m"] = float(waves[f"{part.name}.u.R0"].max())
+        current = waves.data.get(f"{part.name}.current")
+        if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
+            found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
+            if current is not None:
+                charge = np.cumsum(np.diff(waves["time"]) * (current[1:] + current[:-1]) / 2)
+                found["kick_current_peak_a"] = float(np.abs(current).max())
+                found["kick_charge_peak_c"] = float(np.abs(charge).max())
+        return found
+
+    def indentation_modulus(self, part: Part) -> float:
+        """Modulus [Pa] of the half-space that a contact presses on."""
+        return indentation_modulus(part.keys)
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        keys, rom = part.keys, self.settings(part, scene)
+        target = (
+            f"order {rom.order}"
+            if rom.order is not None
+            else f"as many states as keep the error below {rom.tolerance:g}"
+        )
+        low, high = rom.band
+        detail = (
+            f"quarter chip, {keys.layers} layers, {mounted(keys)}, "
+            f"reduced to {target}, band {low:g} … {high:g} Hz, anode {keys.electrical}, "
+            f"{kept_rings(part, scene)} rings as ports"
+        )
+        return Modelled(part.name, "FE (piezoelectric, linear)", detail)
+
+    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        yield LeftOut("electrodes, coating and glue", "thin and compliant", "not estimated")
+        if part.keys.mounting == "roller":
+            yield LeftOut(
+                f"what holds {part.name}", "its bottom face slides without friction on a plane",
+                f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, first "
+                "resonance +14 %",
+            )  # fmt: skip
+        yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
+        kept, every = kept_rings(part, scene), part.keys.mesh.rings + 1
+        if kept < every:
+            effect = f"{part.name}: ports at R{kept}"
+            effect += f" to R{every - 1}" if kept + 1 < every else ""
+            yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
+
+    def mesh_error(self, part: Part, scene: Scene) -> None:
+        """Known from a mesh study (:meth:`errors`), so that explain need not compute one."""
+
+    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
+        usual = Chip().mesh
+        same = (mesh.ring_spacing, mesh.rings, mesh.refine, mesh.sectors) == (
+            usual.ring_spacing, usual.rings, usual.refine, usual.sectors,
+        )  # fmt: skip
+        pressed = bool(scene.of("contact")) and scene.analysis.type == "transient"
+        yield ErrorRow(
+            "mesh",
+            None,
+            MESH_ERROR if pressed and same else None,
+            f"{part.name}.mesh.refine {mesh.refine}, ring_spacing {mesh.ring_spacing:g} m",
+            f"{why}; finer rings move launch and impact by 2 %" if pressed and same else why,
+        )
+
+
+def mounted(keys: Chip) -> str:
+    """What holds the bottom face, in words."""
+    if isinstance(keys.mounting, float):
+        return f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"
+    words = {
+        "roller": "frictionless roller under its bottom face",
+        "glued": "bottom face glued down, u = 0",
+        "free": "nothing holds its bottom face",
+    }
+    return words[keys.mounting]
+
+
+def chip_of(keys: Stack) -> Chip:
+    """What the FE model depends on: pulse, driver and electrical boundary act on the circuit."""
+    return Chip(**{name: getattr(keys, name) for name in Chip.model_fields})
+
+
+def ring_radii(keys: Chip) -> np.ndarray:
+    """Radii [m] of the chip's rings, R0 (the centre node) first."""
+    return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
+
+
+def kept_rings(part: Part, scene: Scene) -> int:
+    """How many rings, R0 first, are ports: up to the last that another part or a probe wants."""
+    wanted = [
+        _ring(part, name.partition(".")[2])
+        for other in scene.parts.values()
+        for name in (*other.pins.values(), *other.type.wants(other, scene))
+        if name.startswith(f"{part.name}.R")
+    ]
+    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("R")]
+    wanted += [
+        _ring(part, probe.of.rpartition(".")[2])
+        for probe in scene.probes.values()
+        if probe.of.startswith((f"{part.name}.u.R", f"{part.name}.R"))
+    ]
+    return 1 + max(wanted, default=-1)
+
+
+def _ring(part: Part, name: str) -> int:
+    match = re.fullmatch(r"R(\d{1,3})", name)
+    if match is None or int(match[1]) > part.keys.mesh.rings:
+        raise UsageError(
+            f"{part.name} has no such port",
+            where=part.name,
+            got=repr(name),
+            expected=f"R0 to R{part.keys.mesh.rings}",
+        )
+    return int(match[1])
+
+
+def highest_voltage(part: Part, scene: Scene) -> float:
+    """Largest voltage [V] that the drive asks for; 0 where the anode is not driven."""
+    keys = part.keys
+    if keys.drive is not None and keys.electrical == "driven":
+        return abs(keys.drive.voltage)
+    sources = [p for p in scene.of("source") if p.keys.kind == "voltage"]
+    tops = [float(np.abs(np.array(p.keys.waveform(scene.home).points)[:, 1]).max())
+            for p in sources]  # fmt: skip
+    rails = [p.keys.rail for p in scene.of("half_bridge", "amplifier", "charge_drive")]
+    return max([*tops, *rails], default=0.0)
+
+
+def free_stroke(keys: Chip, voltage: float) -> float:
+    """Static stroke [m] of the free stack: ``layers d33 |voltage|``."""
+    return keys.layers * abs(charge_constant(keys.material) * voltage)
+
+
+def charge_constant(material: Any) -> float:
+    """d33 [m/V] of a 6mm ceramic, from ``d = e C^-1``."""
+    c11, c12, c13, c33, _, _ = material.stiffness
+    e31, e33, _ = material.coupling
+    return (e33 * (c11 + c12) - 2 * e31 * c13) / ((c11 + c12) * c33 - 2 * c13**2)
+
+
+def indentation_modulus(keys: Chip) -> float:
+    """Modulus [Pa] of a transversely isotropic half-space pressed along its axis, fields zero.
+
+    Source: Delafargue and Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
+    """
+    c11, _, c13, c33, c44, _ = keys.material.stiffness
+    mean = np.sqrt(c11 * c33)
+    slender = (mean**2 - c13**2) / c11
+    return float(2 * np.sqrt(slender / (1 / c44 + 2 / (mean + c13))))
+
+
+def _driver(
+    part: Part, kind: str, table: Mapping[str, Any], data: Mapping[str, Any]
+) -> dict[str, Any]:
+    pins = {"out": f"{part.name}.anode"}
+    if kind == "charge":
+        pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
+    if kind == "user":
+        file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
+        return {**table, "file": file, "pins": {**pins, "ref": "gnd"}}
+    return {**table, "pins": pins}
+
+
+def _driver_type(part: Part, kind: str) -> str:
+    known = {"charge": "charge_drive", "user": "netlist"}
+    known |= {name: name for name in ("half_bridge", "amplifier", "charge_drive", "netlist")}
+    if kind not in known:
+        raise UsageError(
+            "no such driver", where=f"{part.name}.driver", got=repr(kind),
+            expected="one of half_bridge, amplifier, charge, user",
+        )  # fmt: skip
+    return known[kind]
+
+
+def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
+    keys = part.keys
+    outermost = keys.mesh.rings * keys.mesh.ring_spacing
+    if outermost >= keys.side / 2:
+        yield UsageError(
+            f"the outermost of {keys.mesh.rings} contact rings lies beyond the chip",
+            where=f"{part.name}.mesh.ring_spacing",
+            got=f"ring radius {outermost:g} m",
+            expected=f"less than half the chip's side, {keys.side / 2:g} m",
+        )
+    c11, c12, c13, c33, c44, c66 = keys.material.stiffness
+    if min(c11 - abs(c12), (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:
+        limit = "C11 > |C12|, (C11 + C12) C33 > 2 C13^2, C33, C44 and C66 > 0"
+        yield UsageError(
+            "no such material", where=f"{part.name}.material.stiffness", expected=limit
+        )
+    if keys.mounting == "free" and scene.of("contact") and scene.analysis.type == "transient":
+        yield UsageError(
+            "nothing holds the chip under what rests on it", where=f"{part.name}.mounting",
+            got="free", expected="roller, glued or a stiffness per area",
+        )  # fmt: skip
+    drive = keys.drive
+    if keys.driver and keys.electrical != "driven":
+        yield UsageError(
+            "the chip's electrodes are not driven", where=f"{part.name}.driver",
+            got=keys.electrical, expected=f"{part.name}.electrical = 'driven'",
+        )  # fmt: skip
+    if drive is None:
+        return
+    if drive.edge > drive.width:
+        yield UsageError(
+            "the edges of the pulse are longer than the pulse",
+            where=f"{part.name}.drive.edge",
+            got=f"{drive.edge:g} s",
+            expected=f"at most {part.name}.drive.width, {drive.width:g} s",
+        )
+    late = scene.analysis.type == "transient" and drive.start >= scene.stop
+    if keys.electrical == "driven" and late:
+        yield UsageError(
+            "the kick starts after the simulation ends",
+            where=f"{part.name}.drive.start",
+            got=f"{drive.start:g} s",
+            expected=f"before the end of the simulation, {scene.stop:g} s",
+        )
+
+
+# The last chip stays in memory: the next scene often asks for another reduction of the same one.
+@lru_cache(maxsize=1)
+def _mesh(chip: Chip) -> KickMesh:
+    from kc2spice.fem.piezo.mesh import kick_mesh
+
+    return kick_mesh(chip)
+
+
+@lru_cache(maxsize=1)
+def _assembled(chip: Chip) -> PiezoSystem:
+    from kc2spice.fem.piezo.assembly import assemble_kick
+
+    return assemble_kick(chip, _mesh(chip))
+
+
+@lru_cache(maxsize=1)
+def _device(chip: Chip) -> LinearModel:
+    from kc2spice.bodies.piezo_stack import from_sector
+
+    return from_sector(_assembled(chip))
+
+
+register(PiezoStack())

@@ -1,0 +1,117 @@
+"""Quasi-static push of a sphere into a body: contact force over depth (Fig. 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Length, Section
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.throw import sectors, sphere
+from kc2spice.scene.gates import Gate
+from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Vector, register
+
+
+class PushKeys(Section):
+    """The lowest point of a sphere is pushed down in equal steps."""
+
+    depth: Length = Field(50e-6, gt=0)
+    steps: Count = Field(250, ge=1, le=100_000)
+    of: str | None = Field(None, description="the sphere; the only one")
+
+
+class Push(PartType):
+    name = "push"
+    title = "sphere pushed down in equal steps, each an operating point"
+    schema = PushKeys
+    analysis_type = "dc"
+
+    def analysis(self, part: Part, scene: Scene) -> Analysis:
+        points = part.keys.steps + 1
+        return Analysis(type="dc", sweep=f"{part.name}.depth", points=points)
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return (
+            Terminal("bottom", "um", "-", signal_out=True),
+            Terminal("v", "m/s", "N", "gnd"),
+        )
+
+    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (sphere(part, scene).name,)
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        ball = sphere(part, scene)
+        if scene.only("contact") is None:
+            yield UsageError(
+                f"{part.name} needs this part", where="contact",
+                hint="add [contact]; an empty table takes the defaults",
+            )  # fmt: skip
+        if part.keys.depth >= ball.keys.radius:
+            yield UsageError(
+                "deeper than the sphere's radius", where=f"{part.name}.depth",
+                got=f"{part.keys.depth:g} m", expected=f"less than {ball.keys.radius:g} m",
+            )  # fmt: skip
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        return (f"V{part.name} {build.net(part, 'bottom')} 0 0",)
+
+    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
+        return (f"V{part.name}", -1e6) if key == "depth" else None
+
+    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
+        return (0.0, part.keys.depth)
+
+    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+        yield Reach(part.keys.depth, f"{part.name}.depth", prescribed=True)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
+
+    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+        return {
+            "reltol": ("1e-09", "the law is piecewise linear, so the last iteration is exact"),
+            "vntol": ("1e-12", "displacements to a picometre's millionth"),
+            "pivrel": (
+                "0.9",
+                "rings close during the sweep; pivots of an open ring lose half the digits",
+            ),
+        }
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Force of one symmetry sector at each depth, and the largest."""
+        contact = build.scene.only("contact")
+        assert contact is not None
+        force = waves[f"{contact.name}.force"] / sectors(build.scene)
+        return {
+            "max_force_n": float(force.max()),
+            "imprint_m": waves[f"{part.name}.depth"].tolist(),
+            "force_n": force.tolist(),
+        }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        contact, gates = build.scene.only("contact"), build.scene.gates
+        assert contact is not None
+        limits = {
+            "rom_vs_fom": gates.imprint_rom,
+            "ngspice_vs_rom": gates.imprint_ngspice,
+            "ngspice_vs_fom": gates.imprint_ngspice,
+        }
+        yield Gate("static force", f"{contact.name}.force", limits, leads=True)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        source = laws.Source(n, "displacement", laws.Line.constant(0.0))
+        results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
+        return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        keys = part.keys
+        return Modelled(part.name, "prescribed", f"{keys.steps} steps down to {keys.depth:g} m")
+
+
+register(Push())

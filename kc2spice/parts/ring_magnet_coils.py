@@ -1,0 +1,702 @@
+"""The catch actuator: ring magnet and two coils around a magnetic sphere's path (paper 2.2.1, 2.4).
+
+The force is six functions of the sphere's height, exact in both currents. With ideal current drive
+the coils are resistors; real coils have inductance and back-EMF from the same table. The law
+itself, in numpy, is :func:`kc2spice.fem.magnetics.table.force`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.keys import Catch, Ring
+from kc2spice.fem.magnetics.table import (
+    EMTable,
+    current_pairs,
+    em_cases,
+    force,
+    inductances,
+)
+from kc2spice.parts import sphere as spheres
+from kc2spice.parts.contact import fall, landing, moved_by
+from kc2spice.parts.netlist import first_netlist
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import (
+    Build,
+    ErrorRow,
+    LeftOut,
+    Modelled,
+    PartType,
+    Reach,
+    Vector,
+    register,
+)
+from kc2spice.scene.plausible import within
+from kc2spice.spice.cards import number
+from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.render import render
+
+MU_0 = 4e-7 * np.pi  # H/m
+MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
+
+POINTS = 201  # of each lookup: 6e-6 of the largest force between them
+COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
+NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
+
+
+class Coils(Catch):
+    """Electromagnetic catch actuator, with a driver of real coils where it has one."""
+
+    driver: dict[str, dict[str, Any]] | None = Field(
+        None, description="electronics between controller and real coils: { TYPE = { keys } }"
+    )
+    of: str | None = Field(None, description="the sphere that it pulls; the only one")
+
+
+@dataclass(frozen=True)
+class Term:
+    """One summand of the force: a function of height times ``currents``.
+
+    The function is the sum of the table's coefficients, each times its entry in ``weights``.
+    """
+
+    name: str
+    currents: tuple[str, ...]
+    weights: dict[str, float]
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """The function where the table's coefficients are ``values``, (positions, 6)."""
+        return np.asarray(
+            sum(w * values[:, COEFFICIENTS.index(k)] for k, w in self.weights.items())
+        )
+
+
+COEFFICIENTS = ("c0", "c1", "c2", "c11", "c12", "c22")
+SEPARATE = (
+    Term("c0", (), {"c0": 1.0}),
+    Term("c1", ("i1",), {"c1": 1.0}),
+    Term("c2", ("i2",), {"c2": 1.0}),
+    Term("c11", ("i1", "i1"), {"c11": 1.0}),
+    Term("c12", ("i1", "i2"), {"c12": 1.0}),
+    Term("c22", ("i2", "i2"), {"c22": 1.0}),
+)
+# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them.
+SERIES = (
+    Term("c0", (), {"c0": 1.0}),
+    Term("d1", ("i",), {"c2": 1.0, "c1": -1.0}),
+    Term("d2", ("i", "i"), {"c11": 1.0, "c12": -1.0, "c22": 1.0}),
+)
+
+PLACE = (Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"))
+PINS = (
+    Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"), *PLACE,
+)  # fmt: skip
+SERIES_PINS = (Pin("drive", "V", "A"), Pin("ret", "V", "A"), *PLACE)
+
+
+@dataclass(frozen=True)
+class _Coefficient:
+    """One B source: its name, the currents in front of it, the lines of its two lookups."""
+
+    name: str
+    factor: str
+    values: list[str]
+    bends: list[str]
+
+
+def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
+    """The terms that matter up to ``current`` [A], in their order."""
+    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    share = [float(np.abs(t.of(values)).max()) * current ** len(t.currents) for t in terms]
+    return [t for t, size in zip(terms, share, strict=True) if size > NEGLIGIBLE * max(share)]
+
+
+def catch_subcircuit(
+    header: Header,
+    table: EMTable,
+    current: float,
+    *,
+    series: bool = False,
+    points: int = POINTS,
+    name: str = "catch",
+) -> Subcircuit:
+    """The coils and the force they put on the sphere's node ``v``.
+
+    Two coils ``lp ln`` and ``up un``, or with ``series`` both between ``drive`` and ``ret``, the
+    lower one reversed: three functions of height instead of six, and the same force.
+
+    Parameters
+    ----------
+    current : largest coil current [A] that the circuit drives; decides what is negligible.
+    points : heights of the resampled lookups, equally spaced over the table.
+    """
+    params, pins = coil_resistances(table), SERIES_PINS if series else PINS
+    terms = SERIES if series else SEPARATE
+    kept = significant(table, current, terms)
+    height = np.linspace(table.y[0], table.y[-1], points)
+    values = table.splines(height)
+    text = render(
+        "catch.j2",
+        header=part_header(header, f"{name}: electromagnetic catch actuator", pins, params),
+        name=name,
+        pins=[pin.name for pin in pins],
+        parameters=parameter_list(params),
+        series=series,
+        points=points,
+        lowest=1e6 * height[0],
+        spacing=1e6 * (height[1] - height[0]),
+        law=" + ".join(" ".join((f"{term.name}(y)", *term.currents)) for term in terms),
+        left_out=[term.name for term in terms if term not in kept],
+        negligible=NEGLIGIBLE,
+        coefficients=[
+            _Coefficient(
+                term.name,
+                "".join(f"V({i})*" for i in term.currents),
+                *smooth(term.of(values)),
+            )
+            for term in kept
+        ],
+    )
+    return Subcircuit(name, pins, params, text)
+
+
+def coil_resistances(table: EMTable) -> tuple[Param, ...]:
+    """The resistances of both coils, which a deck may change."""
+    return (
+        positive("resistance_lower", float(table.resistance[0]), "Ohm", "of the lower coil"),
+        positive("resistance_upper", float(table.resistance[1]), "Ohm", "of the upper coil"),
+    )
+
+
+def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
+
+    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
+    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
+    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
+    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
+    beyond, the function runs level.
+    """
+    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
+    f = np.concatenate([[first], values, [last]])
+    bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
+    return lookup(f), lookup(bends)
+
+
+def lookup(values: np.ndarray) -> list[str]:
+    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
+
+    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
+    points share a line: ngspice reads fewer lines faster.
+    """
+    f = np.concatenate([values[:1], values, values[-1:]])
+    points = [f"{k - 2}, {number(value)}" for k, value in enumerate(f)]
+    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
+
+
+_MEANING = {
+    "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
+    "c11": "N/A^2", "c12": "N/A^2", "c22": "N/A^2",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Coil:
+    k: int
+    name: str
+    plus: str
+    minus: str
+    own: float  # mean of henry times the inverse of L on the diagonal
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function of the height on its own node, so that force and back-EMF share it."""
+
+    name: str
+    doc: str
+    values: list[str]
+    bends: list[str]
+
+
+def coil_subcircuit(
+    header: Header, table: EMTable, *, points: int = POINTS, name: str = "coil"
+) -> Subcircuit:
+    """Two coils ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt`` and the sphere's force.
+
+    The state of coil k is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor;
+    the magnets' part of the flux enters as ``c_k(y) v`` with the force's own coefficient, which
+    closes the energy balance whatever the lookup's error. Pins as those of the ideal catch.
+    """
+    params = coil_resistances(table)
+    height = np.linspace(table.y[0], table.y[-1], points)
+    henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
+    inverse = henry * np.linalg.inv(inductances(table, height))
+    splines = dict(zip(COEFFICIENTS, table.splines(height).T, strict=True))
+    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS]
+    usual = inverse.mean(axis=0)
+    functions += [
+        _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
+                  *smooth((inverse - usual)[:, k - 1, l - 1]))
+        for k, l in ((1, 1), (1, 2), (2, 2))
+    ]  # fmt: skip
+    text = render(
+        "coil.j2",
+        header=part_header(header, f"{name}: catch actuator with real coils", PINS, params),
+        name=name,
+        pins=[pin.name for pin in PINS],
+        parameters=parameter_list(params),
+        points=points,
+        lowest=1e6 * height[0],
+        spacing=1e6 * (height[1] - height[0]),
+        henry=henry,
+        coils=[
+            _Coil(1, "lower", "lp", "ln", usual[0, 0]),
+            _Coil(2, "upper", "up", "un", usual[1, 1]),
+        ],
+        mutual=usual[0, 1],
+        functions=functions,
+    )
+    return Subcircuit(name, PINS, params, text)
+
+
+class RingMagnetCoils(PartType):
+    name = "ring_magnet_coils"
+    title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
+    schema = Coils
+    lookup_key = "points"
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        if part.keys.driver is None:
+            return {}
+        kind, table = next(iter(part.keys.driver.items()), ("", {}))
+        known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
+        if len(part.keys.driver) != 1 or kind not in {*known, *known.values()}:
+            raise UsageError(
+                "needs one driver", where=f"{part.name}.driver", got=", ".join(part.keys.driver),
+                expected="one of " + ", ".join(known),
+            )  # fmt: skip
+        pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
+        file = {}
+        if kind in ("user", "netlist"):
+            where = f"{part.name}.driver.{kind}"
+            file = {"file": table.get("file") or first_netlist(where, data)}
+            pins["ref"] = "gnd"
+        at = (part.name, "driver", kind)
+        chosen = {**table, **file, "part": known.get(kind, kind), "pins": pins, "at": at}
+        return {f"{part.name}_driver": chosen}
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        if real(part, scene):
+            coils = (
+                Terminal("lp", "V", "A"), Terminal("ln", "V", "A", f"{part.name}.un"),
+                Terminal("up", "V", "A"), Terminal("un", "V", "A"),
+            )  # fmt: skip
+        else:
+            rest = None if _driven(part, scene) else "gnd"
+            coils = (Terminal("drive", "V", "A", rest), Terminal("ret", "V", "A", rest))
+        place = (Terminal("y", "um", "-"), Terminal("v", "m/s", "N"))
+        return (*coils, *place, Terminal("base", "um", "N", "gnd"))
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        ball = moved_by(sphere_of(part, scene).name, scene)
+        return {"y": f"{ball}.y", "v": f"{ball}.v"}
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from _problems(part, scene)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        keys, name = part.keys, part.name
+        copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
+        for coil in ("lower", "upper"):
+            body = getattr(keys, coil)
+            fill = float(copper / (body.height * (body.outer - body.inner)))
+            why = (
+                f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into {name}.{coil}"
+            )
+            yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
+        magnet = "no permanent magnet has more"
+        yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
+        long = "field and force fall off with the fourth power of the distance"
+        yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
+
+    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+        sphere = sphere_of(part, scene)
+        speed = fall(part.keys.y_max - sphere.keys.radius, scene.gravity)
+        yield from landing(sphere, scene, speed, f"fall from {part.name}.y_max")
+
+    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        apart = {"remanence", "shift", "points", "driver", "of"}
+        catch = part.keys.model_dump(mode="json", exclude=apart)
+        return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
+
+    def build(self, part: Part, scene: Scene, clock: Any) -> EMTable:
+        keys, radius = part.keys, sphere_of(part, scene).keys.radius
+        names = Catch.model_fields
+        unit = Catch(**{name: getattr(keys, name) for name in names})
+        unit = unit.model_copy(update={"remanence": 1.0, "shift": 0.0})
+
+        def build() -> EMTable:
+            from kc2spice.fem.magnetics.field import catch_table
+
+            with clock.stage("magnetics", "field of the catch actuator") as share:
+                return catch_table(unit, radius, lambda done, total: share(done / total))
+
+        table, _ = cached(
+            "catch", self.model_key(part, scene), build, classes=(EMTable,),
+            sources=("kc2spice.linalg", "kc2spice.fem"),
+        )  # fmt: skip
+        return mounted(table, keys.remanence, keys.shift)
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return "coil" if real(part, scene) and part.name == "catch" else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        table, points, name = build.model(part), part.keys.points, build.libraries[part.name]
+        if real(part, build.scene):
+            return (coil_subcircuit(header, table, points=points, name=name),)
+        for other in build.scene.parts.values():
+            pairs = other.type.coil_currents(other, build.scene)
+            if pairs is not None:
+                return (catch_subcircuit(header, table, pairs, points=points, name=name),)
+        current = largest_current(part, build.scene)
+        return (catch_subcircuit(header, table, current, series=True, points=points, name=name),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        if not _driven(part, build.scene):
+            return {}
+        prefix, inst = label(part), f"x{part.name.lower()}"
+        if real(part, build.scene):
+            up, lp = build.net(part, "up"), build.net(part, "lp")
+            return {
+                f"{prefix}.lower.current": Vector(f"v({inst}.i1)", 1.0, "A"),
+                f"{prefix}.upper.current": Vector(f"v({inst}.i2)", 1.0, "A"),
+                f"{prefix}.voltage": Vector(f"v({up})-v({lp})", 1.0, "V"),
+            }
+        return {
+            f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
+            f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
+        }
+
+    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        if pin != "v" or y is None or beyond(build.model(part), y) > 0:
+            return None
+        zero = np.zeros_like(y)
+        lower = waves.data.get(f"{label(part)}.lower.current", zero)
+        upper = waves.data.get(f"{label(part)}.upper.current", zero)
+        return force(build.model(part), y, lower, upper)
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        n, scene, table = part.name, build.scene, build.model(part)
+        prefix, offset = label(part), spheres.offset(part, "y", scene)
+        currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
+        if real(part, scene):
+            law = laws.CoilForce(n, force_table(table), np.asarray(table.resistance),
+                                 np.asarray(table.inductance[0]), offset)  # fmt: skip
+            ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
+            results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
+            results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
+            return laws.Equations((law,), tuple((a, f"{n}.{b}") for a, b in ends), results)
+        feeds = scene.joined(n, "drive")
+        if any(scene.parts[other].type.name != "pid" for other, _ in feeds):
+            return None
+        force_law = laws.PositionForce(n, force_table(table), (-1.0, 1.0), offset)
+        pins = (("y", f"{n}.y"), ("drive", f"{n}.i1"), ("drive", f"{n}.i2"))
+        results = {c: laws.reading(f"{n}.coil{k}") for k, c in enumerate(currents, 1)}
+        return laws.Equations((force_law,), pins if feeds else pins[:1], results)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        if f"{label(part)}.voltage" not in waves:
+            return {}
+        current = waves[f"{label(part)}.upper.current"]
+        return {
+            "coil_voltage_peak_v": float(np.abs(waves[f"{label(part)}.voltage"]).max()),
+            "coil_current_peak_a": float(np.abs(current).max()),
+        }
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        if y is None or "time" not in waves:
+            return
+        yield Check(
+            f"field of {part.name} between its positions",
+            interpolation_error(build.model(part), largest_current(part, build.scene)),
+            COARSE, "of the largest force", f"too few heights: raise {part.name}.positions",
+            build.scene.checks.range,
+        )  # fmt: skip
+        advice = "the sphere left the field table: widen {0}.y_min and {0}.y_max, or kick it less"
+        yield Check(
+            "table_left", beyond(build.model(part), y), 0.0, "m", advice.format(part.name),
+            build.scene.checks.range,
+        )  # fmt: skip
+
+    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
+        table = build.model(part)
+        return {
+            "unknowns": table.unknowns,
+            "force_max_n": float(abs(em_cases(table, current_pairs())).max()),
+            "coil_resistance_ohm": float(table.resistance[0]),
+            "coil_inductance_h": float(table.inductance[:, 0, 0].mean()),
+            "coil_mutual_h": float(table.inductance[:, 0, 1].mean()),
+        }
+
+    def arrays(self, part: Part, build: Build) -> Mapping[str, Mapping[str, Any]]:
+        table = build.model(part)
+        names = ("y", *COEFFICIENTS)
+        file = "em_table.npz" if len(build.scene.of(self.name)) == 1 else f"{part.name}_table.npz"
+        return {file: {name: getattr(table, name) for name in names}}
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        prefix = label(part)
+        names = [f"{prefix}.{coil}.current" for coil in ("upper", "lower")]
+        if "time" in waves and all(name in waves for name in names):
+            t = 1e3 * waves["time"]
+            curves = [Curve(f"{n.split('.')[1]} coil", t, 1e3 * waves[n]) for n in names]
+            if f"{prefix}.wanted" in waves:
+                curves.append(Curve("wanted", t, 1e3 * waves[f"{prefix}.wanted"], ":"))
+            panels = [Panel("", "coil current in mA", tuple(curves))]
+            if f"{prefix}.voltage" in waves:
+                volts = Curve("", t, waves[f"{prefix}.voltage"])
+                panels.append(Panel("", "both coils in V", (volts,)))
+            panels[-1] = replace(panels[-1], x="time in ms")
+            caption = f"Currents in the coils of {part.name}."
+            yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
+        yield force_map(part, build)
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        detail = f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
+        if real(part, scene):
+            detail += "; coils with R, L(y), M(y) and back-EMF"
+        return Modelled(part.name, "FE (magnetostatic, axisymmetric)", detail)
+
+    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
+        keys, radius = part.keys, sphere_of(part, scene).keys.radius
+        diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
+        yield LeftOut(
+            "eddy currents in the sphere",
+            f"a poor conductor, {MAGNET_CONDUCTIVITY:g} S/m",
+            f"force lags by about {diffusion:.2g} s",
+        )
+        yield LeftOut(
+            "the field beyond the air box",
+            f"A = 0 at radius {keys.air_radius:g} m",
+            f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
+        )
+        if _driven(part, scene) and not real(part, scene):
+            yield LeftOut(
+                "coil voltage, inductance and self-heating",
+                "an ideal current source feeds the coils",
+                f"real coils must slew {largest_current(part, scene):g} A against L di/dt; L and R "
+                f"are in the result under model.{part.name}",
+            )
+
+    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        keys, usual = part.keys, Catch()
+        same = (keys.refine, keys.positions) == (usual.refine, usual.positions)
+        yield ErrorRow(
+            "field mesh",
+            None,
+            4e-4 if same else None,
+            f"{part.name}.refine {keys.refine}, positions {keys.positions}",
+            f"fixed by {part.name}.refine and positions, not part of the budget; of the largest "
+            "force; the run checks what lies between the positions",
+        )
+
+
+def field_keys(part: Part) -> Catch:
+    """What the field depends on, remanence and shift included."""
+    return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields})
+
+
+def force_map(part: Part, build: Build) -> Figure:
+    """Force over height for pairs of coil currents: lowest, none, highest."""
+    table = build.model(part)
+    limit = largest_current(part, build.scene) or 0.1
+    fine = np.linspace(table.y[0], table.y[-1], 401)
+    curves = tuple(
+        Curve(
+            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}", 1e3 * fine,
+            1e3 * force(table, fine, lower, upper),
+        )
+        for lower in (-limit, 0.0, limit)
+        for upper in (-limit, 0.0, limit)
+    )  # fmt: skip
+    panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
+    caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
+    return Figure(f"{part.name}_force", "Force map", caption, (panel,))
+
+
+def force_table(table: EMTable) -> laws.ForceTable:
+    """The table as the integrator takes it."""
+    return laws.ForceTable(
+        table.y, np.column_stack([getattr(table, name) for name in COEFFICIENTS]), 2
+    )
+
+
+def label(part: Part) -> str:
+    """First word of its results: ``coil`` for the paper's catch, else its own name."""
+    return "coil" if part.name == "catch" else part.name
+
+
+def sphere_of(part: Part, scene: Scene) -> Part:
+    """The sphere that it pulls.
+
+    Raises
+    ------
+    UsageError : none is named and there is not exactly one.
+    """
+    if part.keys.of is not None:
+        return scene.part(part.keys.of, f"{part.name}.of")
+    found = scene.only("sphere")
+    if found is None:
+        names = ", ".join(each.name for each in scene.of("sphere")) or "no sphere"
+        raise UsageError(
+            f"{part.name} needs to know which sphere it pulls", where=f"{part.name}.of", got=names,
+            expected="the name of a part of type sphere", hint="add [sphere], or of = NAME",
+        )  # fmt: skip
+    return found
+
+
+def real(part: Part, scene: Scene) -> bool:
+    """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
+    pins = {"lp", "ln", "up", "un"}
+    named = any(
+        target in {f"{part.name}.{pin}" for pin in pins}
+        for other in scene.parts.values()
+        for target in other.pins.values()
+    )
+    return bool(part.keys.driver) or named or bool(pins & set(part.pins))
+
+
+def _driven(part: Part, scene: Scene) -> bool:
+    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", "up", "lp", "un", "ln")}
+    joined = (
+        target
+        for other in scene.parts.values()
+        for target in (*other.pins.values(), *other.type.wants(other, scene))
+    )
+    return bool(part.pins) or any(target in targets for target in joined)
+
+
+def largest_current(part: Part, scene: Scene) -> float:
+    """Largest coil current [A] that a controller of the scene asks for.
+
+    1 A where something drives the coils that tells no limit, 0 where nothing does.
+    """
+    limits = [
+        limit
+        for other in scene.parts.values()
+        if (limit := getattr(other.keys, "current_limit", None)) is not None
+        and other.type.name == "pid"
+    ]
+    return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
+
+
+def interpolation_error(table: EMTable, current: float) -> float:
+    """Estimated error of the spline through the table's heights, of the largest force up to
+    ``current`` [A] in both coils.
+
+    A spline through every second height misses the others by at least eight times that: 16 by its
+    order, 11 measured on the paper's magnets with 9 positions, more with more.
+    """
+    from scipy.interpolate import CubicSpline
+
+    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    half = CubicSpline(table.y[::2], values[::2])(table.y)
+    term = {t.name: t for t in SERIES}
+
+    def pull(v: np.ndarray) -> np.ndarray:
+        return np.array(
+            [term["c0"].of(v), current * term["d1"].of(v), current**2 * term["d2"].of(v)]
+        )
+
+    missed = np.abs(pull(half - values)).sum(axis=0).max()
+    return float(missed / np.abs(pull(values)).max() / 8)
+
+
+def beyond(table: EMTable, y: np.ndarray) -> float:
+    """How far [m] a sphere at heights ``y`` [m] left the table."""
+    return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
+
+
+def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
+    keys, radius = part.keys, sphere_of(part, scene).keys.radius
+    sphere = sphere_of(part, scene).name
+    if keys.y_min >= keys.y_max:
+        got = f"{keys.y_min:g} … {keys.y_max:g} m"
+        yield UsageError(
+            "empty range of positions", where=f"{part.name}.y_min", got=got,
+            expected="y_min < y_max",
+        )  # fmt: skip
+    bodies: dict[str, Ring] = {name: getattr(keys, name) for name in ("ring", "lower", "upper")}
+    for name, body in bodies.items():
+        yield from _body(f"{part.name}.{name}", body, keys, radius, sphere)
+    for (name, body), (other_name, other) in combinations(bodies.items(), 2):
+        radial = body.inner < other.outer and other.inner < body.outer
+        if radial and 2 * abs(body.y - other.y) < body.height + other.height:
+            where = f"{part.name}.{other_name}"
+            yield UsageError(f"overlaps {part.name}.{name}", where=where)
+    resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
+    if resting and not keys.y_min < radius < keys.y_max:
+        yield UsageError(
+            "outside the force table", where=f"{sphere}.radius", got=f"rest height {radius:g} m",
+            expected=f"between {keys.y_min:g} and {keys.y_max:g} m",
+            hint=f"{part.name}.y_min and {part.name}.y_max set the table's range",
+        )  # fmt: skip
+
+
+def _body(key: str, body: Ring, catch: Catch, radius: float, sphere: str) -> Iterator[UsageError]:
+    if body.inner >= body.outer:
+        yield UsageError(
+            "no material left", where=f"{key}.inner", got=f"{body.inner:g} m",
+            expected=f"less than outer, {body.outer:g}",
+        )  # fmt: skip
+    if body.inner <= radius:
+        yield UsageError(
+            "the sphere does not fit through", where=f"{key}.inner", got=f"{body.inner:g} m",
+            expected=f"more than {sphere}.radius, {radius:g} m",
+        )  # fmt: skip
+    if body.height >= catch.air_height:
+        yield UsageError(
+            "reaches beyond the modelled air", where=f"{key}.height", got=f"{body.height:g} m",
+            expected=f"less than {key.partition('.')[0]}.air_height, {catch.air_height:g} m",
+        )  # fmt: skip
+    if body.outer >= catch.air_radius:
+        yield UsageError(
+            "reaches beyond the modelled air", where=f"{key}.outer", got=f"{body.outer:g} m",
+            expected=f"less than {key.partition('.')[0]}.air_radius, {catch.air_radius:g} m",
+        )  # fmt: skip
+
+
+def mounted(table: EMTable, factor: float, shift: float) -> EMTable:
+    """The table for ``factor`` times the remanence, of an actuator ``shift`` [m] higher; exact.
+
+    In linear materials the pull between the magnets grows with the square, what a current adds in
+    proportion, and what currents do alone not at all. Air box and ring move together.
+    """
+    return replace(
+        table,
+        y=table.y + shift,
+        c0=factor**2 * table.c0,
+        c1=factor * table.c1,
+        c2=factor * table.c2,
+        flux0=factor * table.flux0,
+    )
+
+
+register(RingMagnetCoils())

@@ -1,0 +1,140 @@
+"""A sphere's motion at t = 0, and what an impact is judged by (paper 2.2.2, Fig. 9)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Length, Section, Velocity
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.contact import fall, landing, separation
+from kc2spice.scene.gates import PAIRS, Gate
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
+
+
+class ThrowKeys(Section):
+    """A free sphere flies onto a body."""
+
+    velocity: Velocity = -1.0
+    gap: Length = Field(1e-6, ge=0, description="between both at the start")
+    of: str | None = Field(None, description="the sphere; the only one")
+
+
+class Throw(PartType):
+    name = "throw"
+    title = "velocity and height of a sphere at t = 0"
+    schema = ThrowKeys
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        return ()
+
+    def cards(self, part: Part, build: Build) -> tuple[str, ...]:
+        return ()
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        sphere(part, scene)
+        if part.keys.velocity >= 0:
+            yield UsageError(
+                "the sphere never arrives", where=f"{part.name}.velocity",
+                got=f"{part.keys.velocity:g} m/s", expected="negative (downwards)",
+            )  # fmt: skip
+
+    def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
+        return {sphere(part, scene).name: (part.keys.velocity, part.keys.gap)}
+
+    def speed(self, part: Part, scene: Scene) -> float | None:
+        drop = 2.0 * max(scene.gravity, 0.0) * part.keys.gap
+        return max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
+
+    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+        speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))
+        yield from landing(sphere(part, scene), scene, speed, f"impact at {speed:.3g} m/s")
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
+        """Positions from the touching height, the force of one symmetry sector."""
+        contact = build.scene.only("contact")
+        if contact is None or "time" not in waves:
+            return {}
+        ball = sphere(part, build.scene)
+        t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
+        force = waves[f"{contact.name}.force"]
+        leave = separation(t, force, waves[f"{ball.name}.v"])
+        time, lowest = minimum(t, y)
+        return {
+            "min_position_m": lowest,
+            "time_of_min_s": time,
+            "separation_time_s": leave[0] if leave else None,
+            "rebound_velocity_m_s": leave[1] if leave else None,
+            "max_force_n": float(force.max() / sectors(build.scene)),
+        }
+
+    def gates(self, part: Part, build: Build) -> Iterator[Gate]:
+        gates, ball = build.scene.gates, sphere(part, build.scene).name
+
+        def every(limit: float) -> dict[str, float]:
+            return dict.fromkeys(PAIRS, limit)
+
+        yield Gate("position over travel", f"{ball}.y", every(gates.position), "travel",
+                   leads=True)  # fmt: skip
+        yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
+        yield Gate("separation time", "separation_time_s", every(gates.separation_time),
+                   "absolute", "s")  # fmt: skip
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """None of its own: the sphere starts as it says."""
+        return laws.Equations()
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        keys = part.keys
+        return Modelled(part.name, "initial state", f"{keys.velocity:g} m/s from {keys.gap:g} m")
+
+
+def sphere(part: Part, scene: Scene) -> Part:
+    """The sphere that is thrown.
+
+    Raises
+    ------
+    UsageError : none is named and there is not exactly one.
+    """
+    if part.keys.of is not None:
+        return scene.part(part.keys.of, f"{part.name}.of")
+    found = scene.only("sphere")
+    if found is None:
+        raise UsageError(
+            f"{part.name} needs this part", where="sphere",
+            hint="add [sphere]; an empty table takes the defaults",
+        )  # fmt: skip
+    return found
+
+
+def sectors(scene: Scene) -> int:
+    """Symmetry sectors of the body that the scene's only contact touches."""
+    from kc2spice.parts.contact import sides
+
+    contact = scene.only("contact")
+    return 1 if contact is None else sides(contact, scene)[0].sectors
+
+
+def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Time and value of the lowest point, by a parabola through the lowest three samples."""
+    k = int(np.argmin(y))
+    if k in (0, t.size - 1):
+        return float(t[k]), float(y[k])
+    s, z = t[k - 1 : k + 2] - t[k], y[k - 1 : k + 2] - y[k]
+    left, right = z[0] / s[0], z[2] / s[2]
+    curvature = (right - left) / (s[2] - s[0])
+    if curvature <= 0.0:
+        return float(t[k]), float(y[k])
+    slope = left - curvature * s[0]
+    shift = -slope / (2 * curvature)
+    return float(t[k] + shift), float(y[k] + slope * shift / 2)
+
+
+register(Throw())

@@ -1,0 +1,1 @@
+"""Independent integration of any composition of laws."""

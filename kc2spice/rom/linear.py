@@ -1,0 +1,414 @@
+"""The linear model: operators with named, typed ports. Full and reduced models are this class.
+
+A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:`Certificate`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.lazy import lazy
+from kc2spice.rom.operators import Matrix, Schur, symmetric
+from kc2spice.rom.pencil import Pencil
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
+
+sparse = lazy("scipy.sparse")
+
+PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
+CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
+# What 1 V and 1 A on the netlist pin of a conservative port mean.
+UNITS = {
+    "electrical": ("V", "A"),
+    "mechanical": ("um", "N"),
+    "rotational": ("rad", "Nm"),
+    "acceleration": ("m/s2", "N"),
+}
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place where a model meets its surroundings: one column of B, one row of C.
+
+    ``kind`` fixes the SI pair (input u, output y):
+
+    * *electrical*: voltage [V] between ``pins[0]`` and ``pins[1]``, charge [C] into ``pins[0]``;
+    * *mechanical*: force [N] on the body along the port's direction, displacement [m] along it;
+    * *rotational*: moment [N m], angle [rad];
+    * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
+      conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
+    * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
+      C, an output no column of B.
+
+    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean; those of ``UNITS`` unless
+    given. ``pins`` are the names of the netlist pins; empty stands for ``(name,)``, or for
+    ``(name, name_ret)`` of an electrical port.
+    """
+
+    name: str
+    kind: PortKind
+    across: str = ""
+    flow: str = ""
+    pins: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*CONSERVATIVE, "input", "output"):
+            raise UsageError(
+                "unknown kind of port", where=self.name, got=self.kind,
+                expected=", ".join((*CONSERVATIVE, "input", "output")),
+            )  # fmt: skip
+        across, flow = UNITS.get(self.kind, ("-", "-"))
+        object.__setattr__(self, "across", self.across or across)
+        object.__setattr__(self, "flow", self.flow or flow)
+        object.__setattr__(self, "pins", tuple(self.pins))
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the port exchanges energy: one column of B and one row of C."""
+        return self.kind in CONSERVATIVE
+
+    @property
+    def terminals(self) -> tuple[str, ...]:
+        """Names of the netlist pins."""
+        if self.pins:
+            return self.pins
+        return (self.name, f"{self.name}_ret") if self.kind == "electrical" else (self.name,)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is known about a reduced model's error with respect to the *full* model.
+
+    ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``;
+    ``method`` names the estimator.
+    """
+
+    band_hz: tuple[float, float]
+    error_estimate: float
+    method: str
+    stable: bool
+    passive: bool
+
+
+@dataclass(frozen=True, repr=False, eq=False, kw_only=True)
+class LinearModel:
+    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` (second order, ``A`` is None), or
+    ``E x' = A x + B u``, ``y = C x + D u`` (first order, ``M`` and ``K`` are None).
+
+    ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
+    ``D`` (outputs, inputs) dense. All values are SI and of the *whole* device. A missing ``C`` is
+    ``B'``, a missing ``D`` zero, a missing ``E`` zero in second order and one in first order.
+    ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K`` and leaves ``E`` out.
+    ``K`` (or ``A``) may be a :class:`kc2spice.rom.operators.Schur` complement: massless unknowns
+    eliminated exactly, without forming the dense result; see :func:`with_potentials`.
+
+    ``ports`` lists conservative ports and signals in the order of the columns of B; the rows of C
+    follow the same order (an input has no row, an output no column). Without, they are signals
+    ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
+
+    ``facts`` are the numbers by which an engineer knows the body (``mass_kg``, ``unknowns``,
+    ``capacitance_free_f``, …). ``band`` [Hz] is what the model's author asks to be kept, if known.
+
+    Raises
+    ------
+    UsageError : shapes that do not fit, numbers that are not finite, ports that are not those of
+        B and C, letters missing.
+    """
+
+    B: np.ndarray
+    C: np.ndarray = None  # type: ignore[assignment]
+    D: np.ndarray = None  # type: ignore[assignment]
+    ports: tuple[Port, ...] = ()
+    M: Matrix = None
+    E: Matrix = None
+    K: Matrix = None
+    A: Matrix = None
+    rayleigh: tuple[float, float] | None = None
+    certificate: Certificate | None = None
+    facts: Mapping[str, float] = field(default_factory=dict)
+    name: str = "model"
+    band: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__  # frozen: this is the constructor
+        first = self.A is not None
+        if first == (self.K is not None) or first == (self.M is not None):
+            got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
+            raise UsageError(
+                "is not a complete model", where=self.name, got=got,
+                expected="M, K, B and as needed E, C, D; or A, B and as needed C, D, E",
+            )  # fmt: skip
+        for letter in "MEKA":
+            put(self, letter, _square(getattr(self, letter), letter, self.name))
+        n = (self.A if first else self.K).shape[0]
+        B = _array(self.B, "B", self.name)
+        C = B.T.copy() if self.C is None else _array(self.C, "C", self.name)
+        m, p = B.shape[1], C.shape[0]
+        D = np.zeros((p, m)) if self.D is None else _array(self.D, "D", self.name)
+        put(self, "B", B), put(self, "C", C), put(self, "D", D)
+        if self.E is None and self.rayleigh is None:
+            zero = sparse.csc_array((n, n)) if not first else sparse.eye_array(n, format="csc")
+            whole = self.A if first else self.K
+            put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
+        elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
+            raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
+        shapes = {"M": (n, n), "E": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+        for letter, shape in shapes.items():
+            matrix = getattr(self, letter)
+            if matrix is not None and (matrix.shape != shape or 0 in shape):
+                raise UsageError(
+                    f"matrix {letter} does not fit", where=self.name,
+                    got=" x ".join(map(str, matrix.shape)),
+                    expected=" x ".join(map(str, shape)) + ", at least one row and column",
+                )  # fmt: skip
+        put(self, "ports", _ports(tuple(self.ports), m, p, self.name))
+
+    @property
+    def order(self) -> int:
+        """Number n of unknowns (second-order states in second order)."""
+        return int(self.B.shape[0])
+
+    @property
+    def first_order(self) -> bool:
+        """Whether the model is ``E x' = A x + B u``."""
+        return self.A is not None
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the ports that are columns of B."""
+        return tuple(p.name for p in self.ports if p.kind != "output")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the ports that are rows of C."""
+        return tuple(p.name for p in self.ports if p.kind != "input")
+
+    @property
+    def pencil(self) -> Pencil:
+        """The model as one polynomial in s, for solvers."""
+        if self.first_order:
+            return Pencil((negated(self.A), self.E), self.B, self.C, self.D)
+        return Pencil((self.K, self.E, self.M), self.B, self.C, self.D, self.rayleigh)
+
+    @property
+    def symmetric(self) -> bool:
+        """Every operator equals its transpose and ``C = B'``."""
+        return self.pencil.symmetric and self.pencil.collocated
+
+    def transfer(self, frequency: np.ndarray) -> np.ndarray:
+        """``H(j 2 pi f)`` (frequencies, outputs, inputs) complex: y per u in SI.
+
+        Displacement per force and charge per voltage; times ``s`` they are velocities and
+        currents. Solves the operators directly, one factorisation a frequency for sparse models.
+
+        Raises
+        ------
+        SimulationError : a frequency is a pole.
+        """
+        return self.pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
+
+    def poles(self) -> np.ndarray:
+        """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns."""
+        return self.pencil.poles()
+
+    def to_statespace(self) -> StateSpace:
+        """First-order form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
+        from kc2spice.rom.convert import to_statespace
+
+        return to_statespace(self)
+
+    def to_pymor(self) -> Any:
+        """pyMOR's second-order or LTI model; see :func:`kc2spice.rom.convert.to_pymor`."""
+        from kc2spice.rom.convert import to_pymor
+
+        return to_pymor(self)
+
+    def select(self, names: Sequence[str]) -> LinearModel:
+        """The same model with only the ports ``names``; the others are left open.
+
+        Raises
+        ------
+        UsageError : no such port.
+        """
+        known = [p.name for p in self.ports]
+        for name in names:
+            if name not in known:
+                raise UsageError("no such port", where=self.name, got=name,
+                                 expected=", ".join(known))  # fmt: skip
+        columns = [self.inputs.index(n) for n in self.inputs if n in names]
+        rows = [self.outputs.index(n) for n in self.outputs if n in names]
+        ports = tuple(p for p in self.ports if p.name in names)
+        return replace(
+            self, B=self.B[:, columns], C=self.C[rows], D=self.D[np.ix_(rows, columns)], ports=ports
+        )
+
+    def __repr__(self) -> str:
+        form = "first" if self.first_order else "second"
+        ports = ", ".join(f"{p.name} [{p.across}]" for p in self.ports)
+        text = f"LinearModel {self.name!r}: {self.order} unknowns, {form} order; ports {ports}"
+        if self.certificate is not None:
+            found = self.certificate
+            low, high = found.band_hz
+            state = "stable" if found.stable else "UNSTABLE"
+            text += f"; error {found.error_estimate:.2g} over {low:g} to {high:g} Hz, {state}"
+            text += ", passive" if found.passive else ""
+        return text
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        rows = "".join(
+            f"<tr><td>{escape(p.name)}</td><td>{p.kind}</td><td>{escape(p.across)}</td>"
+            f"<td>{escape(p.flow)}</td></tr>"
+            for p in self.ports
+        )
+        head = "<tr><th>port</th><th>kind</th><th>1 V is 1</th><th>1 A is 1</th></tr>"
+        return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table>"
+
+
+def with_potentials(
+    *,
+    M: Matrix,
+    K_uu: Matrix,
+    k_uV: np.ndarray,
+    c_VV: np.ndarray | float,
+    B: np.ndarray,
+    ports: Sequence[Port],
+    K_up: Matrix = None,
+    K_pp: Matrix = None,
+    k_pV: np.ndarray | None = None,
+    alpha: float = 0.0,
+    beta: float = 0.0,
+    E: Matrix = None,
+    facts: Mapping[str, float] | None = None,
+    name: str = "model",
+) -> LinearModel:
+    """Voltage-driven piezoelectric model with its free potentials eliminated exactly.
+
+    With displacements ``u`` (n), free massless potentials ``p`` (m, may be none) and the voltages
+    ``V`` (e) of the driven electrodes::
+
+        M u'' + E u' + K_uu u + K_up p + k_uV V = B f
+                        K_up' u - K_pp p - k_pV V = 0
+                    Q = c_VV V + k_pV' p - k_uV' u
+
+    becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
+    ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and
+    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. Projecting ``[u; p]`` as it stands would be an indefinite
+    problem whose reduced models can be unstable (cf. paper 2.3, references 47 to 49).
+
+    Parameters
+    ----------
+    B : (n, mechanical ports), in the order of the ports that are not electrical.
+    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e) in the order of the electrical ports; one
+        electrode may leave the second dimension out.
+    ports : all ports in any order.
+    alpha, beta : ``E = alpha M + beta K`` with the condensed K; or ``E`` (n, n) itself.
+
+    Raises
+    ------
+    UsageError : shapes that do not fit.
+    SimulationError : a potential is not determined: K_pp is singular.
+    """
+    k_uV = np.asarray(k_uV, dtype=float).reshape(len(B), -1)
+    electrodes = k_uV.shape[1]
+    C0 = np.array(c_VV, dtype=float).reshape(electrodes, electrodes)
+    K, b = K_uu, -k_uV
+    if K_pp is not None and K_pp.shape[0]:
+        K_up, K_pp = sparse.csc_array(K_up), sparse.csc_array(K_pp)
+        K = Schur(sparse.csc_array(K_uu), K_up, sparse.csc_array(K_up.T), -K_pp)
+        k_pV = np.zeros((K_pp.shape[0], electrodes)) if k_pV is None else np.asarray(k_pV)
+        k_pV = k_pV.reshape(-1, electrodes)
+        lift = -K.inner.solve(k_pV)
+        b = b + K_up @ lift
+        C0 = C0 - k_pV.T @ lift
+    is_electrode = np.array([p.kind == "electrical" for p in ports])
+    if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
+        raise UsageError(
+            "ports do not fit", where=name, got=[p.name for p in ports],
+            expected=f"{electrodes} electrical and {B.shape[1]} others",
+        )  # fmt: skip
+    count = len(ports)
+    drive, D = np.empty((len(B), count)), np.zeros((count, count))
+    drive[:, is_electrode], drive[:, ~is_electrode] = b, B
+    D[np.ix_(is_electrode, is_electrode)] = 0.5 * (C0 + C0.T)
+    rayleigh = (alpha, beta) if E is None else None
+    return LinearModel(
+        M=M, E=E, K=K, B=drive, D=D, ports=tuple(ports), rayleigh=rayleigh, facts=facts or {},
+        name=name,
+    )  # fmt: skip
+
+
+def negated(matrix: Matrix) -> Matrix:
+    """``-matrix``, of a Schur complement too."""
+    if isinstance(matrix, Schur):
+        return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
+    return -matrix
+
+
+def half_stored(matrix: Matrix) -> bool:
+    """Whether only one triangle of a matrix has entries beside the diagonal."""
+    if isinstance(matrix, Schur) or matrix.shape[0] < 2 or symmetric(matrix):
+        return False
+    entries = sparse.coo_array(matrix)
+    upper, lower = (entries.row < entries.col).any(), (entries.row > entries.col).any()
+    return bool(upper != lower)
+
+
+def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
+    if not ports:
+        names = [(f"u{i + 1}", "input") for i in range(m)]
+        names += [(f"y{i + 1}", "output") for i in range(p)]
+        return tuple(Port(name, kind) for name, kind in names)  # type: ignore[arg-type]
+    columns = sum(port.kind != "output" for port in ports)
+    rows = sum(port.kind != "input" for port in ports)
+    low = [port.name.lower() for port in ports]
+    if (columns, rows) != (m, p) or len(set(low)) < len(low):
+        raise UsageError(
+            "ports do not fit", where=where,
+            got=", ".join(f"{port.name} ({port.kind})" for port in ports),
+            expected=f"{m} columns of B and {p} rows of C, each name once",
+        )  # fmt: skip
+    return ports
+
+
+def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
+    if matrix is None:
+        return None
+    if isinstance(matrix, Schur):
+        parts = (matrix.uu, matrix.up, matrix.pu, matrix.pp)
+        for part in parts:
+            _finite(part, letter, where)
+        return matrix
+    if isinstance(matrix, np.ndarray) or not sparse.issparse(matrix):
+        return _array(matrix, letter, where)
+    _finite(matrix, letter, where)
+    return sparse.csc_array(matrix, dtype=float)
+
+
+def _array(values: object, letter: str, where: str) -> np.ndarray:
+    dense = isinstance(values, np.ndarray) or not sparse.issparse(values)
+    plain = np.asarray(values) if dense else values.toarray()
+    _finite(plain, letter, where)
+    if plain.ndim != 2:
+        raise UsageError(
+            f"matrix {letter} has {plain.ndim} dimensions", where=where, expected="2 dimensions"
+        )
+    return np.ascontiguousarray(plain, dtype=float)
+
+
+def _finite(matrix: Matrix, letter: str, where: str) -> None:
+    dense = isinstance(matrix, np.ndarray) or not sparse.issparse(matrix)
+    data = matrix if dense else matrix.data
+    if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
+        raise UsageError(
+            f"matrix {letter} cannot be used", where=where,
+            got="complex numbers" if data.dtype.kind == "c" else f"{data.dtype}, NaN or infinity",
+            expected="real, finite numbers",
+        )  # fmt: skip

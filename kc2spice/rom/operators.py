@@ -1,0 +1,174 @@
+"""Matrices that are applied and solved with, but never formed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
+from kc2spice.linalg.factor import Factor, Solver, inverses
+
+sparse = lazy("scipy.sparse")
+
+Matrix: TypeAlias = Any  # np.ndarray, sparse.csc_array, Schur or Sum; scipy brings no types
+
+# Two matrices whose entries differ by less than this of the largest one are the same matrix.
+SAME = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Schur:
+    """``uu - up pp^-1 pu``: what is left of a sparse matrix when the unknowns of ``pp`` are
+    eliminated. It is dense, so it lives as its four sparse blocks.
+
+    Raises
+    ------
+    SimulationError : ``pp`` is singular (on first use).
+    """
+
+    uu: sparse.csc_array
+    up: sparse.csc_array
+    pu: sparse.csc_array
+    pp: sparse.csc_array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Size of the matrix that is left."""
+        return self.uu.shape
+
+    @property
+    def symmetric(self) -> bool:
+        """Both diagonal blocks are, and the others are transposes."""
+        pairs = ((self.uu, self.uu.T), (self.pp, self.pp.T), (self.up, self.pu.T))
+        return all(same(a, b) for a, b in pairs)
+
+    @cached_property
+    def inner(self) -> Factor:
+        """Factor of ``pp``."""
+        return factor(self.pp, symmetric=same(self.pp, self.pp.T))
+
+    @cached_property
+    def T(self) -> Schur:
+        """Transpose."""
+        return Schur(*(sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
+
+    def __matmul__(self, x: np.ndarray) -> np.ndarray:
+        return self.uu @ x - self.up @ self.inner.solve(self.pu @ x)
+
+    def scaled(self, t: np.ndarray) -> Schur:
+        """``diag(t) S diag(t)``."""
+        T = sparse.diags_array(t)
+        return Schur(
+            sparse.csc_array(T @ self.uu @ T), sparse.csc_array(T @ self.up),
+            sparse.csc_array(self.pu @ T), self.pp,
+        )  # fmt: skip
+
+    def toarray(self) -> np.ndarray:
+        """The dense matrix."""
+        return np.asarray(self.uu.toarray() - self.up @ self.inner.solve(self.pu.toarray()))
+
+
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """``sum_k factor_k matrix_k``, applied term by term."""
+
+    terms: tuple[tuple[float, Matrix], ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Size of every term."""
+        return self.terms[0][1].shape
+
+    @property
+    def T(self) -> Sum:
+        """Transpose."""
+        return Sum(tuple((c, P.T) for c, P in self.terms))
+
+    def __matmul__(self, x: np.ndarray) -> np.ndarray:
+        return sum(c * (P @ x) for c, P in self.terms)
+
+    def toarray(self) -> np.ndarray:
+        """The dense matrix."""
+        return np.asarray(sum(c * dense(P) for c, P in self.terms))
+
+
+def dense(matrix: Matrix) -> np.ndarray:
+    """Any matrix as an array."""
+    return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
+
+
+def largest(matrix: Matrix) -> float:
+    """Largest absolute entry; of a :class:`Schur` that of its leading block."""
+    if isinstance(matrix, Schur):
+        return largest(matrix.uu)
+    if isinstance(matrix, Sum):
+        return max(abs(c) * largest(P) for c, P in matrix.terms)
+    return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
+
+
+def same(one: Matrix, other: Matrix) -> bool:
+    """Equal but for rounding of the largest entry."""
+    return one.shape == other.shape and largest(one - other) <= SAME * largest(one)
+
+
+def symmetric(matrix: Matrix) -> bool:
+    """Equal to its transpose but for rounding."""
+    if isinstance(matrix, Sum):
+        return all(symmetric(P) for _, P in matrix.terms)
+    return matrix.symmetric if isinstance(matrix, Schur) else same(matrix, matrix.T)
+
+
+def congruence(P: Matrix, V: np.ndarray) -> np.ndarray:
+    """``V'PV``, its symmetric and skew parts each from that part of P alone."""
+    if isinstance(P, Sum):
+        return np.asarray(sum(c * congruence(term, V) for c, term in P.terms))
+    if isinstance(P, Schur):
+        R = V.T @ (P @ V)
+        return 0.5 * (R + R.T) if P.symmetric else R
+    total = np.zeros((V.shape[1],) * 2)
+    for sign in (1, -1):
+        part = 0.5 * (P + sign * P.T)
+        if largest(part) > SAME * largest(P):
+            R = V.T @ (part @ V)
+            total += 0.5 * (R + sign * R.T)
+    return total
+
+
+def factor(matrix: Matrix, *, symmetric: bool, solver: Solver = "scipy") -> Factor:
+    """Sparse factor; without pivoting first where that keeps the fill of a symmetric matrix.
+
+    A trial solution shows whether that is accurate, and partial pivoting follows where it is not
+    (indefinite matrices, saddle points).
+
+    Raises
+    ------
+    SimulationError : singular.
+    MissingToolError : pypardiso is asked for and not installed.
+    """
+    return _factors(matrix, symmetric, solver)[0]
+
+
+def two_sided(matrix: Matrix, *, symmetric: bool, solver: Solver) -> tuple[Factor, Factor]:
+    """Factor of the matrix and of its transpose; see :func:`factor`."""
+    return _factors(matrix, symmetric, solver)
+
+
+def _factors(matrix: Matrix, symmetric: bool, solver: Solver) -> tuple[Factor, Factor]:
+    matrix = sparse.csc_array(matrix)
+    norm = float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
+    trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
+    reason: Exception | None = None
+    for without_pivoting in (True, False) if symmetric else (False,):
+        try:
+            apply, transposed = inverses(matrix, symmetric=without_pivoting, solver=solver)
+            forward = Factor(matrix, norm, apply)
+            forward.solve(trial)
+            return forward, Factor(sparse.csc_array(matrix.T), norm, transposed)
+        except (RuntimeError, MemoryError, SimulationError) as error:
+            reason = error
+    text = reason.message if isinstance(reason, SimulationError) else str(reason)
+    raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)

@@ -1,0 +1,372 @@
+"""A small model that stands for the full one over a band: the first stage of a reduction.
+
+* Small models: all of it, in dense form.
+* Symmetric positive definite models with proportional or no damping: K-orthonormal block Krylov
+  vectors at zero while that pays, then at the real shift where the last block changed most. The
+  pencil ``K - w^2 M`` serves the pair of points +-j w.
+* All others: multi-point rational Krylov. Points are chosen where the sketched residual, in turn
+  with the last change, is largest. Each is solved on the full model first as a *check* of the
+  projection, and only then joins the basis with its derivative by s, real and imaginary part apart
+  so that everything stays real.
+
+Source: greedy rational interpolation (Grimme 1997; Feng, Antoulas, Benner 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import Solver
+from kc2spice.rom.krylov import DEFLATION, extend
+from kc2spice.rom.operators import Schur
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.response import (
+    FLANK,
+    FLOOR,
+    GRID,
+    Response,
+    around,
+    clear_of_poles,
+    grid,
+    relative_size,
+)  # fmt: skip
+
+WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
+# K x = B solved to less than this of B: the model is free to move at zero frequency.
+SINGULAR = 1e-6
+START, GAIN = 4, 3.0  # Krylov blocks before convergence is judged; less gain calls for a new point
+STATES, MAX_POINTS = 600, 180
+CONFIRMATIONS = 2  # in a row that must be met
+SKETCH = 32  # random combinations of equations that stand for all residuals
+CANDIDATES = 101
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """``pencil`` (dense), its largest relative error in the full model, whether the static answer
+    exists (no rigid body motion, no free integrator), what the error rests on, and the rounding
+    [of K's entries] in a projected K of a model that is free to move.
+    """
+
+    pencil: Pencil
+    error: float
+    static: bool
+    proof: str
+    rounding: float = 0.0
+
+
+def subspace(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
+) -> Subspace:
+    """A model within ``target`` of the full one over ``band`` [Hz], or within ``limit`` where
+    rounding of the full model's solutions keeps it from that.
+
+    Raises
+    ------
+    SimulationError : not even ``limit`` is met.
+    """
+    if pencil.size <= WHOLE_DECOUPLED:
+        whole = _whole(pencil.scaled(2 * np.pi * band[1]).dense(), band, limit)
+        if whole is not None:
+            return whole
+    if is_definite(pencil, solver, undamped_too=True):
+        return _block_krylov(pencil, band, target, limit, solver)
+    return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit, solver)
+
+
+def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -> bool:
+    """Symmetric, collocated, proportionally damped (or not at all), K positive definite."""
+    proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
+    if pencil.degree != 2 or not (proportional and pencil.symmetric and pencil.collocated):
+        return False
+    try:
+        x = pencil.pencil_solver(0.0, solver).solve(pencil.B)
+    except SimulationError:
+        return False
+    return bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
+
+
+# ------------------------------------------------------------------------------ small models
+
+
+def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
+    """All of a small model; None where its response would take too long to evaluate."""
+    response = Response(full)
+    if not response.decoupled and (
+        full.size > WHOLE or (response.modes is None and full.size > 150)
+    ):
+        return None
+    sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
+    eps = np.finfo(float).eps
+    static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
+    rounding = eps * full.size * float(sizes[0])
+    error = _solution_error(response, band)
+    if error > limit:
+        raise SimulationError(
+            "the full model itself is not that accurate", where="reduction",
+            got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
+            hint="ask for a looser tolerance; other units or a coarser mesh may condition it better",
+        )  # fmt: skip
+    return Subspace(full, error, static, f"being all of the full model, solved to {error:.0e}",
+                    rounding)  # fmt: skip
+
+
+def _solution_error(response: Response, band: tuple[float, float]) -> float:
+    """How far direct solutions in two orders of elimination, and the modes', are apart."""
+    full = response.pencil
+    at, ratio = response.within(band)
+    sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
+    points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
+    s = 2j * np.pi * points
+    everywhere = 2j * np.pi * clear_of_poles(grid(band, 50, False), at, ratio)
+    peak = np.abs(response.transfer(everywhere)).max(axis=0)
+    flipped = Pencil(
+        tuple(P[::-1, ::-1] for P in full.coefficients), full.B[::-1], full.C[:, ::-1], full.D
+    )
+    found = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
+    base = np.maximum(np.abs(found[0]), FLOOR * peak) + np.finfo(float).tiny
+    counted = ~response.cancelled(everywhere)
+    return max(
+        float((np.abs(one - found[0]) / base)[:, counted].max(initial=0.0)) for one in found[1:]
+    )
+
+
+# ---------------------------------------------------------------------- definite sparse models
+
+
+def _block_krylov(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
+) -> Subspace:
+    K, _, M = pencil.coefficients
+    current = pencil.pencil_solver(0.0, solver)
+    V = images = np.empty((pencil.size, 0))
+    candidates = current.solve(pencil.B)
+    used, met, change, before = [0.0], 0, np.inf, np.inf
+    previous: Response | None = None
+    while V.shape[1] < STATES:
+        columns, column_images = extend(V, images, candidates, lambda v: K @ v)
+        V, images = np.hstack([V, columns]), np.hstack([images, column_images])
+        response = Response(pencil.project(V))
+        frequency = _telling_quickly(response, band, True)
+        s = 2j * np.pi * frequency
+        found = response.transfer(s)
+        size = np.ones((len(s), 1, 1))
+        if previous is not None:
+            size = relative_size(previous.transfer(s) - found, found)
+        before, change = change, float(size.max())
+        met = met + 1 if change <= target else 0
+        if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
+            proof = f"settled to {change:.0e} of the full model's response"
+            return Subspace(response.pencil, change, True, proof)
+        previous = response
+        slow = change > before / GAIN and V.shape[1] > START * pencil.B.shape[1]
+        if columns.shape[1] and not slow:
+            candidates = current.solve(M @ columns)
+            continue
+        apart = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > 1e-3 * band[1]
+        if not apart.any():
+            break
+        worst = float(frequency[np.argmax(np.where(apart, size.max(axis=(1, 2)), -1.0))])
+        used.append(worst)
+        current = pencil.pencil_solver((2 * np.pi * worst) ** 2, solver)
+        candidates = current.solve(pencil.B)
+    raise _unsettled(response, band, change, limit)
+
+
+def _telling_quickly(response: Response, band: tuple[float, float], static: bool) -> np.ndarray:
+    """A grid and every resonance with its flanks; notches are left to the last check."""
+    at, ratio = response.within(band)
+    points = np.union1d(grid(band, GRID, static), around(at, ratio, np.array([0.0, 1.0, 4.0])))
+    points = points[(points >= band[0]) & (points <= band[1])]
+    return clear_of_poles(points, at, ratio)
+
+
+def _unsettled(
+    response: Response, band: tuple[float, float], error: float, limit: float
+) -> SimulationError:
+    modes = response.within(band)[0].size
+    return SimulationError(
+        "the reduced model does not settle", where="reduction",
+        got=f"relative error {error:.1e} with {response.pencil.size} states; the band holds at "
+        f"least {modes} resonances",
+        expected=f"at most {limit:.1e}",
+        hint="narrow the band or ask for a looser tolerance",
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------- all other models
+
+
+def _rational(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
+) -> Subspace:
+    search = _Search(pencil, band, solver)
+    met, error, recent = 0, np.inf, [np.inf]
+    search.add(2j * np.pi * band[1])
+    while search.points < MAX_POINTS and search.basis.shape[1] < STATES:
+        error, grown = search.check(search.next_point())
+        met = met + 1 if max(error, search.change) <= target else 0
+        # An error that was found before the basis grew is no longer that of the projection.
+        recent = [*recent[-1:], error] if grown else [error]
+        if met == CONFIRMATIONS or not grown:
+            break
+    worst = max(recent)
+    if worst > limit:
+        raise _unsettled(search.response, band, worst, limit)
+    proof = f"checked against the full model at {search.points} frequencies"
+    V, rounding = search.basis, 0.0
+    if not search.static:
+        K = pencil.coefficients[0]
+        K = abs(K.uu if isinstance(K, Schur) else K)
+        rounding = np.finfo(float).eps * float((abs(V).T @ (K @ abs(V))).max())
+    return Subspace(search.response.pencil, worst, search.static, proof, rounding)
+
+
+class _Search:
+    """The basis as it grows, with what the residual estimate needs of it."""
+
+    def __init__(self, pencil: Pencil, band: tuple[float, float], solver: Solver) -> None:
+        self.pencil, self.band = pencil, band
+        self.solver: Solver = solver
+        self.two_sided = not (pencil.symmetric and pencil.collocated)
+        self.basis = np.empty((pencil.size, 0))
+        self.points = 0
+        self.change = np.inf
+        sketch = np.random.default_rng(0).standard_normal((SKETCH, pencil.size))
+        self._sides = [_Sketch(sketch, pencil.coefficients, pencil.B)]
+        if self.two_sided:
+            dual = pencil.transposed()
+            self._sides.append(_Sketch(sketch, dual.coefficients, dual.B))
+        self._used: list[complex] = []
+        self.response = Response(pencil.project(self.basis))
+        self._previous = self.response
+        self.static = self._add_static()
+
+    def add(self, s: complex) -> None:
+        """Add the answers at ``s``."""
+        self._extend(s, *self._solve(s))
+
+    def check(self, s: complex) -> tuple[float, bool]:
+        """Relative error of the present projection at ``s``, which then joins the basis.
+
+        Also returns whether the basis grew.
+        """
+        x, *others = self._solve(s)
+        true = self.pencil.C @ x + self.pencil.D
+        grid_s = 2j * np.pi * self._candidates()
+        peak = np.abs(self.response.transfer(grid_s)).max(axis=0)
+        base = np.maximum(np.abs(true), FLOOR * peak) + np.finfo(float).tiny
+        error = np.abs(self.response.transfer(np.array([s]))[0] - true) / base
+        error[self.response.cancelled(np.r_[grid_s, s])] = 0.0
+        before = self.basis.shape[1]
+        self._extend(s, x, *others)
+        return float(error.max()), self.basis.shape[1] > before
+
+    def next_point(self) -> complex:
+        """The candidate, not used before, of the largest residual; every second time that where
+        the last point changed the response most."""
+        s = 2j * np.pi * self._candidates()
+        found = self.response.transfer(s)
+        size = relative_size(self._previous.transfer(s) - found, found)
+        size[:, self.response.cancelled(s)] = 0.0
+        self.change = float(size.max()) if self.points > 2 else np.inf
+        fresh = np.array([not np.isclose(each, self._used, rtol=1e-7).any() for each in s])
+        if not fresh.any():
+            raise SimulationError("no frequency is left to sample", where="reduction")
+        measure = size.max(axis=(1, 2))
+        if self.points % 2:
+            measure = self._sides[0].residual(s, self.response.states(s))
+            if self.two_sided:
+                dual = Response(self.response.pencil.transposed())
+                measure = measure * self._sides[1].residual(s, dual.states(s))
+        return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
+
+    def _candidates(self) -> np.ndarray:
+        at, ratio = self.response.within(self.band)
+        points = np.union1d(
+            grid(self.band, CANDIDATES, self.static), around(at, ratio, np.zeros(1))
+        )
+        points = points[(points >= self.band[0]) & (points <= self.band[1])]
+        return clear_of_poles(points, at, ratio)
+
+    def _add_static(self) -> bool:
+        """Add the static answers if there are any; False for a model that is free to move."""
+        b = self.pencil.B
+        try:
+            answers = self._solve(0.0)
+        except SimulationError:
+            return False
+        residual = self.pencil.coefficients[0] @ answers[0] - b
+        if np.linalg.norm(residual) > SINGULAR * np.linalg.norm(b):
+            return False
+        self._extend(0.0, *answers)
+        return True
+
+    def _solve(self, s: complex) -> tuple[np.ndarray, ...]:
+        """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
+        forward, backward = self.pencil.solver(s, self.solver)
+        self.points += 1
+        x = forward.solve(self.pencil.B)
+        answers = [x, forward.solve(self.pencil.slope(s, x))]
+        if self.two_sided:
+            dual = self.pencil.transposed()
+            y = backward.solve(dual.B)
+            answers += [y, backward.solve(dual.slope(s, y))]
+        return tuple(answers)
+
+    def _extend(self, s: complex, *answers: np.ndarray) -> None:
+        self._used.append(s)
+        new = np.column_stack([part for x in answers for part in _parts(x)])
+        fresh = np.column_stack([np.empty((self.pencil.size, 0)), *_independent(self.basis, new)])
+        if not fresh.shape[1]:
+            return
+        self.basis = np.hstack([self.basis, fresh])
+        for side in self._sides:
+            side.extend(fresh)
+        self._previous, self.response = self.response, Response(self.pencil.project(self.basis))
+
+
+class _Sketch:
+    """Residual norms of ``P(s) V x(s) = b`` from a few random combinations of its rows."""
+
+    def __init__(self, sketch: np.ndarray, coefficients: tuple, b: np.ndarray) -> None:
+        self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
+        self._images = [np.empty((SKETCH, 0)) for _ in coefficients]
+        self._b = sketch @ b
+
+    def extend(self, columns: np.ndarray) -> None:
+        self._images = [
+            np.hstack([image, rows @ columns])
+            for image, rows in zip(self._images, self._rows, strict=True)
+        ]
+
+    def residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Largest relative residual of all right-hand sides at each ``s``."""
+        product = sum(
+            s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images)
+        )  # fmt: skip
+        size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny
+        return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
+
+
+def _parts(x: np.ndarray) -> list[np.ndarray]:
+    return [x.real, x.imag] if np.iscomplexobj(x) else [x]
+
+
+def _independent(basis: np.ndarray, new: np.ndarray) -> Iterator[np.ndarray]:
+    """Orthonormal directions of ``new`` outside ``basis``; what is dependent is deflated."""
+    found = np.empty((basis.shape[0], 0))
+    for column in new.T:
+        length = np.linalg.norm(column)
+        for _ in range(2):  # twice is enough (Kahan, Parlett)
+            column = column - basis @ (basis.T @ column)
+            column = column - found @ (found.T @ column)
+        rest = np.linalg.norm(column)
+        if rest <= DEFLATION * length or basis.shape[1] + found.shape[1] == basis.shape[0]:
+            continue
+        found = np.column_stack([found, column / rest])
+        yield column / rest

@@ -1,0 +1,181 @@
+"""The scene as data: parts by name, joined at typed pins, with analysis, probes and settings.
+
+Nothing here knows a part type: what a type can do is behind :class:`kc2spice.scene.parttype.
+PartType`, and the types register themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Acceleration, Count, Frequency, Ratio, Section, Time
+from kc2spice.scene.settings import Bench, Checks, Gates, Rom, Solver
+
+if TYPE_CHECKING:
+    from kc2spice.scene.parttype import PartType
+
+GROUND = "gnd"
+_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
+FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """A pin of a part: what 1 V and 1 A on it mean (``flow="-"`` for a signal).
+
+    ``default`` is where it goes when the scene says nothing (``"gnd"`` or ``"part.pin"``).
+    A ``required`` pin must be joined. ``signal_out`` marks the one pin that sets a signal.
+    """
+
+    name: str
+    unit: str
+    flow: str
+    default: str | None = None
+    required: bool = False
+    signal_out: bool = False
+
+    @property
+    def kind(self) -> str:
+        """What may be joined to what: the unit pair in words."""
+        return f"{self.unit}/{self.flow}" if self.flow != "-" else f"signal in {self.unit}"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a scene: its checked keys and the pins that the scene joins by name.
+
+    ``at`` is where the file has the keys of a part that another one brings along, which is under
+    that part's keys; empty for a part with a table of its own.
+    """
+
+    name: str
+    type: PartType
+    keys: Any
+    pins: Mapping[str, str] = field(default_factory=dict)
+    at: tuple[str | int, ...] = ()
+
+    def __repr__(self) -> str:
+        joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())
+        return f"<{self.type.name} {self.name}{': ' + joined if joined else ''}>"
+
+
+class Analysis(Section):
+    """What the simulator does with the circuit."""
+
+    type: Literal["transient", "ac", "dc", "op"] = "transient"
+    stop: Time | Frequency | None = Field(None, description="end of a transient, or highest Hz")
+    start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac")
+    points: Count = Field(200, ge=2, le=200_000)
+    scale: Literal["log", "linear"] = "log"
+    sweep: str | None = Field(None, description="PART.KEY that dc moves")
+    from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
+    to: Any = Field(1.0, description="last value of a dc sweep")
+
+
+class Probe(Section):
+    """A vector of the result and what to take of it; becomes a metric.
+
+    ``frequency`` is the mean rate of its cycles over the last half of the run.
+    """
+
+    of: str = Field(description="a vector of the result, such as disc.i")
+    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing", "frequency"] = "max"
+    level: Ratio | None = Field(None, description="of a crossing, in the vector's SI unit")
+
+
+class Frame(Section):
+    """Keys of a scene outside of its parts."""
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
+    title: str = Field("", max_length=200, pattern=rf"^{_ONE_LINE}*$")
+    gravity: Acceleration = 9.81
+    error_budget: Ratio | None = Field(
+        None, gt=0, lt=1, description="relative; sets what the scene leaves open, see explain"
+    )
+    analysis: Analysis = Analysis()
+    probes: dict[str, Probe] = Field(default_factory=dict)
+    rom: Rom = Rom()
+    solver: Solver = Solver()
+    checks: Checks = Checks()
+    gates: Gates = Gates()
+    bench: Bench = Bench()
+    include: tuple[FileName, ...] = Field(
+        (), max_length=16, description="netlists beside the scene"
+    )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
+
+    ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground); ``budgeted`` are
+    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file, ``tables``
+    what it says with all overrides.
+    """
+
+    frame: Frame
+    parts: Mapping[str, Part]
+    nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    budgeted: frozenset[str] = frozenset()
+    home: Path = Path()
+    tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""
+        if name.startswith("_") or name == "frame":
+            raise AttributeError(name)
+        return getattr(self.frame, name)
+
+    @property
+    def stop(self) -> float:
+        """End of a transient [s]: ``analysis.stop``, else ``solver.stop``."""
+        own = self.analysis.stop if self.analysis.type == "transient" else None
+        return float(self.solver.stop if own is None else own)
+
+    def of(self, *types: str) -> tuple[Part, ...]:
+        """All parts of these types, in order."""
+        return tuple(part for part in self.parts.values() if part.type.name in types)
+
+    def only(self, *types: str) -> Part | None:
+        """The part of one of these types if there is exactly one, else None."""
+        found = self.of(*types)
+        return found[0] if len(found) == 1 else None
+
+    def part(self, name: str, where: str = "scene") -> Part:
+        """The part of this name.
+
+        Raises
+        ------
+        UsageError : there is none.
+        """
+        if name not in self.parts:
+            raise UsageError(
+                "no such part", where=where, got=repr(name), expected=", ".join(self.parts)
+            )
+        return self.parts[name]
+
+    def named(self, part: str, pin: str) -> bool:
+        """Whether the ``pins`` of another part name this one, so that no default joins it."""
+        target = f"{part}.{pin}"
+        return any(target in other.pins.values() for other in self.parts.values())
+
+    def net(self, part: str, pin: str) -> str:
+        """Node of the netlist that a pin is joined to."""
+        return self.nets[part, pin]
+
+    def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
+        """The other pins on the net of this one; none for ground."""
+        net = self.nets[part, pin]
+        if net == "0":
+            return ()
+        return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{part.name}: {part.type.name}" for part in self.parts.values())
+        return f"<Scene {self.name} ({self.analysis.type}): {parts}>"

@@ -1,0 +1,106 @@
+"""Tables of a scene that belong to no part: reduction, solver, checks of a run, gates of verify."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from kc2spice.core.quantities import (
+    Charge,
+    Count,
+    Frequency,
+    GateLength,
+    GateTime,
+    Ratio,
+    Section,
+    Time,
+)
+
+Action = Literal["fail", "warn", "off"]
+
+
+class Rom(Section):
+    """Reduction: a fixed order (30 unless told), or a tolerance over a band."""
+
+    order: Count | None = Field(None, ge=1, le=2000)
+    tolerance: Ratio | None = Field(None, gt=0, lt=1)
+    band: tuple[Frequency, Frequency] = (0.0, 500e3)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_target(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        if "order" in data and "tolerance" in data:
+            context = {"reason": "order and tolerance are both set", "expected": "one of the two"}
+            raise PydanticCustomError("quantity", "{reason}", context)
+        return data if "tolerance" in data else {"order": 30, **data}
+
+
+class Solver(Section):
+    """ngspice settings that are written into the deck."""
+
+    reltol: Ratio = Field(1e-4, gt=0, lt=1)
+    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
+    trtol: Ratio = Field(1.0, ge=1, le=10, description="of ngspice: trust in the error estimate")
+    method: Literal["trap", "gear"] = "trap"
+    max_step: Time = Field(10e-6, gt=0)
+    stop: Time = Field(5e-3, gt=0)
+    retries: Count = Field(3, ge=0, le=4, description="with other settings, after a failure")
+
+
+class Checks(Section):
+    """What becomes of a run whose result violates a check: it fails (exit 5), warns, or neither."""
+
+    energy: Action = Field("fail", description="books of sphere, contact and chip")
+    touches: Action = Field("fail", description="of a kick before it throws, against solver.reltol")
+    range: Action = Field("fail", description="sphere in the field table, contact within the rings")
+    penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
+    saturation: Action = Field("warn", description="share of the time at the current limit")
+    plausible: Action = Field("fail", description="keys against what exists or can be made")
+    reduction: Action = Field(
+        "off", description="launch or rebound against a model with twice the states, a second run"
+    )
+    start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
+
+
+class Bench(Section):
+    """What ``bench`` judges settings by."""
+
+    metric: tuple[str, ...] = Field(
+        (), max_length=64, description="metrics that the scene is run for; empty: all numbers"
+    )
+
+
+class Gates(Section):
+    """Largest errors that a result may have; those with a dimension must be given with a unit."""
+
+    launch_velocity: Ratio = Field(1e-4, gt=0, description="relative, ngspice against scipy")
+    trajectory: GateLength = Field(  # type: ignore[assignment]  # validated like a file's value
+        default="1 um", gt=0, description="largest, ngspice against scipy"
+    )
+    launch_full_model: Ratio = Field(1e-3, gt=0, description="relative, against the full model")
+    position: Ratio = Field(1e-4, gt=0, description="of the travel in an impact, any two roads")
+    rebound_velocity: Ratio = Field(1e-4, gt=0, description="relative, any two roads")
+    separation_time: GateTime = Field(  # type: ignore[assignment]
+        default="20 ns", gt=0, description="end of the impact, any two roads"
+    )
+    energy: Ratio = Field(1e-4, gt=0, description="unexplained part of the energy turned over")
+    imprint_rom: Ratio = Field(1e-9, gt=0, description="static force, ROM against full model")
+    imprint_ngspice: Ratio = Field(1e-6, gt=0, description="static force, ngspice against full")
+    harmonic_rom: Ratio = Field(1e-4, gt=0, description="response over the band, ROM against full")
+    harmonic_low: Ratio = Field(1e-8, gt=0, description="the same below a fifth of the band")
+    harmonic_ngspice: Ratio = Field(1e-8, gt=0, description="response, ngspice against the ROM")
+    metrics: Ratio | None = Field(
+        None, gt=0, description="of any metric, ngspice against the laws; 20 solver.reltol"
+    )
+    waves: Ratio | None = Field(
+        None, gt=0, description="rms of any wave, ngspice against the laws; 300 solver.reltol"
+    )
+    superposition: Ratio = Field(1e-12, gt=0, description="EM force, brute force to coefficients")
+    lookup_slope: Ratio = Field(
+        0.05, gt=0, description="jump of the EM lookup's slope, of the largest"
+    )
+    lookup: Ratio = Field(1e-4, gt=0, description="EM force, ngspice lookup to largest FE force")

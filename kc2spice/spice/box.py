@@ -1,0 +1,152 @@
+"""Where the pins of a part sit on its symbol: inputs left, outputs right, references below."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from math import ceil
+
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
+from kc2spice.spice.elements import Element, behaviour, circuit
+from kc2spice.spice.expression import Probe, parse, walk
+
+REFERENCES = frozenset({"base", "ref"})
+OPAMP = frozenset({"inp", "inn", "out", "vcc", "vee"})
+_LETTER = 0.45  # width of a letter in grid units
+_CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
+
+
+@dataclass(frozen=True)
+class Place:
+    """The free end of a pin at grid position ``(x, y)``, y upwards, ``length`` from the outline."""
+
+    number: int
+    pin: Pin
+    side: str
+    x: int
+    y: int
+    length: float = 1.0
+
+
+@dataclass(frozen=True)
+class Box:
+    """A symbol of half width and half height in grid units, a rectangle or a ``triangle``."""
+
+    name: str
+    library: str
+    title: str
+    params: tuple[Param, ...]
+    width: int
+    height: int
+    places: tuple[Place, ...]
+    triangle: bool = False
+
+
+def layout(part: Subcircuit) -> Box:
+    """The symbol of ``part``; the number of a pin is its position on the ``.subckt`` card.
+
+    Electrical terminals of an actuator are left of its mechanical ports; of electronics, what only
+    senses is left of what drives; of mechanical parts, displacements left of the rest.
+    """
+    numbered = list(enumerate(part.pins, 1))
+    triangle = {p.name for p in part.pins} - REFERENCES == OPAMP
+    places = _triangle(numbered) if triangle else None
+    sides = _sides(numbered, inputs(part))
+    width, height = (2, 2) if triangle else _size(sides)
+    return Box(
+        part.name,
+        part.filename,
+        part.text.partition("\n")[0].lstrip("* "),
+        part.params,
+        width,
+        height,
+        tuple(sorted(places or _around(sides, width, height), key=lambda place: place.number)),
+        triangle,
+    )
+
+
+def inputs(part: Subcircuit) -> frozenset[str]:
+    """Pins, in lower case, that elements of ``part`` sense but none draws current from."""
+    main = f"* inputs\n.include {part.filename}"
+    top = circuit("inputs", {"inputs": main, part.filename: part.text})
+    scope = top.subcircuits[part.name.lower()]
+    sensed: set[str] = set()
+    loaded: set[str] = set()
+    for each in scope.elements:
+        two = each.kind in _CONTROLLED and len(each.nodes) == 4
+        loaded |= set(each.nodes[:2] if two else () if each.kind == "x" else each.nodes)
+        sensed |= {*each.nodes[2:]} if two else _probed(each)
+        if each.kind == "x" and (called := scope.find(str(each.model))):
+            quiet = inputs(_inner(part, called.name, called.pins))
+            for pin, node in zip(called.pins, each.nodes, strict=False):
+                (sensed if pin in quiet else loaded).add(node)
+    return frozenset({p.name.lower() for p in part.pins} & (sensed - loaded))
+
+
+def _inner(part: Subcircuit, name: str, pins: tuple[str, ...]) -> Subcircuit:
+    return Subcircuit(name, tuple(Pin(p, "V", "A") for p in pins), (), part.text, part.filename)
+
+
+def _probed(part: Element) -> set[str]:
+    if part.kind != "b":
+        return set()
+    try:
+        leaves = walk(parse(behaviour(part)[1]))
+        return {n.lower() for e in leaves if isinstance(e, Probe) and e.kind == "v"
+                for n in e.names}  # fmt: skip
+    except UsageError:
+        return set()  # the linter names it
+
+
+def _sides(
+    numbered: list[tuple[int, Pin]], quiet: Collection[str]
+) -> dict[str, list[tuple[int, Pin]]]:
+    """Pins by the side that they are drawn on."""
+    plain = [pin for _, pin in numbered if pin.name not in REFERENCES]
+    electric = [pin for pin in plain if pin.flow == "A"]
+    mechanical = [pin for pin in plain if pin.flow not in ("A", "-")]
+    left: set[str] = {pin.name for pin in plain if pin.name.lower() in quiet}
+    if electric and mechanical:
+        left = {pin.name for pin in electric}
+    elif electric:
+        left |= {pin.name for pin in plain if pin.flow == "-"}  # a command, though it be loaded
+    elif mechanical:
+        moved = [pin.name for pin in mechanical if pin.unit == "um"]
+        left = set(moved or [pin.name for pin in mechanical])
+    sides: dict[str, list[tuple[int, Pin]]] = {"left": [], "right": [], "bottom": []}
+    for number, pin in numbered:
+        side = "left" if pin.name in left else "right"
+        sides["bottom" if pin.name in REFERENCES else side].append((number, pin))
+    return sides
+
+
+def _size(sides: dict[str, list[tuple[int, Pin]]]) -> tuple[int, int]:
+    """Half width and half height that keep the names of all pins apart."""
+    left, right, below = (max([0, *(len(pin.name) for _, pin in sides[s])])
+                          for s in ("left", "right", "bottom"))  # fmt: skip
+    columns = len(sides["bottom"])
+    rows = max(len(sides["left"]), len(sides["right"]), 1)
+    # names along the bottom stand upright between those of both sides
+    width = ceil(max(_LETTER * left, _LETTER * right) + 0.6 + 0.5 * columns)
+    return max(3, width), max(ceil((rows + 1) / 2), ceil((_LETTER * below + 0.8) / 2))
+
+
+def _around(sides: dict[str, list[tuple[int, Pin]]], width: int, height: int) -> list[Place]:
+    places = []
+    for side, x in (("left", -width - 1), ("right", width + 1)):
+        for row, (number, pin) in enumerate(sides[side]):
+            places.append(Place(number, pin, side, x, height - 1 - row))
+    first = -(len(sides["bottom"]) // 2)
+    for column, (number, pin) in enumerate(sides["bottom"]):
+        places.append(Place(number, pin, "bottom", first + column, -height - 1))
+    return places
+
+
+def _triangle(numbered: list[tuple[int, Pin]]) -> list[Place]:
+    """An operational amplifier, its apex at the right."""
+    at = {
+        "inp": ("left", -3, 1, 1.0), "inn": ("left", -3, -1, 1.0), "out": ("right", 3, 0, 1.0),
+        "vcc": ("top", 0, 3, 2.0), "vee": ("bottom", 0, -3, 2.0), "ref": ("bottom", -1, -3, 1.5),
+    }  # fmt: skip
+    return [Place(number, pin, *at[pin.name]) for number, pin in numbered]

@@ -1,0 +1,82 @@
+"""How numbers and names are spelled on a netlist card."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from kc2spice.core.errors import UsageError
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+# Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
+_RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
+
+
+def number(value: float) -> str:
+    """The shortest decimal text (17 significant digits at most) that reads back as ``value``.
+
+    There are no suffix letters: SPICE reads ``M`` as milli, LTspice and others disagree on more.
+
+    Raises
+    ------
+    UsageError : the value is not finite.
+    """
+    plain = float(value)
+    if not math.isfinite(plain):
+        raise UsageError("a netlist cannot hold this number", got=plain, expected="a finite number")
+    return repr(plain)
+
+
+def name(text: str, *, where: str = "netlist") -> str:
+    """``text`` if it may stand as a node, part or parameter name; netlists are programs.
+
+    Raises
+    ------
+    UsageError : anything but a letter followed by letters, digits and underscores.
+    """
+    if _NAME.fullmatch(text) is None or text.lower() in _RESERVED:
+        raise UsageError(
+            "not a netlist name",
+            where=where,
+            got=repr(text),
+            expected="a letter, then letters, digits or _ (64 at most), no reserved word",
+        )
+    return text
+
+
+def word(text: str) -> str:
+    """``text`` if it is one printable word, such as a unit in a header.
+
+    Raises
+    ------
+    UsageError : anything else; a line break in it would begin a card.
+    """
+    if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
+        raise UsageError("not one word", where="netlist", got=repr(text), expected="a unit")
+    return text
+
+
+def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
+    """Nothing, if ``names`` can all be pins: case does not tell them apart, and none fully matches
+    the pattern ``inner`` of the nodes that the subcircuit has itself.
+
+    Raises
+    ------
+    UsageError : a name that would tie two nodes to each other.
+    """
+    low = [text.lower() for text in names]
+    for text, plain in zip(names, low, strict=True):
+        if low.count(plain) > 1 or re.fullmatch(inner, plain):
+            raise UsageError(
+                "this name is taken in the subcircuit",
+                where=where,
+                got=text,
+                expected="names of ports that differ in more than case",
+                hint="rename the port",
+            )
+
+
+def comment(text: str) -> str:
+    """``text`` on one line, so that no word of it can ever become a card."""
+    return " ".join("".join(ch if ch.isprintable() else " " for ch in text).split())

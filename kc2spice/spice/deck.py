@@ -1,0 +1,151 @@
+"""A deck as data: instances, options, analysis, results. Its text is made once, from these."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from kc2spice.spice.cards import number
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.render import render
+
+_ANALYSIS = re.compile(r"(?im)^\s*\.(tran|ac|dc|op)\b.*$")
+
+
+@dataclass(frozen=True)
+class Block:
+    """Cards that belong together, under a comment."""
+
+    title: str
+    cards: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Option:
+    """One ``.options`` entry (``value`` is ``""`` for a flag) and why it is there."""
+
+    key: str
+    value: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Command:
+    """The analysis: its kind and the numbers of its card."""
+
+    kind: str
+    words: tuple[str, ...]
+
+    @property
+    def card(self) -> str:
+        """The card."""
+        return " ".join((f".{self.kind}", *self.words))
+
+
+def transient(stop: float, max_step: float, *, uic: bool) -> Command:
+    """``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
+    step = min(max_step, stop / 1000)
+    words = (number(step), number(stop), "0", number(max_step))
+    return Command("tran", (*words, "uic") if uic else words)
+
+
+def ac(start: float, stop: float, points: int, scale: str) -> Command:
+    """``.ac`` at about ``points`` frequencies [Hz], equally spaced on a log or linear scale."""
+    if scale == "linear":
+        return Command("ac", ("lin", str(points), number(start), number(stop)))
+    decade = max(1, math.ceil(points / max(math.log10(stop / start), 1e-9)))
+    return Command("ac", ("dec", str(decade), number(start), number(stop)))
+
+
+def dc(source: str, first: float, last: float, points: int) -> Command:
+    """``.dc`` of a source, in its own unit."""
+    step = (last - first) / (points - 1)
+    return Command("dc", (source, number(first), number(last), number(step)))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Deck:
+    """A testbench with its libraries.
+
+    ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
+    expressions and the factor to SI, ``units`` to SI units. ``stop`` is the last time point [s] of
+    a transient, None otherwise. A deck that somebody wrote by hand has its ``text`` and the files
+    that it includes in ``more``.
+    """
+
+    name: str
+    title: str = ""
+    notes: str = ""
+    parts: tuple[Subcircuit, ...] = ()
+    blocks: tuple[Block, ...] = ()
+    options: tuple[Option, ...] = ()
+    command: Command = Command("op", ())
+    vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    stop: float | None = None
+    initial: Mapping[str, float] = field(default_factory=dict)
+    text: str | None = None
+    more: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        files = ", ".join(self.files)
+        return (
+            f"<Deck {self.name}: {self.command.card}; {files}; results {', '.join(self.vectors)}>"
+        )
+
+    @property
+    def main(self) -> str:
+        """Name of the file that a simulator reads."""
+        return f"{self.name}.cir"
+
+    @property
+    def saved(self) -> tuple[str, ...]:
+        """The ngspice vectors of all results, each once."""
+        found = [v for text, _ in self.vectors.values() for _, v in terms(text)]
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def files(self) -> dict[str, str]:
+        """``{file name: text}`` of the deck and its libraries."""
+        own = {part.filename: part.text for part in self.parts}
+        return {self.main: self._main()} | own | dict(self.more)
+
+    def _main(self) -> str:
+        if self.text is not None:
+            extra = "".join(f".options {_entry(option)}\n" for option in self.options)
+            return _ANALYSIS.sub(lambda match: extra + match[0], self.text, count=1)
+        return render("deck.j2", deck=self, files=[part.filename for part in self.parts])
+
+    def option(self, key: str) -> str | None:
+        """The value of an option, None where the deck says nothing."""
+        found = [option.value for option in self.options if option.key == key]
+        if found or self.text is None:
+            return found[-1] if found else None
+        own = re.findall(rf"(?im)^\s*\.opt\w*\b.*\b{key}\s*=\s*([-+0-9.eE]+)", self.text)
+        return own[-1] if own else None
+
+    def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
+        """The same deck with these options instead of its own."""
+        kept = tuple(option for option in self.options if option.key not in options)
+        new = tuple(Option(key, value, reason) for key, value in options.items())
+        return replace(self, options=kept + new)
+
+    def with_steps(self, factor: float) -> Deck:
+        """The same deck with its largest time step times ``factor``."""
+        if self.command.kind != "tran" or len(self.command.words) < 4:
+            return self
+        words = list(self.command.words)
+        words[3] = number(factor * float(words[3]))
+        return replace(self, command=Command("tran", tuple(words)))
+
+
+def terms(expression: str) -> list[tuple[float, str]]:
+    """Signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
+    found = re.findall(r"([+-]?)([^+-]+)", expression)
+    return [(-1.0 if sign == "-" else 1.0, vector) for sign, vector in found]
+
+
+def _entry(option: Option) -> str:
+    return f"{option.key}={option.value}" if option.value else option.key

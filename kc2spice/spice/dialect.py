@@ -1,0 +1,139 @@
+"""The same netlist for other simulators: every construct is read and written anew, none by luck.
+
+ngspice is the reference; ``spelling`` knows what Xyce and LTspice say instead, ``veriloga`` writes
+the parts as modules.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import reduce
+
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.osdi import testbench
+from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Xyce
+from kc2spice.spice.statements import Statement, statements
+from kc2spice.spice.veriloga import library
+
+SPEAKERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": LTspice}
+DIALECTS = ("ngspice", *SPEAKERS, "verilog-a")
+_RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+).*")
+_NGSPICE_COMMAND = re.compile(r"\*.*\bngspice -\w")  # other commands of a deck's head
+
+
+def translate(deck: Deck, dialect: str) -> Deck:
+    """``deck`` with all its files in the words of ``dialect``; ``ngspice`` leaves it alone.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or a construct that it cannot say.
+    """
+    if dialect == "ngspice":
+        return deck
+    if dialect not in SPEAKERS:
+        raise UsageError(
+            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
+        )
+    speaker = SPEAKERS[dialect](_analysis(deck))
+    files = {
+        name: _translated(text, name, speaker, title=name == deck.main)
+        for name, text in deck.files.items()
+    }
+    vectors = {
+        key: ("+".join(map(speaker.vector, expression.split("+"))), factor)
+        for key, (expression, factor) in deck.vectors.items()
+    }
+    text = files.pop(deck.main)
+    return replace(deck, text=text, more=files, parts=(), options=(), vectors=vectors)
+
+
+def translate_text(text: str, name: str, dialect: str) -> str:
+    """One library file in the words of ``dialect``.
+
+    Raises
+    ------
+    UsageError : a construct that the dialect cannot say.
+    """
+    return _translated(text, name, SPEAKERS[dialect](".tran"), title=False)
+
+
+def dialect_files(
+    deck: Deck | None, subcircuits: Iterable[Subcircuit], dialect: str
+) -> dict[str, str]:
+    """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
+
+    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors)
+    comes along as the library that it is, and ``verilog-a.txt`` says which and why. A testbench
+    ``NAME_osdi.cir`` runs the compiled modules in ngspice.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, a construct that it cannot say, or not one module.
+    """
+    if dialect != "verilog-a":
+        return dict(translate(deck, dialect).files) if deck else {}
+    parts = tuple(subcircuits)
+    files: dict[str, str] = {}
+    left_out: list[UsageError] = []
+    modules: list[Subcircuit] = []
+    for part in parts:
+        try:
+            files |= library([part], parts)
+            modules.append(part)
+        except UsageError as error:
+            left_out.append(error)
+    if left_out and not files:
+        raise left_out[0]
+    if left_out:
+        files["verilog-a.txt"] = (
+            "Not written as modules:\n\n" + "\n\n".join(map(str, left_out)) + "\n"
+        )
+    return files | (testbench(deck, modules) if deck else {})
+
+
+def _analysis(deck: Deck) -> str:
+    found = {s.keyword for s in statements(deck.files[deck.main], deck.main)} & set(ANALYSES)
+    return min(found, default=".tran")
+
+
+def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:
+    lines: list[str] = []
+    for s in _merged(statements(text, name, title=title), speaker.joined):
+        if s.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
+            continue
+        said = (_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments)
+        lines += [line for line in said if not _NGSPICE_COMMAND.match(line)]
+        if s.text:
+            lines.append(speaker.card(s))
+    return "\n".join(lines) + "\n"
+
+
+def _merged(cards: list[Statement], joined: frozenset[str]) -> list[Statement]:
+    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``.
+
+    All cards of the commands ``joined`` become one where the last of them stands.
+    """
+    merged: list[Statement] = []
+    for s in cards:
+        last = merged[-1] if merged else None
+        if last and s.keyword == last.keyword == ".save" and not s.comments:
+            merged[-1] = _with(last, s)
+        else:
+            merged.append(s)
+    for key in joined:
+        whole = [s for s in merged if s.keyword == key]
+        if len(whole) > 1:
+            together = reduce(_with, whole)
+            merged[merged.index(whole[-1])] = together
+            merged = [s for s in merged if s.keyword != key or s is together]
+    return merged
+
+
+def _with(first: Statement, second: Statement) -> Statement:
+    more = second.text.partition(" ")[2]
+    comments = first.comments + second.comments
+    return replace(first, text=f"{first.text} {more}", comments=comments)

@@ -1,0 +1,263 @@
+"""Expressions of behavioural sources and parameters as trees, to be written in any dialect."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from kc2spice.core.errors import UsageError
+
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?P<suffix>[A-Za-z]*))"
+    r"|(?P<name>[A-Za-z_]\w*)"
+    r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
+)
+_LITERAL = re.compile(
+    r"\s*(?P<sign>-?)\s*(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?=[,)])"
+)
+_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
+_RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
+_SUFFIX = {"": 1.0, "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9,
+           "p": 1e-12, "f": 1e-15}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Number:
+    """A literal, as it was written, without suffix letters."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Name:
+    """A parameter, or a word like ``time``."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Probe:
+    """``V(a)``, ``V(a,b)`` or ``I(source)``; ``kind`` is ``v`` or ``i``."""
+
+    kind: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function, its name in lower case."""
+
+    function: str
+    arguments: tuple[Tree, ...]
+
+
+@dataclass(frozen=True)
+class Unary:
+    """Sign or negation."""
+
+    op: str
+    value: Tree
+
+
+@dataclass(frozen=True)
+class Binary:
+    """``left op right``."""
+
+    op: str
+    left: Tree
+    right: Tree
+
+
+@dataclass(frozen=True)
+class Choice:
+    """``test ? yes : no``."""
+
+    test: Tree
+    yes: Tree
+    no: Tree
+
+
+Tree = Number | Name | Probe | Call | Unary | Binary | Choice
+
+
+def parse(text: str, *, where: str = "expression") -> Tree:
+    """The tree of ``text``; braces and quotes around it, or around parts of it, mean nothing.
+
+    Raises
+    ------
+    UsageError : not an expression.
+    """
+    return _Parser(text.strip().strip("'\""), where).whole()
+
+
+def walk(tree: Tree) -> Iterator[Tree]:
+    """The tree and everything below it."""
+    yield tree
+    for child in children(tree):
+        yield from walk(child)
+
+
+def children(tree: Tree) -> tuple[Tree, ...]:
+    """What stands directly below ``tree``."""
+    match tree:
+        case Call(_, arguments):
+            return arguments
+        case Unary(_, value):
+            return (value,)
+        case Binary(_, left, right):
+            return (left, right)
+        case Choice(test, yes, no):
+            return (test, yes, no)
+    return ()
+
+
+class Writer:
+    """Writes trees; a dialect overrides the spelling of names, probes, functions and choices."""
+
+    def number(self, text: str) -> str:
+        """A literal."""
+        return text
+
+    def name(self, text: str) -> str:
+        """A parameter or keyword."""
+        return text
+
+    def probe(self, kind: str, names: tuple[str, ...]) -> str:
+        """A node voltage or source current."""
+        return f"{kind.upper()}({','.join(names)})"
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """A function with its arguments."""
+        return f"{function}({', '.join(map(self.write, arguments))})"
+
+    def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
+        """A decision."""
+        return f"({self.write(test)} ? {self.write(yes)} : {self.write(no)})"
+
+    def write(self, tree: Tree, level: int = 0) -> str:
+        """Text of ``tree``, in parentheses where it binds weaker than its surroundings."""
+        match tree:
+            case Number(text):
+                return self.number(text)
+            case Name(text):
+                return self.name(text)
+            case Probe(kind, names):
+                return self.probe(kind, names)
+            case Call(function, arguments):
+                return self.call(function, arguments)
+            case Choice(test, yes, no):
+                return self.choice(test, yes, no)
+            case Unary(op, value):
+                text = f"{op}{self.write(value, len(_LEVELS))}"
+                return f"({text})" if level > 3 else text
+            case Binary(op, left, right):
+                own = _RANK[op]
+                text = f"{self.write(left, own)}{op}{self.write(right, own + 1)}"
+                return f"({text})" if own < level else text
+        raise TypeError(tree)
+
+
+class _Parser:
+    def __init__(self, text: str, where: str) -> None:
+        self.text, self.where, self.at = text, where, 0
+
+    def whole(self) -> Tree:
+        tree = self.choice()
+        if self.text[self.at :].strip():
+            raise self.error("stray text")
+        return tree
+
+    def error(self, what: str) -> UsageError:
+        return UsageError(
+            f"not an expression: {what}",
+            where=self.where,
+            got=f"{self.text[:60]!r} at {self.text[self.at : self.at + 20]!r}",
+        )
+
+    def peek(self) -> re.Match[str] | None:
+        return _TOKEN.match(self.text, self.at)
+
+    def accept(self, *ops: str) -> str | None:
+        match = self.peek()
+        if match and match["op"] in ops:
+            self.at = match.end()
+            return match["op"]
+        return None
+
+    def expect(self, op: str) -> None:
+        if self.accept(op) is None:
+            raise self.error(f"{op} expected")
+
+    def choice(self) -> Tree:
+        test = self.level(0)
+        if self.accept("?") is None:
+            return test
+        yes = self.choice()
+        self.expect(":")
+        return Choice(test, yes, self.choice())
+
+    def level(self, depth: int) -> Tree:
+        left = self.unary()
+        while (found := self.peek()) and _RANK.get(found["op"], -1) >= depth:
+            self.at = found.end()
+            left = Binary(found["op"], left, self.level(_RANK[found["op"]] + 1))
+        return left
+
+    def unary(self) -> Tree:
+        if op := self.accept("-", "+", "!"):
+            return Unary(op, self.unary())
+        value = self.primary()
+        if self.accept("^", "**"):
+            return Binary("^", value, self.unary())
+        return value
+
+    def primary(self) -> Tree:
+        match = self.peek()
+        if match is None:
+            raise self.error("something expected")
+        self.at = match.end()
+        if match["number"]:
+            return Number(_plain(match["number"], match["suffix"]))
+        if match["name"]:
+            return self.named(match["name"])
+        for opening, closing in (("(", ")"), ("{", "}")):
+            if match["op"] == opening:
+                inner = self.choice()
+                self.expect(closing)
+                return inner
+        self.at = match.start()
+        raise self.error("something expected")
+
+    def named(self, name: str) -> Tree:
+        if self.accept("(") is None:
+            return Name(name)
+        if name.lower() in ("v", "i"):
+            end = self.text.find(")", self.at)
+            inside, self.at = self.text[self.at : end], end + 1
+            if end < 0 or not inside.strip():
+                raise self.error("a node expected")
+            return Probe(name.lower(), tuple(n.strip() for n in inside.split(",")))
+        arguments: list[Tree] = []
+        if self.accept(")") is None:
+            arguments.append(self.argument())
+            while self.accept(","):
+                arguments.append(self.argument())
+            self.expect(")")
+        return Call(name.lower(), tuple(arguments))
+
+    def argument(self) -> Tree:
+        """An expression; of a literal, which tables have by the hundred, without descending."""
+        if match := _LITERAL.match(self.text, self.at):
+            self.at = match.end()
+            literal = Number(match["number"])
+            return Unary("-", literal) if match["sign"] else literal
+        return self.choice()
+
+
+def _plain(literal: str, suffix: str) -> str:
+    """A literal without its scale factor; letters behind the factor mean nothing."""
+    if not suffix:
+        return literal
+    key = next(k for k in ("meg", suffix[0].lower(), "") if suffix.lower().startswith(k))
+    return repr(float(literal[: -len(suffix)]) * _SUFFIX.get(key, 1.0))

@@ -1,0 +1,101 @@
+"""The head of every library file: where it comes from and what each pin and parameter means."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import dataclass
+
+import kc2spice
+from kc2spice.rom.linear import Certificate
+from kc2spice.scene.plan import Plan
+from kc2spice.spice.cards import comment, name, number, word
+from kc2spice.spice.circuit import Param, Pin
+
+SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
+VALIDITY = "at the temperature of its data; nothing here heats up, ages or breaks"
+RATING = "none is checked by the netlist"
+
+
+@dataclass(frozen=True)
+class Header:
+    """Origin of a netlist: the scene's name and the hash of all that its numbers depend on."""
+
+    scene: str
+    scene_hash: str
+
+    def origin(self) -> str:
+        """Tool version, scene and licence, as comment lines."""
+        return (
+            f"* tool: kc2spice {kc2spice.__version__}\n"
+            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}\n"
+            "* licence: GPL-3.0-or-later"
+        )
+
+
+def plan_lines(found: Plan) -> str:
+    """What a deck models, what it leaves out and at what errors, as comment lines; no details."""
+    errors = [
+        f"{each.stage} {'not estimated' if each.expected is None else f'{each.expected:.2g}'}"
+        + ("" if each.share is None else f" of {each.share:.2g}")
+        for each in found.errors
+    ]
+    budget = "" if found.error_budget is None else f", error_budget {found.error_budget:g}"
+    facts = {
+        "modelled": ", ".join(part.part for part in found.parts),
+        f"relative errors expected{budget}": ", ".join(errors),
+        "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
+    }
+    lines = [f"{head}: {text}" for head, text in facts.items() if text]
+    wrapped = [textwrap.fill(comment(line), 96, subsequent_indent="  ") for line in lines]
+    return textwrap.indent("\n".join(wrapped), "* ")
+
+
+def rom_line(order: int, certificate: Certificate) -> str:
+    """One comment line: order, band and certified error of a reduced model."""
+    low, high = certificate.band_hz
+    return (
+        f"* rom: order={order} band={number(low)}..{number(high)} Hz "
+        f"error={number(certificate.error_estimate)} ({comment(certificate.method)}); "
+        "above the band not certified; contact excites it\n"
+    )
+
+
+def part_header(
+    header: Header,
+    title: str,
+    pins: tuple[Pin, ...],
+    params: tuple[Param, ...] = (),
+    rom: str = "",
+    validity: str = VALIDITY,
+    rating: str = RATING,
+) -> str:
+    """Everything above ``.subckt``: title, origin, ROM facts, one line per pin and parameter.
+
+    ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
+    """
+    mechanical = any(p.flow == "N" for p in pins)
+    lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
+    lines += [f"* sign: {SIGN}\n"] if mechanical else []
+    lines += [f"* validity: {comment(validity)}\n* rating: {comment(rating)}\n"]
+    lines += [
+        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
+        for i, p in enumerate(pins, 1)
+    ]
+    lines += [
+        f"* @param {name(p.name)}={number(p.default)} unit={word(p.unit)}{_range(p)} "
+        f"{comment(p.doc)}\n"
+        for p in params
+    ]
+    return "".join(lines)
+
+
+def _range(param: Param) -> str:
+    """`` range=low..high`` where the parameter has one."""
+    bounded = param.low > -math.inf or param.high < math.inf
+    return f" range={param.low:g}..{param.high:g}" if bounded else ""
+
+
+def parameter_list(params: tuple[Param, ...]) -> str:
+    """Parameters with their defaults as they stand behind the pins of a ``.subckt`` card."""
+    return " ".join(f"{name(p.name)}={number(p.default)}" for p in params)

@@ -1,0 +1,52 @@
+"""The user's own netlists that a scene includes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat
+from kc2spice.spice.scan import third_party
+
+
+def included_netlists(names: Sequence[str], home: Path, *, trust: bool = False) -> dict[str, str]:
+    """The files ``names`` beside a scene in ``home``, each one text with all that it includes, as
+    ``{file name in the deck: text}``.
+
+    Raises
+    ------
+    UsageError : a file that is not there, that could act on the machine (unless ``trust``), or two
+        files with one name.
+    """
+    files: dict[str, str] = {}
+    for _, found in _read(names, home, trust):
+        for name, text in found.items():
+            if files.setdefault(name, text) != text:
+                raise UsageError("two different included files have one name", where=name)
+    return files
+
+
+def included_sources(names: Sequence[str], home: Path) -> dict[str, str]:
+    """The same texts as ``{name: text}``, to be put beside a copy of the scene.
+
+    Raises
+    ------
+    UsageError : as :func:`included_netlists`.
+    """
+    return {name: next(iter(found.values())) for name, found in _read(names, home, False)}
+
+
+def _read(names: Sequence[str], home: Path, trust: bool) -> Iterator[tuple[str, dict[str, str]]]:
+    for name in names:
+        path = home / name
+        reason = None if trust else name_threat(name)
+        if reason:
+            raise UsageError(
+                f"includes {reason}",
+                where="include",
+                got=repr(name[:120]),
+                expected="names of files beside the scene: letters, digits, blanks and _ . + -",
+                hint="copy the netlist beside the scene, or repeat with --trust",
+            )
+        yield name, third_party(path, trust=trust, home=path.parent if trust else home)

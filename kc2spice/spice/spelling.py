@@ -1,0 +1,299 @@
+"""How other simulators spell each construct of our netlists; what they cannot say is refused.
+
+Xyce (Reference Guide, devices B, S, X, commands .PRINT and .SUBCKT) and
+LTspice (Help, B sources, .model SW, .save) are the sources.
+"""
+
+from __future__ import annotations
+
+import re
+
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.cards import number
+from kc2spice.spice.elements import behaviour, element
+from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, parse, walk
+from kc2spice.spice.statements import Statement
+
+STEP = 1e-6  # s, largest of Xyce: launch within 3.4e-5, flight within 0.07 um
+SWITCH_BAND = 1e-3  # V on either side of the threshold: Xyce's switch has no jump
+ANALYSES = (".tran", ".ac", ".dc", ".op")
+_SAME = frozenset({".ends", ".end", ".include", ".param", *ANALYSES})
+_SHARED = frozenset("rcvikfhxdqjm")  # written alike, but for braces and parameters
+# Models that all three read alike: SPICE2's own parameters.
+_SEMICONDUCTORS = {
+    "d": "is rs n tt cjo vj m eg xti fc bv ibv",
+    "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
+    "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
+    "njf": "vto beta lambda rd rs cgs cgd pb is",
+}
+_SEMICONDUCTORS |= {p: _SEMICONDUCTORS[n] for p, n in
+                    (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))}  # fmt: skip
+_COMMON = frozenset(
+    ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sgn",
+     "sin", "sinh", "sqrt", "tan", "tanh", "uramp")
+)  # fmt: skip
+_VECTOR = re.compile(r"(?i)@(\w)\.([\w.]+)\[i\]|([vi])\(([^()]+)\)")
+
+
+class Dialect(Writer):
+    """One simulator's spelling; subclasses override what differs from each other."""
+
+    title = ""
+    subckt_keyword = "PARAMS:"
+    instance_keyword = "PARAMS: "
+    command = ""
+    option_prefix = ".options"
+    known_options: frozenset[str] = frozenset()
+    joined: frozenset[str] = frozenset()  # commands of which only the last counts
+    functions = _COMMON
+
+    def __init__(self, analysis: str) -> None:
+        self.analysis = analysis
+        self.where = "netlist"
+
+    # -- one card ---------------------------------------------------------------------------
+
+    def card(self, s: Statement) -> str:
+        """Text of one statement, without its comments."""
+        self.where = s.where
+        key = s.keyword
+        if "^" in s.text or "**" in s.text:
+            raise self.refusal(s, "a power like the others")
+        if key == ".subckt":
+            return self._subckt(s)
+        if key == ".model":
+            return self._model(s)
+        if key in (".options", ".option"):
+            return self.options(s)
+        if key == ".save":
+            return self.save([self.vector(word) for word in s.words[1:]])
+        if key == ".tran":
+            return self.transient(s)
+        if key in _SAME:
+            return s.text
+        if key.startswith("."):
+            raise self.refusal(s, f"the command {key}")
+        return self._element(s)
+
+    def refusal(self, s: Statement, what: str) -> UsageError:
+        """The error for a construct that this dialect has no words for."""
+        return UsageError(f"{self.title} cannot say {what}", where=s.where, got=s.text[:120])
+
+    def _subckt(self, s: Statement) -> str:
+        plain = [w for w in s.words if "=" not in w]
+        params = [w for w in s.words if "=" in w]
+        return " ".join([*plain, *([self.subckt_keyword, *params] if params else [])])
+
+    def _element(self, s: Statement) -> str:
+        part = element(s)
+        if part.kind == "b":
+            quantity, law = behaviour(part)
+            tree = parse(law, where=s.where)
+            self.refuse_words(s, tree)
+            head = " ".join(s.words[:3])
+            return f"{head} {quantity}={self.law(tree)}"
+        if part.kind == "x" and part.params:
+            plain = [w for w in s.words if "=" not in w]
+            given = " ".join(w for w in s.words if "=" in w)
+            return f"{' '.join(plain)} {self.instance_keyword}{given}"
+        if part.kind in "eg" and len(part.nodes) == 4 and not part.params:
+            return s.text
+        if part.kind == "s":
+            return s.text
+        if part.kind == "l":
+            return self.inductor(s)
+        if part.kind in _SHARED and not any(re.search(r"(?i)file|poly", w) for w in s.words):
+            return s.text
+        raise self.refusal(s, f"this {part.kind.upper()} card")
+
+    def refuse_words(self, s: Statement, tree: Tree) -> None:
+        """Operators and words that the simulators read differently."""
+        for leaf in walk(tree):
+            if isinstance(leaf, Binary) and leaf.op in ("&&", "||", "==", "!="):
+                raise self.refusal(s, f"the operator {leaf.op} alike")
+            if isinstance(leaf, Name) and leaf.text.lower() in ("temper", "hertz", "e"):
+                raise self.refusal(s, f"the word {leaf.text}")
+
+    def _model(self, s: Statement) -> str:
+        match = re.fullmatch(r"\.model\s+(\w+)\s+(\w+)\s*\((.*)\)", s.text, re.IGNORECASE)
+        if match is None:
+            raise self.refusal(s, "this model")
+        pairs = re.findall(r"(\w+)\s*=\s*(\{[^}]*\}|\S+)", match[3])
+        values = {k.lower(): v for k, v in pairs}
+        if match[2].lower() == "sw":
+            return self.switch(s, match[1], values)
+        known = _SEMICONDUCTORS.get(match[2].lower(), "").split()
+        if not set(values) <= set(known) or values.get("level", "1") != "1":
+            raise self.refusal(s, "this model")
+        return s.text
+
+    # -- what dialects override -------------------------------------------------------------
+
+    def law(self, tree: Tree) -> str:
+        """The expression of a behavioural source with what encloses it."""
+        return self.write(tree)
+
+    def options(self, s: Statement) -> str:
+        """The simulator settings that exist here; what is dropped becomes a comment."""
+        kept: list[str] = []
+        dropped: list[str] = []
+        for word in s.words[1:]:
+            known = word.partition("=")[0].lower() in self.known_options
+            (kept if known else dropped).append(word)
+        lines = [f"{self.option_prefix} {' '.join(kept)}"] if kept else []
+        lines += [f"* {self.title} has no option {word}" for word in dropped]
+        return "\n".join(lines)
+
+    def transient(self, s: Statement) -> str:
+        """The card of a transient analysis."""
+        return s.text
+
+    def save(self, vectors: list[str]) -> str:
+        """The card that asks for results."""
+        return "\n+ ".join([".save", *vectors])
+
+    def inductor(self, s: Statement) -> str:
+        """An inductor without losses."""
+        return s.text
+
+    def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
+        """A voltage-controlled switch."""
+        raise NotImplementedError
+
+    def vector(self, text: str) -> str:
+        """Name of a result."""
+        match = _VECTOR.fullmatch(text)
+        if match is None:
+            raise UsageError(f"{self.title} cannot say this vector", where=self.where, got=text)
+        if match[1]:
+            *path, device = match[2].split(".")
+            return f"I({self.device(path, device)})"
+        *path, last = match[4].split(".")
+        if match[3].lower() == "i":
+            return f"I({self.device(path, last)})"
+        return f"V({self.node(path, last)})"
+
+    def node(self, path: list[str], name: str) -> str:
+        """A node inside nested instances."""
+        return ":".join([*path, name])
+
+    def device(self, path: list[str], name: str) -> str:
+        """A part inside nested instances."""
+        return ":".join([*path, name])
+
+    # -- expressions ------------------------------------------------------------------------
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """Functions by what they mean: ``pwl`` is ``table``, ``log`` is the natural one."""
+        if function == "pwl":
+            head, *pairs = [self.write(a) for a in arguments]
+            self._check_table(arguments[1:])
+            rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]
+            return f"table({head},{','.join(rows)})"
+        spelled = "ln" if function == "log" else function
+        if spelled not in self.functions:
+            raise UsageError(
+                f"{self.title} cannot say the function {function}",
+                where=self.where,
+                expected=", ".join(sorted(self.functions | {"pwl"})),
+            )
+        return super().call(spelled, arguments)
+
+    def _check_table(self, values: tuple[Tree, ...]) -> None:
+        """``pwl`` goes on with its outer slopes, ``table`` stays flat: the ends must be flat."""
+        flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
+        if len(values) % 2 or not flat:
+            raise UsageError(
+                f"{self.title} ends every table flat",
+                where=self.where,
+                got="a pwl() whose outer segments slope",
+                expected="two equal values at both ends",
+            )
+
+    def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
+        """Both simulators have ``if(test, yes, no)``."""
+        return f"if({self.write(test)}, {self.write(yes)}, {self.write(no)})"
+
+
+class Xyce(Dialect):
+    """Sandia's Xyce.
+
+    Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
+    replaces the first.
+    """
+
+    title = "Xyce"
+    command = "Xyce"
+    option_prefix = ".options timeint"
+    known_options = frozenset({"reltol", "abstol", "method"})
+    joined = frozenset({".options"})
+    functions = _COMMON - {"uramp"}
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
+        if function == "uramp":
+            return super().call("max", (Number("0"), *arguments))
+        return super().call(function, arguments)
+
+    def transient(self, s: Statement) -> str:
+        """A ceiling of the step: Xyce's error control alone loses 5e-4 of a launch."""
+        values, words = s.words[1:], [w for w in s.words[1:] if not w[0].isdigit()]
+        numbers = [w for w in values if w not in words]
+        step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
+        given = parse(ceiling, where=s.where)
+        if not isinstance(given, Number) or float(given.text) > STEP:
+            ceiling = number(STEP)
+        return " ".join([s.keyword, step, stop, start, ceiling, *words])
+
+    def law(self, tree: Tree) -> str:
+        """Braces around all expressions are required."""
+        return "{" + self.write(tree) + "}"
+
+    def save(self, vectors: list[str]) -> str:
+        """Results are printed per analysis."""
+        kind = self.analysis.removeprefix(".").upper()
+        return "\n+ ".join([f".print {kind} format=raw", *vectors])
+
+    def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
+        """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
+        if float(values.get("vh", "0")) != 0.0:
+            raise self.refusal(s, "a switch with hysteresis")
+        middle = float(values.get("vt", "0"))
+        return (
+            f".model {name} VSWITCH(VON={number(middle + SWITCH_BAND)} "
+            f"VOFF={number(middle - SWITCH_BAND)} "
+            f"RON={values.get('ron', '1')} ROFF={values.get('roff', '1e12')})"
+        )
+
+
+class LTspice(Dialect):
+    """Analog Devices' LTspice."""
+
+    title = "LTspice"
+    command = "LTspice -b"
+    subckt_keyword = "params:"
+    instance_keyword = "params: "
+    known_options = frozenset(
+        {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
+    )
+
+    def name(self, text: str) -> str:
+        """Parameters are put in as numbers, so a sign must not meet an operator."""
+        return text if text.lower() in ("time", "pi") else f"({{{text}}})"
+
+    def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
+        """The same model; the default of ``ROFF`` differs, so both are always written."""
+        given = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | values
+        return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in given.items())})"
+
+    def inductor(self, s: Statement) -> str:
+        """LTspice gives inductors a milliohm unless told otherwise."""
+        return f"{s.text} Rser=0"
+
+    def node(self, path: list[str], name: str) -> str:
+        """Instances are called without their X."""
+        return ":".join([*(p[1:] for p in path), name])
+
+    def device(self, path: list[str], name: str) -> str:
+        """``b:contact:r0``: letter, instances, rest of the name."""
+        return ":".join([name[0], *(p[1:] for p in path), name[1:]]) if path else name

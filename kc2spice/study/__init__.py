@@ -1,5 +1,0 @@
-"""Scene to result: the one place that strings the stages together."""
-
-from kc2spice.study.run import export, run
-
-__all__ = ["export", "run"]

@@ -1,0 +1,1 @@
+"""Scene to result: the one place that strings the stages together."""

@@ -1,0 +1,113 @@
+"""What a run says: metrics, checks and energy balances, asked of the parts and probes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.judge import Balance, Check, Verdict
+from kc2spice.scene.model import Probe
+from kc2spice.scene.parttype import Build
+
+BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
+
+
+def verdict(waves: Waveforms, build: Build) -> Verdict:
+    """The checks that apply to the parts of a scene, without those that it turns off."""
+    scene = build.scene
+    parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
+    checks = [check for part in parts for check in part.type.checks(part, build, waves)]
+    balances: dict[str, Balance] = {}
+    if scene.checks.energy != "off":
+        for part in parts:
+            balances |= part.type.energy(part, build, waves)
+    checks += _balanced(balances, build)
+    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()))
+
+
+def _balanced(balances: dict[str, Balance], build: Build) -> Iterator[Check]:
+    """A larger error_budget loosens all balances alike."""
+    scene = build.scene
+    for name, found in balances.items():
+        slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
+        yield Check(
+            f"energy of {name}", found.share, slack * found.limit, "of what was turned over",
+            found.advice, scene.checks.energy, coarse=True,
+        )  # fmt: skip
+
+
+def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
+    """Metrics of all parts, then of the probes.
+
+    A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
+    """
+    scene = build.scene
+    found = {p.name: p.type.metrics(p, build, waves) for p in scene.parts.values()}
+    count = Counter(name for each in found.values() for name in each)
+    own = {
+        name if count[name] == 1 else f"{part}.{name}": value
+        for part, each in found.items()
+        for name, value in each.items()
+    }
+    return own | {name: take(probe, waves, name) for name, probe in scene.probes.items()}
+
+
+def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
+    """What a probe takes of its vector; None for crossings or cycles that do not happen.
+
+    Raises
+    ------
+    UsageError : the run has no such vector.
+    """
+    if probe.of not in waves:
+        raise UsageError(
+            "no such vector", where=f"probes.{name}.of", got=repr(probe.of),
+            expected="one of " + ", ".join(list(waves.data)[1:]),
+        )  # fmt: skip
+    scale, values = next(iter(waves.data.values())), np.abs(waves[probe.of])
+    if not np.iscomplexobj(waves[probe.of]):
+        values = waves[probe.of]
+    if probe.take == "max":
+        return float(values.max())
+    if probe.take == "min":
+        return float(values.min())
+    if probe.take == "final":
+        return float(values[-1])
+    if probe.take == "peak_to_peak":
+        return float(np.ptp(values))
+    if probe.take == "rms":
+        return float(np.sqrt(np.trapezoid(values**2, scale) / np.ptp(scale)))
+    if probe.take == "frequency":
+        return frequency(scale, values)
+    return crossing(scale, values, float(probe.level or 0.0))
+
+
+def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
+    """Mean rate at which ``values`` rise through their mean in the last half of the scale.
+
+    None with fewer than two crossings.
+    """
+    late = scale >= (scale[0] + scale[-1]) / 2
+    x, y = scale[late], values[late]
+    y = y - np.trapezoid(y, x) / np.ptp(x)
+    k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
+    if k.size < 2:
+        return None
+    places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
+    return float((k.size - 1) / (places[-1] - places[0]))
+
+
+def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
+    """First place on the scale where the values cross ``level``, interpolated."""
+    above = values >= level
+    changes = np.flatnonzero(above[1:] != above[:-1])
+    if changes.size == 0:
+        return None
+    k = int(changes[0])
+    share = (level - values[k]) / (values[k + 1] - values[k])
+    return float(scale[k] + share * (scale[k + 1] - scale[k]))

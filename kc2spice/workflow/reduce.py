@@ -1,0 +1,160 @@
+"""``reduce`` and ``export --rom``: matrices of any tool to a certified model to a netlist."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+from kc2spice.bodies.readers import read_model
+from kc2spice.core.errors import GateMissedError, UsageError
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.linalg.factor import Solver
+from kc2spice.parts._linear_body import LinearBody
+from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce as reduce_model
+from kc2spice.scene.load import gallery, load_scene
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.dialect import DIALECTS, translate_text
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import subcircuit
+from kc2spice.spice.veriloga import library
+
+TOLERANCE = 1e-4
+
+
+def reduce(
+    path: Path | str,
+    out: Path | None = None,
+    *,
+    band: tuple[float, float] | None = None,
+    tolerance: float | None = None,
+    order: int | None = None,
+    solver: str = "scipy",
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
+
+    The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
+    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+    ``SCENE:PART`` instead of a path is the full model of a scene's body.
+
+    Raises
+    ------
+    UsageError : see :func:`kc2spice.bodies.readers.read_model`; nothing was written.
+    SimulationError : the tolerance cannot be met; nothing was written.
+    MissingToolError : pypardiso is asked for and not installed.
+    """
+    chosen = _solver(solver)
+    progress("reduce", None, "reading matrices")
+    model = _scene_body(str(path)) or read_model(path)
+    name = f"{model.name}_rom"
+    directory = Path(name) if out is None else Path(out)
+    if tolerance is None and order is None:
+        tolerance = TOLERANCE
+    progress("reduce", None, f"{model.order} equations")
+    reduced = reduce_model(model, band=band, tolerance=tolerance, order=order, solver=chosen)
+    subcircuit(reduced, _part_name(name))  # what cannot be exported is not certified
+    with staged(directory) as work:
+        files = write_rom(reduced, work, name)
+    certificate = reduced.certificate
+    assert certificate is not None
+    return {
+        "model": model.name,
+        "unknowns": model.order,
+        "form": "first order" if reduced.first_order else "second order",
+        "order": reduced.order,
+        "band_hz": list(certificate.band_hz),
+        "error_estimate": certificate.error_estimate,
+        "method": certificate.method,
+        "stable": certificate.stable,
+        "passive": certificate.passive,
+        "ports": [port.name for port in reduced.ports],
+        "rom": str(directory / files[0]),
+        "files": files,
+    }
+
+
+def _scene_body(text: str) -> LinearModel | None:
+    """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
+    name, colon, wanted = text.rpartition(":")
+    if not colon or Path(text).exists() or not (name in gallery() or name.endswith(".toml")):
+        return None
+    scene = load_scene(name)
+    part = scene.part(wanted, where=text)
+    if not isinstance(part.type, LinearBody):
+        bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
+        raise UsageError(
+            "has no linear model", where=text, got=f"a part of type {part.type.name}",
+            expected=", ".join(bodies) or "a body; this scene has none",
+        )  # fmt: skip
+    full = part.type.full(part, scene, Clock())
+    kept = full.select([port.name for port in part.type.kept(part, scene)])
+    return replace(kept, name=f"{scene.name}_{part.name}")
+
+
+def require_stable(found: dict[str, Any]) -> None:
+    """Nothing, if the reduced model of :func:`reduce` is stable.
+
+    Raises
+    ------
+    GateMissedError : it is not.
+    """
+    if not found["stable"]:
+        raise GateMissedError(
+            "the model is unstable", where=found["model"], got="a pole in the right half plane",
+            expected="poles that do not grow",
+            hint=f"check signs and halves of the matrices; {found['rom']} was written as it is",
+        )  # fmt: skip
+
+
+def _solver(name: str) -> Solver:
+    for known in get_args(Solver):
+        if name == known:
+            return known
+    expected = ", ".join(get_args(Solver))
+    raise UsageError("unknown direct solver", where="--solver", got=name, expected=expected)
+
+
+def export_rom(
+    path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
+) -> Path:
+    """Write the subcircuit of the reduced model at ``path`` into ``out`` as ``NAME.lib``, for
+    Verilog-A as ``NAME.va``.
+
+    Raises
+    ------
+    UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
+        be written; nothing was written.
+    """
+    if dialect not in DIALECTS:
+        expected = ", ".join(DIALECTS)
+        raise UsageError("unknown dialect", where="--dialect", got=dialect, expected=expected)
+    path = Path(path)
+    reduced = read_rom(path)
+    name = _part_name(path.stem)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
+    directory = Path(name) if out is None else Path(out)
+    with staged(directory) as work:
+        filename, text = _spelled(part, dialect)
+        (work / filename).write_text(text, encoding="utf-8")
+    return directory / filename
+
+
+def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:
+    """File name and text of ``part`` in the words of ``dialect``."""
+    if dialect == "ngspice":
+        return part.filename, part.text
+    if dialect == "verilog-a":
+        return next(iter(library([part]).items()))
+    return part.filename, translate_text(part.text, part.filename, dialect)
+
+
+def _part_name(stem: str) -> str:
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", stem)[:60]
+    return plain if plain[:1].isalpha() else f"rom_{plain}"[:64]

@@ -1,0 +1,84 @@
+"""What the reduction does to a launch or rebound: the same scene with richer reduced models.
+
+The certificate of a reduced model is that of its response over a band. Contact excites the body far
+above it, so that a launch may be off by more: 30 states of the paper's chip miss it by 1e-4 for the
+paper's pulse, by 5e-3 for the same pulse downwards.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.scene.settings import Rom
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.simulate import simulate
+
+SPEEDS = ("launch_velocity_m_s", "rebound_velocity_m_s")
+WIDEST = 2e6  # Hz, band of the richer model at least
+LIMIT = 1e-2  # of the speed; error_budget where the scene has one
+
+
+def estimated(scene: Scene) -> bool:
+    """Whether a reduced body meets something in this scene, so that its certificate is not all."""
+    reduced = any(part.type.reduced for part in scene.parts.values())
+    return reduced and bool(scene.of("contact")) and scene.analysis.type == "transient"
+
+
+def reduction_check(build: Build, waves: Waveforms, clock: Clock) -> Check | None:
+    """The speed of a run against that with twice the states, at least 60, over 2 MHz at least.
+
+    None where the scene does not ask for it, or nothing leaves.
+
+    Raises
+    ------
+    SimulationError : the second run failed.
+    """
+    scene = build.scene
+    if scene.checks.reduction == "off" or not estimated(scene):
+        return None
+    ours = metrics(waves, build)
+    key = next((key for key in SPEEDS if ours.get(key)), None)
+    if key is None:
+        return None
+    other = build_models(richer(build), clock, trust=build.trust)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
+        outcome = simulate(other, make_deck(other), Path(directory))
+    theirs = metrics(outcome.waves, other).get(key)
+    value = float("nan") if theirs is None else abs(ours[key] / theirs - 1.0)
+    return Check(
+        f"reduction, by {key.rpartition('_m_s')[0].replace('_', ' ')}", value,
+        scene.error_budget or LIMIT, "of it",
+        "the reduced model is too small for this contact: raise rom.order and rom.band",
+        scene.checks.reduction,
+    )  # fmt: skip
+
+
+def richer(build: Build) -> Scene:
+    """The scene with twice the states of each reduced body, at least 60, over a wider band."""
+    scene = build.scene
+    orders = [_order(build.model(part)) for part in scene.parts.values() if part.type.reduced]
+    high = max(WIDEST, 4 * scene.rom.band[1])
+    rom = Rom(order=max(60, *(2 * order for order in orders)), band=(0.0, high))
+    parts = {name: _without_rom(part) for name, part in scene.parts.items()}
+    return replace(scene, frame=scene.frame.model_copy(update={"rom": rom}), parts=parts)
+
+
+def _order(model: Any) -> int:
+    return int(getattr(model, "order", 0))
+
+
+def _without_rom(part: Part) -> Part:
+    """The part with the reduction of the scene instead of its own."""
+    if getattr(part.keys, "rom", None) is None:
+        return part
+    return replace(part, keys=part.keys.model_copy(update={"rom": None}))

@@ -1,0 +1,242 @@
+"""``run`` and ``export``: build, reduce, write, simulate, measure, plot."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+import kc2spice
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Figure
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.figures import draw_all
+from kc2spice.report.plots import Picture
+from kc2spice.report.plotworker import PlotWorker
+from kc2spice.report.run_page import write_run
+from kc2spice.scene.judge import require
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.scene.plan import plan
+from kc2spice.sim.ngspice import Simulator, find_ngspice, write_deck, write_files
+from kc2spice.sim.retries import Outcome
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.dialect import DIALECTS, dialect_files
+from kc2spice.spice.lint import lint
+from kc2spice.spice.symbol import symbol_files
+from kc2spice.workflow.decks import edited_deck, make_deck
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models, model_facts, rom_facts
+from kc2spice.workflow.results import plain, write_record, write_waveforms
+from kc2spice.workflow.richer import estimated, reduction_check
+from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
+
+
+@dataclass(frozen=True)
+class Completed:
+    """A finished simulation of a scene: models, simulator, waveforms and verdict, times."""
+
+    build: Build
+    simulator: Simulator
+    outcome: Outcome
+    clock: Clock
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """What the parts show of it."""
+        return run_figures(self.build, self.outcome.waves)
+
+
+def run(
+    scene: Scene,
+    out: Path,
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+    deck: Path | None = None,
+) -> dict[str, Any]:
+    """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
+
+    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
+    somebody edited, to be run instead of the scene's own.
+
+    Raises
+    ------
+    UsageError : ``deck`` does not save what the scene's metrics need.
+    MissingToolError : no ngspice; noticed before any FE is computed.
+    SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
+        beside it in ``<out>.failed``.
+    """
+    # Loading what draws need not wait for the simulator, nor it for that.
+    with PlotWorker() as plots, staged(out) as work:
+        with kept_on_failure(work, out, scene.name):
+            done = complete(scene, work, progress, trust=trust, deck=deck)
+        return write_run_files(
+            done, work, lambda figures: plots.draw(draw_all, work, figures).result
+        )
+
+
+def complete(
+    scene: Scene,
+    work: Path,
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+    deck: Path | None = None,
+    functions: Mapping[str, Any] | None = None,
+) -> Completed:
+    """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+
+    ``functions`` are those of controllers, by part.
+
+    Raises as :func:`run` does; warns of checks that fail without failing the run.
+    """
+    simulator = find_ngspice()
+    clock = Clock(progress)
+    build = build_models(scene, clock, trust=trust, functions=functions)
+    with clock.stage("export", "netlists"):
+        chosen = make_deck(build) if deck is None else edited_deck(build, deck)
+        lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
+        write_deck(chosen, work)
+    with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+        outcome = simulate(build, chosen, work, progress=share)
+    extra = reduction_check(build, outcome.waves, clock)
+    if extra is not None:
+        require((extra,), scene.name)
+        verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
+        outcome = replace(outcome, verdict=verdict)
+    warn_of(outcome.verdict.checks)
+    return Completed(build, simulator, outcome, clock)
+
+
+def write_run_files(
+    done: Completed, work: Path, draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]]
+) -> dict[str, Any]:
+    """Write all files of a run into ``work``, where the deck is already; return ``result.json``.
+
+    ``draw`` begins to draw figures and returns what waits for the pictures.
+    """
+    scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
+    with done.clock.stage("report", "metrics, plots and page"):
+        drawn = draw(done.figures)
+        record = run_record(done)
+        files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
+        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
+        pictures = _pictures(drawn)
+        files += [picture.path.name for picture in pictures]
+    record["wall_s"] = done.clock.wall_s
+    record["files"] = [*files, "report.html", "result.json"]
+    write_run(work / "report.html", record, scene, pictures)
+    write_record(record, work)
+    for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
+        spare.unlink(missing_ok=True)
+    return cast(dict[str, Any], plain(record))
+
+
+def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
+    """What the parts of a scene show of a run."""
+    parts = build.scene.parts.values()
+    return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
+
+
+def _pictures(drawn: Callable[[], list[Picture]]) -> list[Picture]:
+    """The pictures, or none and a warning: what was computed is worth more than its plots."""
+    try:
+        return drawn()
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        warnings.warn(f"no plots: {reason}", stacklevel=2)
+        return []
+
+
+def _arrays(build: Build, directory: Path) -> list[str]:
+    """Write the parts' tables, and return the names of the files."""
+    names = []
+    for part in build.scene.parts.values():
+        for name, arrays in part.type.arrays(part, build).items():
+            np.savez_compressed(directory / name, **arrays)
+            names.append(name)
+    return names
+
+
+def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
+    """What the parts write themselves, as fields of bodies."""
+    parts = build.scene.parts.values()
+    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
+
+
+def export(
+    scene: Scene,
+    out: Path,
+    dialect: str = "ngspice",
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+) -> list[Path]:
+    """Write netlists and symbols of ``scene`` into ``out`` without simulating.
+
+    Returns the paths of the files. ``trust`` lets included netlists act on the machine.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or one that cannot say what the scene needs.
+    """
+    if dialect not in DIALECTS:
+        raise UsageError(
+            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
+        )
+    clock = Clock(progress)
+    with staged(out) as work:
+        build = build_models(scene, clock, trust=trust)
+        with clock.stage("export", "netlists and symbols"):
+            deck = _linted(build)
+            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
+            write_files(files, work)
+    return [Path(out) / name for name in sorted(files)]
+
+
+def _linted(build: Build) -> Deck:
+    """The scene's deck; wrong wiring is named with file and line before a simulator sees it."""
+    deck = make_deck(build)
+    lint(deck)
+    return deck
+
+
+def run_record(done: Completed) -> dict[str, Any]:
+    """``result.json`` without the names of files."""
+    build, simulator, outcome = done.build, done.simulator, done.outcome
+    waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
+    record: dict[str, Any] = {
+        "scene": build.scene.name,
+        "version": kc2spice.__version__,
+        "netlist": outcome.deck.main,
+        "simulator": {
+            "name": simulator.name,
+            "version": simulator.version,
+            "engine": "batch",
+            "setting": attempts[-1].setting,
+            "attempts": [attempt.record() for attempt in attempts],
+        },
+        "model": model_facts(build),
+    }
+    record |= rom_facts(build)
+    if "rom" in record and estimated(build.scene):
+        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        record["rom"]["contact_error"] = next(own, None)
+    record |= {
+        # a sweep or an operating point has no time points
+        "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
+        "simulator_cpu_s": waves.stats.get("cpu_s"),
+        "metrics": metrics(waves, build),
+        "checks": [check.record() for check in found.checks],
+        "energy_j": {name: balance.entries for name, balance in found.balances},
+        "plan": asdict(plan(build.scene)),
+        "wall_s": done.clock.wall_s,
+    }
+    return record

@@ -1,0 +1,117 @@
+"""One deck through the simulator: retries, checks, and what is kept of a failed run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.judge import Check, Verdict
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.retries import Outcome, RetriesFailedError, run_with_retries
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.results import save_arrays, write_record
+
+PARTIAL = "waveforms.partial.npz"
+FAILURE = "failure.json"
+
+
+def simulate(
+    build: Build,
+    deck: Deck,
+    directory: Path,
+    *,
+    progress: Callable[[float], None] | None = None,
+    timeout: float | None = None,
+    retries: int | None = None,
+) -> Outcome:
+    """Run ``deck`` with the scene's retries, its result judged by the scene's parts.
+
+    Where a deck edited by hand is not wired as the scene, that is a warning.
+
+    Raises as :func:`run_with_retries` does.
+    """
+
+    def judge(waves: Waveforms) -> Verdict:
+        found = verdict(waves, build)
+        if deck.text is None:
+            return found
+        checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
+        return Verdict(tuple(checks), found.balances)
+
+    sampled = [
+        found
+        for part in build.scene.parts.values()
+        if (found := part.type.sampled(part, build)) is not None
+    ]
+
+    def shared(tried: Deck) -> Waveforms:
+        from kc2spice.sim.loop import run_shared
+
+        return run_shared(tried, sampled, progress)
+
+    return run_with_retries(
+        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, engine=shared if sampled else None, progress=progress,
+        timeout=timeout,
+    )  # fmt: skip
+
+
+def warn_of(checks: Iterable[Check]) -> None:
+    """One warning for each violated check."""
+    for check in checks:
+        if not check.passed:
+            limit = f"limit {check.limit:.3g}: {check.advice}"
+            warnings.warn(
+                f"check {check.name}: {check.value:.3g} {check.unit}, {limit}", stacklevel=2
+            )
+
+
+@contextmanager
+def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
+    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
+
+    No result is looked for there; ``failure.json`` says what the files are.
+    """
+    try:
+        yield
+    except SimulationError as error:
+        kept = _kept(Path(out).absolute())
+        with contextlib.suppress(OSError):  # a full disk must not hide the first error
+            shutil.rmtree(kept, ignore_errors=True)
+            shutil.copytree(work, kept)
+            _write_failure(error, kept, scene)
+            error.where = error.where and error.where.replace(str(work), str(kept))
+        raise
+
+
+def _kept(out: Path) -> Path:
+    """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
+    name = f"{out.name}.failed"
+    for number in ("", *range(2, 100)):
+        found = out.with_name(f"{name}{number}")
+        if not os.path.lexists(found) or ((found / FAILURE).is_file() and not found.is_symlink()):
+            return found
+    return found
+
+
+def _write_failure(error: SimulationError, kept: Path, scene: str) -> None:
+    record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
+    record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
+    if isinstance(error, RetriesFailedError):
+        failure = error.failure
+        record["attempts"] = [attempt.record() for attempt in error.attempts]
+        if failure is not None:
+            record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
+        if failure is not None and failure.partial is not None:
+            save_arrays(failure.partial, kept / PARTIAL)
+            scale = next(iter(failure.partial.data.values()))
+            record |= {"waveforms": PARTIAL, "last_point": float(scale[-1])}
+    write_record(record, kept, FAILURE)

@@ -1,0 +1,318 @@
+"""Each body by itself: reduced against full model, emitted subcircuit against reduced model."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.response import Response, relative_error, telling
+from kc2spice.scene.gates import Cost, Limit
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.circuit import Subcircuit
+from kc2spice.spice.deck import Block, Deck, ac
+from kc2spice.spice.realize import LEAK
+
+FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
+SMALL = 3000  # unknowns up to which all are affordable
+POINTS = 120  # frequencies of the netlist
+ROUNDING = 1e-9  # what two direct solutions of a full model may differ by
+NETLIST_ROUNDING = 1e-9  # of a response that ngspice sums from modes, with its leaks
+OWN_ROUNDING = 1e-11  # of the reduced model's own response
+MICRO = 1e-6
+
+
+@dataclass(frozen=True)
+class BodyFindings:
+    """What was found of one body; ``errors`` as in the contract, ``curves`` are its responses."""
+
+    name: str
+    checks: tuple[Limit, ...]
+    errors: dict[str, float]
+    costs: tuple[Cost, ...]
+    curves: dict[str, Waveforms]
+    notes: tuple[str, ...] = ()
+
+
+def verify_body(
+    part: Part,
+    build: Build,
+    libraries: Sequence[Subcircuit],
+    clock: Clock,
+    work: Path,
+    whole: bool,
+    gate: float,
+) -> BodyFindings:
+    """Both comparisons of one body.
+
+    ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted;
+    ``gate`` is the largest relative error of the netlist's response. The reduced model's limit is
+    what its certificate says, thus the tolerance that was asked for.
+    """
+    rom: LinearModel = build.model(part)
+    band = _band(rom, build)
+    checks, costs, errors, curves, notes = [], [], {}, {}, []
+    at = _sampled(rom, band)
+    full = part.type.full_model(part, build, clock)
+    if full is not None:
+        count = at.size if whole or full.order <= SMALL else FEW
+        at = _first(rom, at, min(count, MANY))
+        with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
+            exact, spent = _solved(part, build, full, at)
+        reduced = rom.transfer(at)
+        errors["rom_vs_fom"] = relative_error(reduced, exact)
+        certificate = rom.certificate
+        limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
+        words = f"{part.name}: ROM to full model, at {at.size} frequencies with its resonances"
+        checks.append(Limit(words, errors["rom_vs_fom"], limit))
+        costs.append(Cost(f"{part.name}: full model, per frequency", spent / at.size))
+        curves[f"{part.name}: full model"] = _waves(at, exact, rom)
+    else:
+        notes.append(f"{part.name}: no full model here; its reduced model is taken as it is")
+    checks += own_structure(part.name, rom, band)
+    waves, spent = netlist_response(part, build, libraries, clock, work, band)
+    frequency = waves["frequency"].real
+    exact = rom.transfer(frequency)
+    found = _matrix(waves, rom)
+    gate = max(gate, leakage(rom, frequency))
+    errors["ngspice_vs_rom"] = relative_error(found, exact)
+    checks.append(Limit(f"{part.name}: netlist to ROM, all ports", errors["ngspice_vs_rom"], gate))
+    checks += electrical_checks(part.name, rom, found, exact, gate)
+    if all(port.conservative for port in rom.ports):
+        checks += structure(f"{part.name}: netlist", frequency, found, NETLIST_ROUNDING)
+    costs.append(Cost(f"{part.name}: netlist, {POINTS} frequencies", spent))
+    curves[f"{part.name}: netlist, ngspice"] = waves
+    return BodyFindings(part.name, tuple(checks), errors, tuple(costs), curves, tuple(notes))
+
+
+def leakage(rom: LinearModel, frequency: np.ndarray) -> float:
+    """What the leak of a netlist's floating electrodes does at the lowest of the frequencies,
+    ``10 G / (w C)``: the ten is for antiresonances, where little else conducts."""
+    rows = [k for k, port in enumerate(rom.ports) if port.kind == "electrical"]
+    if not rows:
+        return 0.0
+    smallest = np.abs(np.diagonal(rom.D))[rows].min()
+    return float(10 * LEAK / (2 * np.pi * frequency.min() * smallest)) if smallest else 0.0
+
+
+def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Limit]:
+    """Poles not in the right half plane; passivity and reciprocity of the reduced model."""
+    try:
+        modal = resonators(rom)
+        rightmost = float((-modal.damp / (2 * modal.omega)).max())
+        limit = 0.0
+    except UsageError:
+        poles = rom.poles()
+        rightmost = float((poles.real / np.maximum(np.abs(poles), 1e-300)).max(initial=-1.0))
+        limit = ROUNDING
+    found = [Limit(f"{name}: ROM, rightmost pole over its frequency", rightmost, limit)]
+    if all(port.conservative for port in rom.ports) and rom.symmetric:
+        frequency = np.linspace(0.0, band[1], 202)[1:]
+        found += structure(f"{name}: ROM", frequency, rom.transfer(frequency), OWN_ROUNDING)
+    return found
+
+
+def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> list[Limit]:
+    """``Re (s H)`` positive semi-definite and ``H`` symmetric.
+
+    ``s H`` maps forces and voltages to velocities and currents; a network is passive if its
+    Hermitian part has no negative eigenvalue at any frequency. Values are relative to the largest
+    entry of the balanced response, so that a sound one shows rounding only.
+    """
+    balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
+    H = H / np.outer(balance, balance)
+    Y = 2j * np.pi * frequency[:, None, None] * H
+    hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
+    lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
+    asymmetry = np.abs(H - H.transpose(0, 2, 1)).max() / np.abs(H).max()
+    return [
+        Limit(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit),
+        Limit(f"{name}, reciprocity", float(asymmetry), limit),
+    ]
+
+
+def electrical_checks(
+    name: str, rom: LinearModel, found: np.ndarray, exact: np.ndarray, gate: float
+) -> list[Limit]:
+    """Charge for each force and capacitance at each electrical port, each by its own size."""
+    checks = []
+    for port in rom.ports:
+        if port.kind != "electrical":
+            continue
+        row = rom.outputs.index(port.name)
+        error = np.abs(found[:, row] - exact[:, row]) / np.abs(exact[:, row]).max(axis=0)
+        own = rom.inputs.index(port.name)
+        checks.append(Limit(f"{name}: capacitance of {port.name}", error[:, own].max(), gate))
+        others = np.delete(error, own, axis=1)
+        if others.size:
+            checks.append(Limit(f"{name}: charge of {port.name} by loads", others.max(), gate))
+    return checks
+
+
+def netlist_response(
+    part: Part,
+    build: Build,
+    libraries: Sequence[Subcircuit],
+    clock: Clock,
+    work: Path,
+    band: tuple[float, float],
+) -> tuple[Waveforms, float]:
+    """``INPUT>OUTPUT`` (frequencies,) in SI of the subcircuit in ngspice, and the wall time.
+
+    One copy of the subcircuit per port, all in one ``.ac`` deck: electrical and acceleration pins
+    are held by voltage sources, mechanical ones are free but for the unit load.
+
+    Raises
+    ------
+    UsageError : the libraries have no such subcircuit.
+    """
+    deck = _deck(part, build, libraries, band)
+    started = time.perf_counter()
+    with clock.stage("simulate", f"frequency response of {part.name}"):
+        waves = run_deck(deck, work)
+    spent = time.perf_counter() - started
+    frequency = waves["frequency"].real
+    data = dict(waves.data)
+    rom: LinearModel = build.model(part)
+    charges = {p.name for p in rom.ports if p.kind in ("electrical",)}
+    for name in [n for n in data if n.partition(">")[2] in charges]:
+        data[name] = data[name] / (2j * np.pi * frequency)
+    return Waveforms(data, waves.stats), spent
+
+
+def _deck(
+    part: Part, build: Build, libraries: Sequence[Subcircuit], band: tuple[float, float]
+) -> Deck:
+    wanted = build.libraries[part.name]
+    # a deck's subcircuits carry the hash of their text behind their name
+    shape = re.compile(rf"{re.escape(wanted)}(_[0-9a-f]+)?", re.IGNORECASE)
+    own = next((each for each in libraries if shape.fullmatch(each.name)), None)
+    if own is None:
+        raise UsageError(
+            "the deck has no subcircuit of this part", where=part.name, got=wanted,
+            expected=", ".join(each.name for each in libraries) or "a library",
+        )  # fmt: skip
+    rom: LinearModel = build.model(part)
+    blocks, vectors = [], {}
+    inputs = [port for port in rom.ports if port.kind != "output"]
+    for load in inputs:
+        cards, found = _copy(rom, own, load)
+        blocks.append(Block(f"load on {load.name}", tuple(cards)))
+        vectors |= found
+    return Deck(
+        name=f"{part.name}_response", title=f"frequency response of {part.name}",
+        parts=(own,), blocks=tuple(blocks), vectors=vectors,
+        command=ac(band[1] / POINTS, band[1], POINTS, "linear"),
+    )  # fmt: skip
+
+
+def _copy(
+    rom: LinearModel, library: Subcircuit, load: Port
+) -> tuple[list[str], dict[str, tuple[str, float]]]:
+    """One copy with a unit load: its cards and what it answers with."""
+    tag = f"{rom.ports.index(load)}"
+    known = {pin.lower() for port in rom.ports for pin in port.terminals}
+    nodes = {
+        pin.name: f"n{k}_{tag}" if pin.name.lower() in known else "0"
+        for k, pin in enumerate(library.pins)
+    }
+    low = {name.lower(): node for name, node in nodes.items()}
+    cards, found = [f"Xbody{tag} {' '.join(nodes.values())} {library.name}"], {}
+    for k, port in enumerate(rom.ports):
+        node, size = low[port.terminals[0].lower()], int(port == load)
+        name = f"{load.name}>{port.name}"
+        if port.kind in ("mechanical", "rotational"):
+            cards += [f"I{k}_{tag} 0 {node} DC 0 AC 1"] if size else []
+            found[name] = (f"v({node})", MICRO if port.kind == "mechanical" else 1.0)
+        elif port.kind == "output":
+            cards.append(f"R{k}_{tag} {node} 0 1e9")
+            found[name] = (f"v({node})", 1.0)
+        else:
+            minus = "0"
+            if port.kind == "electrical":
+                minus = low[port.terminals[1].lower()]
+                cards.append(f"V{k}_{tag}_ret {minus} 0 0")
+            cards.append(f"V{k}_{tag} {node} {minus} DC 0 AC {size}")
+            if port.kind != "input":
+                found[name] = (f"i(v{k}_{tag})", -1.0)
+    return cards, found
+
+
+def _solved(
+    part: Part, build: Build, full: LinearModel, at: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The full model's response and the time it took, kept for scenes that share the body."""
+    key = part.type.model_key(part, build.scene) or {}
+    depends = {
+        "body": {k: v for k, v in key.items() if k != "rom"}, "frequency": at.tolist(),
+        "ports": list(full.inputs + full.outputs),
+    }  # fmt: skip
+
+    def solve() -> dict[str, np.ndarray]:
+        started = time.perf_counter()
+        response = full.transfer(at)
+        spent = np.array(time.perf_counter() - started)
+        return {"real": response.real.copy(), "imag": response.imag.copy(), "seconds": spent}
+
+    found, _ = cached(
+        "response", depends, solve,
+        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
+    )  # fmt: skip
+    return found["real"] + 1j * found["imag"], float(found["seconds"])
+
+
+def _band(rom: LinearModel, build: Build) -> tuple[float, float]:
+    """Where the reduced model is meant to hold."""
+    if rom.certificate is not None:
+        return rom.certificate.band_hz
+    scene = build.scene
+    return scene.rom.band if scene.analysis.type != "ac" else (0.0, float(scene.analysis.stop))
+
+
+def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
+    """Frequencies [Hz] where an error shows: resonances first."""
+    response = Response(rom.pencil.dense())
+    found = telling(response, band, static=False)
+    poles, _ = response.within(band)
+    near = [found[np.abs(found - pole).argmin()] for pole in poles]
+    # four digits: models that differ by their ports alone share their samples
+    both = np.concatenate([np.array(near), found])
+    kept = [float(f"{f:.4g}") for f in both if f > 0]
+    return np.array(list(dict.fromkeys(kept)))
+
+
+def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
+    """``count`` of the frequencies: half where the response is largest, half spread over all."""
+    if at.size <= count:
+        return np.sort(at)
+    size = np.abs(rom.transfer(at))
+    peak = (size / size.max(axis=0)).max(axis=(1, 2))
+    tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
+    spread = np.sort(at)[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
+    return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))
+
+
+def _matrix(waves: Waveforms, rom: LinearModel) -> np.ndarray:
+    """(frequencies, outputs, inputs) of what ngspice answered."""
+    rows = [[waves[f"{i}>{o}"] for i in rom.inputs] for o in rom.outputs]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
+    data = {"frequency": frequency}
+    for o, output in enumerate(rom.outputs):
+        for i, source in enumerate(rom.inputs):
+            data[f"{source}>{output}"] = H[:, o, i]
+    return Waveforms(data, {})

@@ -1,0 +1,220 @@
+"""The scene's laws joined as its parts are, and its analysis by the independent integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kc2spice.core.laws import Equations, Law, Reading, Source
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.reference import equilibrium
+from kc2spice.reference.assemble import System, assemble
+from kc2spice.reference.integrate import Result, transient
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.decks import replacements, swept
+
+RTOL = 1e-8  # of the integrator
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The scene's analysis by the reduced models' laws.
+
+    ``results`` are the waves of ngspice that the laws know as well; ``imbalance`` is the share of
+    the turned-over energy that the integration cannot account for, None where no time passes.
+    """
+
+    results: Waveforms
+    imbalance: float | None = None
+    events: tuple[tuple[float, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Laws that are joined, directly or over others, with the readings of their waves."""
+
+    laws: tuple[Law, ...]
+    joins: Mapping[str, tuple[str, ...]]
+    readings: Mapping[str, Reading]
+    sweeps: Mapping[tuple[str, str], tuple[str, float]]
+
+    def system(self) -> System:
+        """The equations."""
+        return assemble(self.laws, self.joins)
+
+
+def without_law(build: Build) -> tuple[str, ...]:
+    """Names of the parts that have no law: the scene as a whole cannot be integrated."""
+    replaced = replacements(build)
+    return tuple(
+        part.name
+        for part in build.scene.parts.values()
+        if part.name not in replaced and part.type.law(part, build) is None
+    )
+
+
+def circuits(build: Build) -> tuple[Circuit, ...]:
+    """The scene's independent circuits.
+
+    Raises
+    ------
+    UsageError : the laws do not fit each other; a part without law is for the caller to find.
+    """
+    replaced = replacements(build)
+    found: dict[str, Equations] = {}
+    for part in build.scene.parts.values():
+        equations = None if part.name in replaced else part.type.law(part, build)
+        if equations is not None:
+            found[part.name] = equations
+    joins = _joins(build, found)
+    laws = [law for equations in found.values() for law in equations.laws]
+    readings = {k: r for equations in found.values() for k, r in equations.results.items()}
+    sweeps = {(n, k): s for n, equations in found.items() for k, s in equations.sweeps.items()}
+    return tuple(_apart(laws, joins, readings, sweeps))
+
+
+def _joins(build: Build, found: Mapping[str, Equations]) -> dict[str, tuple[str, ...]]:
+    """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
+    nets: list[tuple[bool, set[str]]] = []
+    by_net: dict[str, set[str]] = {}
+    for name, equations in found.items():
+        for pin, target in equations.pins:
+            by_net.setdefault(build.scene.nets[name, pin], set()).add(target)
+        nets += [(False, set(net)) for net in equations.nets]
+    nets += [(net == "0", pins) for net, pins in by_net.items()]
+    merged: list[tuple[bool, set[str]]] = []
+    for ground, pins in nets:
+        for other in [m for m in merged if m[1] & pins]:
+            merged.remove(other)
+            ground, pins = ground or other[0], pins | other[1]
+        merged.append((ground, pins))
+    grounded = [sorted(pins) for ground, pins in merged if ground]
+    free = sorted(sorted(pins) for ground, pins in merged if not ground and len(pins) > 1)
+    joins = {f"n{k}": tuple(pins) for k, pins in enumerate(free)}
+    if grounded:
+        joins["gnd"] = tuple(pin for pins in grounded for pin in pins)
+    return joins
+
+
+def _apart(
+    laws: Iterable[Law],
+    joins: Mapping[str, tuple[str, ...]],
+    readings: Mapping[str, Reading],
+    sweeps: Mapping[tuple[str, str], tuple[str, float]],
+) -> Iterator[Circuit]:
+    """Circuits that share nothing but ground."""
+    groups: list[set[str]] = [{law.name} for law in laws]
+    for net, pins in joins.items():
+        if net != "gnd":
+            names = {pin.partition(".")[0] for pin in pins}
+            touched = [group for group in groups if group & names]
+            groups = [group for group in groups if not group & names]
+            groups.append(set().union(*touched))
+    for group in groups:
+        own = {
+            net: kept
+            for net, pins in joins.items()
+            if (kept := tuple(p for p in pins if p.partition(".")[0] in group))
+        }
+        yield Circuit(
+            tuple(law for law in laws if law.name in group),
+            own,
+            {k: r for k, r in readings.items() if _owner(r) in group},
+            {k: s for k, s in sweeps.items() if s[0] in group},
+        )
+
+
+def _owner(reading: Reading) -> str:
+    return reading.terms[0][1].partition(".")[0]
+
+
+# --- analyses -------------------------------------------------------------------------------------
+
+
+def solve(build: Build, waves: Waveforms) -> Reference:
+    """The analysis of the scene at the points of ``waves``, those of ngspice.
+
+    Raises
+    ------
+    UsageError : the laws do not fit each other.
+    SimulationError : no equilibrium, or a law left its range.
+    """
+    parts = [c for c in circuits(build) if not all(isinstance(law, Source) for law in c.laws)]
+    kind = build.scene.analysis.type
+    if kind == "transient":
+        return _transients(parts, build, waves)
+    if kind == "ac":
+        frequency = waves["frequency"].real
+        return _gathered("frequency", frequency, (_ac(c, frequency) for c in parts))
+    scale = next(iter(waves.data))
+    if kind == "op":
+        return _gathered(scale, waves[scale], (_points(c, None) for c in parts))
+    part, key, first, last = swept(build.scene)
+    values = np.linspace(first, last, build.scene.analysis.points)
+    solved = (_points(c, (c.sweeps.get((part.name, key)), values)) for c in parts)
+    return _gathered(scale, waves[scale], solved)
+
+
+def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Reference:
+    times = np.unique(waves["time"])
+    stop = build.scene.stop
+    times = np.minimum(times, stop)
+    runs = [(c, transient(c.system(), stop, RTOL, times)) for c in parts]
+    grid = np.unique(np.concatenate([times, *(run.time for _, run in runs)]))
+    data = {"time": grid}
+    for circuit, run in runs:
+        run = replace(run, time=grid)
+        data |= _read(circuit, run.waves, grid)
+    events = sorted((e.time, f"{e.law} {e.what}") for _, run in runs for e in run.events)
+    return Reference(Waveforms(data, {}), _imbalance([run for _, run in runs]), tuple(events))
+
+
+def _imbalance(runs: list[Result]) -> float | None:
+    books = [run.energy for run in runs]
+    turnover = sum(book.turnover for book in books)
+    return sum(abs(book.residual) for book in books) / turnover if turnover else None
+
+
+def _ac(circuit: Circuit, frequency: np.ndarray) -> dict[str, np.ndarray]:
+    return _read(circuit, equilibrium.ac(circuit.system(), frequency), frequency)
+
+
+def _points(
+    circuit: Circuit, sweep: tuple[tuple[str, float] | None, np.ndarray] | None
+) -> dict[str, np.ndarray]:
+    system = circuit.system()
+    if sweep is None or sweep[0] is None:
+        count = 1 if sweep is None else sweep[1].size
+        point = equilibrium.operating_point(system).values
+        solved = {name: np.full(count, value) for name, value in point.items()}
+    else:
+        (source, scale), values = sweep
+        solved = equilibrium.dc(system, source, scale * values)
+    return _read(circuit, solved, np.zeros(1))
+
+
+def _read(
+    circuit: Circuit, waves: Mapping[str, np.ndarray], scale: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Results of a circuit; a reading of a wave that this analysis has not is left out."""
+    known = set(waves)
+    found = {}
+    for name, reading in circuit.readings.items():
+        if not {wave for _, wave in reading.terms} <= known:
+            continue
+        value = sum(factor * waves[wave] for factor, wave in reading.terms)
+        if np.iscomplexobj(value):  # small signals have no constant part
+            value = value / (2j * np.pi * scale) if reading.charge else value
+        else:
+            value = value + reading.constant
+        found[name] = np.asarray(value)
+    return found
+
+
+def _gathered(name: str, scale: np.ndarray, parts: Iterable[Mapping[str, np.ndarray]]) -> Reference:
+    data = {name: scale}
+    for found in parts:
+        data |= found
+    return Reference(Waveforms(data, {}))

@@ -1,0 +1,186 @@
+"""How far two solutions of a scene are apart: by the gates of its parts, in metrics and waves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.rom.response import relative_error
+from kc2spice.scene.gates import Gate, Limit
+from kc2spice.scene.parttype import Build
+
+LOADED = 1e-6  # of the largest value: below, a relative error says nothing
+SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
+_SUFFIX = {"_m_s": "m/s", "_m": "m", "_a": "A", "_v": "V", "_n": "N", "_s": "s", "_hz": "Hz",
+           "_ohm": "Ohm", "_c": "C", "_f": "F"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Waves of one solution path with their metrics."""
+
+    waves: Waveforms
+    metrics: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """Largest and rms error of one wave of one pair of solutions, relative to its largest and its
+    rms value."""
+
+    pair: str
+    output: str
+    largest: float
+    rms: float
+
+
+def solution(waves: Waveforms, build: Build) -> Solution:
+    """A solution with those metrics of the scene's parts that its waves tell."""
+    found: dict[str, Any] = {}
+    for part in build.scene.parts.values():
+        try:
+            found |= part.type.metrics(part, build, waves)
+        except KeyError:  # a wave that this solution path does not have
+            continue
+    return Solution(waves, found)
+
+
+def gate_limits(
+    gates: Iterable[Gate], pair: str, ours: Solution, exact: Solution, piece: str = ""
+) -> tuple[list[Limit], float | None]:
+    """Every gate of this pair, and the largest value of those that stand for the scene."""
+    limits, leading = [], []
+    words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
+    for gate in gates:
+        value = measured(gate, ours, exact)
+        if value is _ABSENT:
+            continue
+        if pair in gate.limits:
+            name = f"{gate.words}{piece}, {words}"
+            limits.append(Limit(name, value, gate.limits[pair], gate.unit))
+        if gate.leads and value is not None:
+            leading.append(value)
+    return limits, max(leading, default=None)
+
+
+_ABSENT: Any = object()
+
+
+def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
+    """The difference that a gate asks for; None where one of both has not reached it."""
+    if gate.of in exact.metrics:
+        a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
+        if a is None and b is None:  # neither has it, such as the launch of what never leaves
+            return _ABSENT
+        if a is None or b is None:
+            return None
+        return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
+    names = _named(gate.of, ours.waves, exact.waves)
+    if not names:
+        return _ABSENT
+    pairs = [_aligned(ours.waves, exact.waves, name) for name in names]
+    if gate.share < 1.0:
+        scale = next(iter(exact.waves.data.values()))
+        low = scale <= gate.share * scale[-1]
+        pairs = [(a[low], b[low]) for a, b in pairs]
+    if gate.measure == "spectral":
+        return relative_error(*(np.stack(each, axis=1) for each in zip(*pairs, strict=True)))
+    apart = max(float(np.abs(a - b).max()) for a, b in pairs)
+    if gate.measure == "absolute":
+        return apart
+    if gate.measure == "travel":
+        return apart / max(float(np.ptp(b)) for _, b in pairs)
+    if gate.measure == "largest":
+        return apart / max(float(np.abs(b).max()) for _, b in pairs)
+    worst = 0.0
+    for a, b in pairs:
+        loaded = np.abs(b) > LOADED * np.abs(b).max()
+        worst = max(worst, float((np.abs(a - b)[loaded] / np.abs(b)[loaded]).max(initial=0.0)))
+    return worst
+
+
+def _named(pattern: str, *all_waves: Waveforms) -> list[str]:
+    common = set.intersection(*(set(waves.data) for waves in all_waves))
+    if pattern == "*>*":
+        return sorted(name for name in common if ">" in name)
+    if pattern.endswith("*"):
+        return sorted(name for name in common if name.startswith(pattern[:-1]))
+    return [pattern] if pattern in common else []
+
+
+def _aligned(waves: Waveforms, exact: Waveforms, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """A wave of both at the points that both cover."""
+    a, b = waves[name], exact[name]
+    if "time" not in waves:
+        return a, b
+    t, u = np.unique(waves["time"], return_index=True)
+    s, w = np.unique(exact["time"], return_index=True)
+    a, b = a[u], b[w]
+    at = t if t.size <= s.size else s
+    at = at[(at >= max(t[0], s[0])) & (at <= min(t[-1], s[-1]))]
+    return _at(at, t, a, waves, u, name), _at(at, s, b, exact, w, name)
+
+
+def _at(
+    at: np.ndarray, t: np.ndarray, values: np.ndarray, waves: Waveforms, unique: np.ndarray,
+    name: str,
+) -> np.ndarray:  # fmt: skip
+    """Values at ``at``; a height with its velocity by cubics, all others by straight lines."""
+    stem, _, last = name.rpartition(".")
+    if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
+        from scipy.interpolate import CubicHermiteSpline
+
+        return np.asarray(CubicHermiteSpline(t, values, waves[f"{stem}.v"][unique])(at))
+    return np.interp(at, t, values)
+
+
+def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
+    """Every wave that both have; those that never move are left out."""
+    found = []
+    scale = next(iter(exact.data))
+    for name in exact.data:
+        if name == scale or name not in waves:
+            continue
+        a, b = _aligned(waves, exact, name)
+        size = float(np.abs(b).max(initial=0.0))
+        if size == 0.0:
+            continue
+        error = np.abs(a - b)
+        rms = math.sqrt(float(np.mean(error**2)) / float(np.mean(np.abs(b) ** 2)))
+        found.append(OutputError(pair, name, float(error.max()) / size, rms))
+    return found
+
+
+def metric_errors(
+    ours: Solution, exact: Solution, units: Mapping[str, str]
+) -> Iterator[tuple[str, float | None]]:
+    """Each number that both have, by its size or by ``SMALL`` of the largest wave of its unit."""
+    for name, b in exact.metrics.items():
+        a = ours.metrics.get(name)
+        if isinstance(b, bool) or (b is None and a is None):
+            continue
+        if a is None or b is None:
+            yield name, None
+            continue
+        try:
+            x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+        except (TypeError, ValueError):
+            continue
+        if x.shape != y.shape or x.size == 0:
+            continue
+        base = max(float(np.abs(y).max()), SMALL * _largest(name, exact.waves, units))
+        yield name, float(np.abs(x - y).max()) / base if base else 0.0
+
+
+def _largest(name: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+    """The largest wave of the unit that a metric's name ends with; for times their span."""
+    unit = next((unit for end, unit in _SUFFIX.items() if name.endswith(end)), None)
+    if unit == "s" and "time" in waves:
+        return float(np.ptp(waves["time"]))
+    sizes = [float(np.abs(v).max()) for k, v in waves.data.items() if units.get(k) == unit]
+    return max(sizes, default=0.0)

@@ -1,0 +1,145 @@
+"""Plane ``harmonic``: all responses of the chip over the sweep, by every kind of reduction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.fem.piezo.harmonic import harmonic as full_harmonic
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.reduce import reduce
+from kc2spice.rom.response import relative_error
+from kc2spice.rom.surrogate import surrogate
+from laboratory.fullmodel import full_system
+from laboratory.points import (
+    Outcome,
+    Plane,
+    Point,
+    Ratio,
+    Timing,
+    fastest,
+    quick_timed,
+    scaled,
+    timed,
+)
+from laboratory.reductions import projected
+from laboratory.setup import Setup, keys_of
+
+ORDERS = (30, 21, 24, 35, 42)
+TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)
+BALANCED = (20, 14, 17, 24, 28)
+SAMPLED = 3  # direct solves that are timed, unless all are asked for
+LIMIT, TARGET = 1e-5, 20_000.0
+
+Models = Iterator[tuple[str, str, LinearModel]]
+
+
+def harmonic(setup: Setup) -> Outcome:
+    """Error over all pairs of ports and all frequencies, time of the sweep with that model."""
+    scene = setup.scene("harmonic")
+    sweep = keys_of(scene, "port_loads")
+    frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
+    system = full_system(scene)
+    model = from_sector(system)
+    taken = frequency if setup.full_sweep else frequency[:: frequency.size // SAMPLED][:SAMPLED]
+    with setup.clock.stage("harmonic", f"full model, {taken.size} direct solves"):
+        _, sample = timed(lambda: full_harmonic(system, taken), 1)
+    full = scaled(sample, frequency.size / taken.size)
+    with setup.clock.stage("harmonic", "surrogate of the full model"):
+        found = surrogate(model, (0.0, float(frequency[-1])))
+    large, certified = found.model, found.error
+    exact = large.transfer(frequency)
+    points: list[Point] = []
+    notes: list[str] = []
+    band = (0.0, float(frequency[-1]))
+    for family, label, small in _models(model, band, setup):
+        form = resonators(small)
+        response, time = quick_timed(partial(form.transfer, frequency), setup.repeats)
+        error = relative_error(response, exact)
+        facts = {"states": float(small.order)}
+        points.append(Point(family, label, error, time, {"response": error}, facts))
+    best = fastest(points, {"response": LIMIT})
+    try:
+        for label, response, time in balanced(
+            large, setup.some(BALANCED), frequency, setup.repeats
+        ):
+            error = relative_error(response, exact)
+            points.append(Point("pyMOR", label, error, time, {"response": error}))
+    except ImportError:
+        notes.append("pyMOR is not installed: its reductors are left out")
+    points.append(Point("full model", "full model, direct", certified, full))
+    ratio = Ratio(
+        "harmonic", None if best is None else full.median / best.time.median,
+        None if best is None else best.error, TARGET,
+        f"full model over {'none' if best is None else best.label}, {frequency.size} frequencies "
+        f"and all {exact.shape[1] ** 2} responses", errors={} if best is None else best.errors,
+    )  # fmt: skip
+    plane = Plane(
+        "harmonic", f"{scene.title}: {frequency.size} frequencies",
+        "largest relative error of any response", "CPU time of the sweep [s]", tuple(points),
+        (f"time of the full model from {taken.size} of {frequency.size} solves",
+         f"{large.order} states replace it, within {certified:.1e} of ten direct solves",
+         *notes),
+    )  # fmt: skip
+    return Outcome((plane,), (ratio,))
+
+
+def _models(model: LinearModel, band: tuple[float, float], setup: Setup) -> Models:
+    """Family, label and model of every reduction."""
+    for tolerance in setup.some(TOLERANCES):
+        reduced = reduce(model, tolerance=tolerance, band=band)
+        yield "to tolerance", f"tolerance {tolerance:g}", reduced
+    for order in setup.some(ORDERS):
+        reduced = reduce(model, order=order, band=band)
+        yield "Krylov at s = 0", f"Krylov, order {order}", reduced
+    for order in setup.some(ORDERS, 1):
+        yield "modal truncation", f"modal, order {order}", modal(model, order)
+
+
+def modal(model: LinearModel, order: int) -> LinearModel:
+    """The lowest ``order`` modes of the full model with shorted anode, by shift and invert."""
+    n, K = model.order, model.pencil.coefficients[0]
+    stiffness = LinearOperator((n, n), matvec=lambda x: K @ x, dtype=float)
+    solve = model.pencil.pencil_solver(0.0).solve
+    inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+    _, V = eigsh(stiffness, order, M=model.M, sigma=0.0, OPinv=inverse)
+    return projected(model, V)
+
+
+def balanced(
+    large: LinearModel, orders: tuple[int, ...], frequency: np.ndarray, repeats: int
+) -> Iterator[tuple[str, np.ndarray, Timing]]:
+    """pyMOR's second-order balanced truncation (positions) of a model: label, response, time.
+
+    Frequencies count in band ends and every port in its static answer, so that errors in one port
+    weigh as much as in another.
+
+    Raises
+    ------
+    ImportError : pyMOR is not installed.
+    """
+    from pymor.core.logger import set_log_levels
+    from pymor.models.iosys import SecondOrderModel
+    from pymor.reductors.sobt import SOBTpReductor
+
+    set_log_levels({"pymor": "ERROR"})
+    unit = 2 * np.pi * frequency[-1]
+    port = 1 / np.sqrt(np.diag(large.C @ np.linalg.solve(large.K, large.B)))
+    matrices = (
+        large.M * unit**2,
+        large.E * unit,
+        large.K,
+        large.B * port,
+        (large.B * port).T,
+    )
+    reductor = SOBTpReductor(SecondOrderModel.from_matrices(*matrices))
+    for order in orders:
+        small = reductor.reduce(order).transfer_function
+        small.disable_caching()  # each repeat is to do the work
+        answer, time = timed(partial(small.freq_resp, 2 * np.pi * frequency / unit), repeats)
+        yield f"pyMOR, balanced, order {order}", answer / np.outer(port, port) + large.D, time

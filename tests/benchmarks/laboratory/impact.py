@@ -1,0 +1,130 @@
+"""Plane ``impact``: a free sphere hits the chip, the full model among the solution methods."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.piezo.transient import Ball, Road, TransientResult, transient
+from kc2spice.report.distance import compare
+from kc2spice.scene.model import Scene
+from laboratory.fullmodel import (
+    as_waveforms,
+    converged,
+    factorisations,
+    full_surface,
+    full_system,
+)
+from laboratory.points import (
+    Outcome,
+    Plane,
+    Point,
+    Ratio,
+    Timing,
+    fastest,
+    scaled,
+    timed,
+)
+from laboratory.setup import Setup, keys_of
+from laboratory.transient import FIELDS, Transient
+
+PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
+SAMPLED = 6  # steps of the refactorising code that are timed, unless all are asked for
+LIMIT = 1e-4  # of rebound velocity and travel
+REFACTOR, LOW_RANK = 1784.0, 100.0  # the paper's speed-up, and the one against the same trick
+
+
+def impact(setup: Setup) -> Outcome:
+    """All methods of the impact; speed-ups of the netlist over both codes of the full model."""
+    scene = setup.scene("impact")
+    transient = Transient(scene, setup)
+    plane, full = transient.plane(), _FullModel(scene, setup, transient)
+    limits = {"launch": LIMIT, "position_m": LIMIT * full.travel}
+    own = fastest((p for p in plane.points if p.label in transient.decks), limits)
+    errors = {} if own is None else full.errors(transient.decks[own.label])
+    ratios = tuple(
+        Ratio(
+            f"impact_{name}", None if own is None else time.median / own.time.median,
+            errors.get("launch"), target,
+            f"full model, {what}, over ngspice, both without the making of "
+            f"their matrices, at {'none' if own is None else own.label}, the "
+            f"fastest within {LIMIT:g} of the exact reduced model; errors against the full model "
+            "at converged time step", errors=errors,
+        )
+        for name, time, target, what in (
+            ("low_rank", full.low_rank, LOW_RANK,
+             "with the same trick: one factorisation, contact as low-rank update"),
+            ("refactor", full.refactorising, REFACTOR,
+             "the usual code, factorised in every iteration"),
+        )
+    )  # fmt: skip
+    points = (*plane.points, *full.points())
+    note = f"time of the refactorising full model {full.how}"
+    return Outcome((_with(plane, points, note),), ratios)
+
+
+def _with(plane: Plane, points: tuple[Point, ...], note: str) -> Plane:
+    return replace(plane, points=points, notes=(*plane.notes, note))
+
+
+class _FullModel:
+    """Both codes of the full model at the paper's step, and its limit of small steps."""
+
+    def __init__(self, scene: Scene, setup: Setup, transient: Transient) -> None:
+        self.scene, self.stop = scene, scene.stop
+        self.system = full_system(scene)
+        self.surface = full_surface(scene)
+        throw, sphere = keys_of(scene, "throw"), keys_of(scene, "sphere")
+        self.radius = sphere.radius
+        mass = sphere.mass / self.system.sectors
+        self.ball = Ball(mass, throw.gap, throw.velocity, scene.gravity)
+        step = 2.5 * PAPER_STEP if setup.quick else PAPER_STEP
+        steps = round(self.stop / step)
+        with setup.clock.stage("impact", "full model, converged in time"):
+            fine = step if setup.quick else step / 5
+            pair = (self._run(2 * fine), self._run(fine))
+            self.exact = converged(*pair, self.radius, self.system.sectors)
+        self.travel = float(np.ptp(self.exact["sphere.y"]))
+        with setup.clock.stage("impact", "full model, low rank"):
+            result, self.low_rank = timed(lambda: self._run(step), 1)
+        self.waves = as_waveforms(result, self.radius, self.system.sectors)
+        count = steps if setup.full_sweep else SAMPLED
+        touching = replace(self.ball, height=0.0)  # the timed steps are all in contact
+        with setup.clock.stage("impact", f"full model, {count} refactorising steps"):
+            taken, sample = timed(lambda: self._run(step, touching, count * step, "refactorise"), 1)
+        whole = factorisations(result.ring_force[1:])
+        self.refactorising: Timing = scaled(sample, whole / taken.factorisations)
+        self.how = (
+            f"from {taken.factorisations} of the {whole} factorisations that the closed springs of "
+            f"its {steps} steps need"
+        )
+
+    def _run(
+        self, step: float, ball: Ball | None = None, stop: float | None = None,
+        road: Road = "low_rank",
+    ) -> TransientResult:  # fmt: skip
+        return transient(
+            self.system, self.surface, ball or self.ball, step=step, stop=stop or self.stop,
+            voltage=None, road=road,
+        )  # fmt: skip
+
+    def points(self) -> tuple[Point, ...]:
+        """Errors here are against the full model, which is this method's own limit."""
+        errors = self.errors(self.waves)
+        error = errors["launch"] or 0.0
+        return tuple(
+            Point("full model", label, error, time, errors, {}, "against its own limit", False)
+            for label, time in (
+                ("full model, low rank", self.low_rank),
+                ("full model, refactorising", self.refactorising),
+            )
+        )
+
+    def errors(self, waves: Waveforms) -> dict[str, float | None]:
+        """Of some method against the full model at its limit."""
+        found = compare(waves, self.exact)
+        return {name: found[key] for name, key in FIELDS.items()} | {
+            "of_travel": found["trajectory_relative"]
+        }

@@ -1,0 +1,74 @@
+"""Plane ``imprint``: the sphere pushed into the chip in 250 static steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.fem.piezo.statics import Electrical, imprint_refactorised
+from kc2spice.fem.piezo.statics import imprint as full_imprint
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import make_deck
+from laboratory.fullmodel import factorisations, full_surface, full_system
+from laboratory.law import law
+from laboratory.points import Outcome, Plane, Point, Ratio, quick_timed, scaled, timed
+from laboratory.setup import Setup, keys_of
+from laboratory.statics import pushed
+
+REFACTOR, LOW_RANK = 374.0, 100.0  # the paper's speed-up, and the one against the same trick
+SAMPLED = 4  # depths of the refactorising code that are timed, unless all are asked for
+
+
+def imprint(setup: Setup) -> Outcome:
+    """Static force over depth: both codes of the full model, the ROM, ngspice on its netlist."""
+    scene = setup.scene("imprint")
+    build, push = setup.build(scene), keys_of(scene, "push")
+    is_open = keys_of(scene, "piezo_stack").electrical == "open"
+    electrical: Electrical = "open" if is_open else "short"
+    depth = np.linspace(0.0, push.depth, push.steps + 1)
+    equations = law(build)
+    rom, rom_time = quick_timed(lambda: pushed(equations, depth), setup.repeats)
+    waves, deck_time = timed(
+        lambda: run_deck(make_deck(build), setup.work / "imprint"), setup.repeats,
+        "children",
+    )  # fmt: skip
+    system, surface = full_system(scene), full_surface(scene)
+    with setup.clock.stage("imprint", "full model, low rank"):
+        full, low_rank = timed(lambda: full_imprint(system, surface, depth, electrical), 1)
+    taken = depth if setup.full_sweep else depth[-SAMPLED:]
+    with setup.clock.stage("imprint", f"full model, {taken.size} refactorising depths"):
+        usual, sample = timed(lambda: imprint_refactorised(system, surface, taken, electrical), 1)
+    # It starts each depth from the springs that the last one closed.
+    count, whole = int(usual.iterations.sum()), factorisations(full.ring_force)
+    refactor = scaled(sample, whole / count)
+    exact = system.sectors * full.force
+
+    def error(force: np.ndarray) -> float:
+        loaded = exact > 1e-6 * exact.max()
+        return float((np.abs(force - exact)[loaded] / exact[loaded]).max())
+
+    rom_error, deck_error = error(rom), error(waves["contact.force"])
+    plane = Plane(
+        "imprint", f"{scene.title}: {depth.size - 1} depths", "relative error of the force",
+        "CPU time [s]",
+        (
+            Point("full model", "full model, refactorising", 0.0, refactor, {"force": 0.0}),
+            Point("full model", "full model, low rank", 0.0, low_rank, {"force": 0.0}),
+            Point("ROM", "ROM, numpy", rom_error, rom_time, {"force": rom_error}),
+            Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
+        ),
+        (f"refactorising full model from {count} of its {whole} factorisations",),
+    )  # fmt: skip
+    ratios = tuple(
+        Ratio(
+            f"imprint_{name}", time.median / rom_time.median, rom_error, target,
+            f"full model, {what}, over the reduced model in numpy, both without the making of "
+            f"their matrices; the netlist in ngspice takes {deck_time.median:.3g} s at "
+            f"{deck_error:.1e}", errors={"force": rom_error},
+        )
+        for name, time, target, what in (
+            ("low_rank", low_rank, LOW_RANK,
+             "with the same trick: one factorisation, contact as low-rank update"),
+            ("refactor", refactor, REFACTOR, "the usual code, factorised at every depth"),
+        )
+    )  # fmt: skip
+    return Outcome((plane,), ratios)

@@ -1,0 +1,277 @@
+"""Equations of motion of the kick-and-catch loop, in displacement-scaled modal coordinates.
+
+Written from the paper's equations (8) to (11), apart from the netlist and its parts, so that the
+two can be compared. All quantities are of the whole device, in SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.parts.pid import Control
+from kc2spice.parts.piezo_stack import SECTORS, Drive
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.parttype import Build
+from laboratory.setup import keys_of
+
+Real = TypeVar("Real", float, np.ndarray)
+
+# States after the 2 q modal ones, and their number.
+HEIGHT, SPEED, RATE, INTEGRAL = range(4)
+EXTRA = 4
+
+
+@dataclass(frozen=True)
+class Mode:
+    """What stays the same within one smooth piece: drive ramp, controller state.
+
+    ``voltage(t) = volt + slope (t - start)``; ``saturated`` is -1, 0 or +1.
+    """
+
+    start: float = 0.0
+    volt: float = 0.0
+    slope: float = 0.0
+    enabled: bool = False
+    saturated: int = 0
+
+    def voltage(self, t: Real) -> Real:
+        """Prescribed anode voltage [V] at one time or an array of them."""
+        return self.volt + self.slope * (t - self.start)
+
+
+@dataclass(frozen=True)
+class ForceMap:
+    """``F(y, i) = f0(y) + f1(y) i + f2(y) i^2`` with ``i1 = -i`` and ``i2 = +i`` (paper 2.4).
+
+    Not-a-knot cubic splines through the FE positions; ``knots`` (n,), ``coefficients``
+    (4, n - 1, 3), highest power first.
+    """
+
+    knots: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def of(cls, table: EMTable) -> ForceMap:
+        """Combine the six coefficient functions for opposed equal currents."""
+        columns = (table.c0, table.c2 - table.c1, table.c11 - table.c12 + table.c22)
+        spline = CubicSpline(table.y, np.column_stack(columns), bc_type="not-a-knot")
+        return cls(spline.x, spline.c)
+
+    def __call__(self, y: float, current: float) -> tuple[float, float, float]:
+        """Force [N], dF/dy [N/m] and dF/di [N/A] at one position; the end cubics go on outside."""
+        j = min(max(int(self.knots.searchsorted(y, side="right")) - 1, 0), self.knots.size - 2)
+        s = y - self.knots[j]
+        c3, c2, c1, c0 = self.coefficients[:, j]
+        value = ((c3 * s + c2) * s + c1) * s + c0
+        slope = (3 * c3 * s + 2 * c2) * s + c1
+        powers = np.array((1.0, current, current * current))
+        return (
+            float(value @ powers),
+            float(slope @ powers),
+            float(value[1] + 2 * current * value[2]),
+        )
+
+
+@dataclass(frozen=True)
+class Law:
+    """The loop as ``x' = rhs(t, x)`` with ``x = [a (q), b (q), p, v, d, I]``.
+
+    ``a = scale z`` and ``b = scale z' / omega`` are modal amplitudes in metres of ring motion,
+    ``p = y - R`` the sphere's height over its touching position, ``d`` the rolled-off error rate,
+    ``I`` the integral part of the current::
+
+        a' = omega b,   b' = -omega a - damp b + scale / omega (e V - G F)
+        m v' = sum_i F_i - m g + F_em(y, i),   F_i = k max(0, u_i - p - gap_i)
+        d' = (-v - d) / Tf,   I' = KI (setpoint - y),   i = clamp(KP (setpoint - y) + I + KD d)
+    """
+
+    omega: np.ndarray
+    damp: np.ndarray
+    scale: np.ndarray
+    rings: np.ndarray  # (n, q): u = rings a
+    charge: np.ndarray  # (q,): Q = c0 V + charge a
+    c0: float
+    electrical: str
+    stiffness: float
+    gaps: np.ndarray
+    radius: float
+    mass: float
+    gravity: float
+    force_map: ForceMap | None
+    control: Control | None
+    drive: Drive | None
+
+    @property
+    def q(self) -> int:
+        """Number of modes."""
+        return self.omega.size
+
+    @property
+    def inverse_mass(self) -> np.ndarray:
+        """(q,) ``scale^2 / omega``: a generalised force ``gain / scale`` drives ``b`` by this."""
+        return self.scale**2 / self.omega
+
+    def voltage(self, t: float, x: np.ndarray, mode: Mode) -> float:
+        """Anode voltage [V]: prescribed, or what keeps the charge of a floating anode at 0."""
+        if self.electrical == "open":
+            return -float(self.charge @ x[: self.q]) / self.c0
+        return mode.voltage(t)
+
+    def penetration(self, x: np.ndarray) -> np.ndarray:
+        """(n,) or (n, nt) ring penetrations [m] of one state or of columns of states."""
+        gaps = self.gaps if x.ndim == 1 else self.gaps[:, None]
+        return self.rings @ x[: self.q] - x[2 * self.q + HEIGHT] - gaps
+
+    def check_height(self, height: np.ndarray) -> None:
+        """Raise SimulationError if the sphere was outside the force table."""
+        if self.force_map is None:
+            return
+        low, high = self.force_map.knots[[0, -1]]
+        y = self.radius + height
+        outside = y[(y < low) | (y > high)]
+        if outside.size:
+            raise SimulationError(
+                "the sphere left the force table",
+                where="sphere",
+                got=f"y = {outside[0]:.4e} m",
+                expected=f"{low:.4e} to {high:.4e} m",
+                hint="widen catch.y_min .. catch.y_max, or check the gains and the polarity",
+            )
+
+    def demand(self, rest: np.ndarray) -> np.ndarray:
+        """Current that the controller asks for before the clamp [A], from the last four rows."""
+        c = self.control
+        assert c is not None
+        error = c.setpoint - self.radius - rest[HEIGHT]
+        return c.kp * error + rest[INTEGRAL] + c.kd * rest[RATE]
+
+    def current(self, rest: np.ndarray, mode: Mode) -> np.ndarray:
+        """Coil current after the clamp [A], from the last four rows."""
+        if not mode.enabled or self.control is None:
+            return np.zeros(rest.shape[1:])
+        limit = self.control.current_limit
+        return np.maximum(-limit, np.minimum(limit, self.demand(rest)))
+
+    def sphere_rates(
+        self, rest: np.ndarray, contact: float, mode: Mode
+    ) -> tuple[np.ndarray, tuple]:
+        """Rates of ``p, v, d, I`` under a contact force, and the slopes for the Jacobian."""
+        p, v = rest[HEIGHT], rest[SPEED]
+        force = dforce = dcurrent = 0.0
+        integral = rate = 0.0
+        if self.force_map is not None:
+            current = float(self.current(rest, mode))
+            force, dforce, dcurrent = self.force_map(p + self.radius, current)
+        if self.control is not None:
+            rate = (-v - rest[RATE]) / self.control.rolloff
+            if mode.enabled and mode.saturated == 0:
+                integral = self.control.ki * (self.control.setpoint - self.radius - p)
+        accel = (contact + force) / self.mass - self.gravity
+        return np.array((v, accel, rate, integral)), (dforce, dcurrent)
+
+    def rhs(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
+        """Rates of the full state."""
+        q = self.q
+        a, b, rest = x[:q], x[q : 2 * q], x[2 * q :]
+        force = self.stiffness * np.maximum(0.0, self.penetration(x))
+        volt = self.voltage(t, x, mode)
+        velocity = self.omega * b
+        sphere, _ = self.sphere_rates(rest, force.sum(), mode)
+        load = volt * self.charge - force @ self.rings
+        return np.concatenate(
+            (
+                velocity,
+                -self.omega * a - self.damp * b + self.inverse_mass * load,
+                sphere,
+            )
+        )
+
+    def jacobian(self, t: float, x: np.ndarray, mode: Mode) -> np.ndarray:
+        """Analytic derivative of ``rhs``; contact enters by the rings that are closed."""
+        q, n = self.q, 2 * self.q + EXTRA
+        w, im, j = self.omega, self.inverse_mass, np.zeros((n, n))
+        diag = np.arange(q)
+        j[diag, q + diag] = w
+        j[q + diag, diag] = -w
+        j[q + diag, q + diag] = -self.damp
+        closed = self.rings[self.penetration(x) > 0.0]
+        pull = self.stiffness * closed.sum(axis=0)
+        j[q : 2 * q, :q] -= self.stiffness * (im[:, None] * closed.T) @ closed
+        j[q : 2 * q, 2 * q + HEIGHT] = im * pull
+        p, v = 2 * q + HEIGHT, 2 * q + SPEED
+        j[v, :q] = pull / self.mass
+        if self.electrical == "open":
+            j[q : 2 * q, :q] -= np.outer(im * self.charge, self.charge) / self.c0
+        j[2 * q :, 2 * q :] += self.sphere_jacobian(x[2 * q :], mode)
+        j[v, p] -= self.stiffness * closed.shape[0] / self.mass
+        return j
+
+    def sphere_jacobian(self, rest: np.ndarray, mode: Mode) -> np.ndarray:
+        """(4, 4) derivative of the last four rates by their own states, contact aside."""
+        j = np.zeros((EXTRA, EXTRA))
+        _, (dforce, dcurrent) = self.sphere_rates(rest, 0.0, mode)
+        slopes = np.zeros(EXTRA)
+        slopes[HEIGHT] = dforce
+        if self.control is not None:
+            c = self.control
+            j[RATE, SPEED] = j[RATE, RATE] = -1.0 / c.rolloff
+            if mode.enabled and mode.saturated == 0:
+                j[INTEGRAL, HEIGHT] = -c.ki
+                slopes[[HEIGHT, RATE, INTEGRAL]] += dcurrent * np.array((-c.kp, c.kd, 1.0))
+        j[HEIGHT, SPEED] = 1.0
+        j[SPEED] = slopes / self.mass
+        return j
+
+
+def law(build: Build) -> Law:
+    """The equations of a scene with one chip, one contact and one sphere.
+
+    The scene's contact penalty is that of a ring of one symmetry sector (paper eq. 10).
+
+    Raises
+    ------
+    UsageError : a part is missing.
+    SimulationError : a model with rigid motion, or feed-through besides the capacitance.
+    """
+    scene = build.scene
+    kick, sphere = keys_of(scene, "piezo_stack"), keys_of(scene, "sphere")
+    model = resonators(build.model(scene.of("piezo_stack")[0]))
+    rings = [k for k, port in enumerate(model.ports) if port.kind == "mechanical"]
+    (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
+    static = model.D.copy()
+    static[anode, anode] = 0.0
+    if np.any(static) or np.any(model.omega <= 0.0):
+        raise SimulationError(
+            "the laboratory needs positive frequencies and no feed-through but the capacitance",
+            where="kick model",
+        )
+    gain, drive = model.gain[:, rings], model.gain[:, anode]
+    radii = np.arange(len(rings)) * kick.mesh.ring_spacing
+    floor = np.abs(gain).max() / max(np.abs(drive).max(), 1e-300)
+    scale = np.maximum(np.abs(gain).max(axis=1), np.abs(drive) * floor)
+    scale = np.maximum(scale, 1e-12 * scale.max())
+    coils, control = scene.only("ring_magnet_coils"), scene.only("pid")
+    table: EMTable | None = None if coils is None else build.model(coils)
+    return Law(
+        omega=model.omega,
+        damp=model.damp,
+        scale=scale,
+        rings=(gain / scale[:, None]).T.copy(),
+        charge=drive / scale,
+        c0=float(model.D[anode, anode]),
+        electrical=kick.electrical,
+        stiffness=SECTORS * keys_of(scene, "contact").penalty,
+        gaps=sphere.radius - np.sqrt(sphere.radius**2 - radii**2),
+        radius=sphere.radius,
+        mass=sphere.mass,
+        gravity=scene.gravity,
+        force_map=None if table is None else ForceMap.of(table),
+        control=None if control is None else control.keys,
+        drive=kick.drive if kick.electrical == "driven" else None,
+    )

@@ -1,0 +1,63 @@
+"""Plane ``loop``: five milliseconds of kick, flight and catch, and its ratios."""
+
+from __future__ import annotations
+
+from laboratory.points import Outcome, Plane, Point, Ratio, fastest
+from laboratory.setup import Setup
+from laboratory.transient import BUDGET, BUDGETED, Transient
+
+LIMITS = {"launch": 1e-4, "position_m": 1e-7}
+TARGET, BUDGET_TARGET = 0.15, 0.05  # s of CPU
+
+
+def loop(setup: Setup) -> Outcome:
+    """Methods of ``kick_and_catch``; ratios are taken between points within ``LIMITS``."""
+    plane = Transient(setup.scene("kick_and_catch"), setup).plane()
+    ours = fastest(_family(plane, "ngspice"), LIMITS)
+    scipy = fastest(
+        (p for p in _family(plane, "scipy") if p.family != "scipy, specialised"), LIMITS
+    )
+    special = fastest(_family(plane, "scipy, specialised"), LIMITS)
+    bound = fastest(_family(plane, "lower bound"), LIMITS)
+    budgeted = next((p for p in plane.points if p.label == BUDGETED), None)
+    at = "at launch error 1e-4 and position error 0.1 um"
+    ratios = (
+        Ratio(
+            "loop_cpu_s", None if ours is None else ours.time.median,
+            None if ours is None else ours.error, TARGET, f"ngspice, 5 ms, {at}: {_label(ours)}",
+            at_least=False, unit="s", errors={} if ours is None else ours.errors,
+        ),
+        Ratio(
+            "loop_budget_cpu_s", None if budgeted is None else budgeted.time.median,
+            None if budgeted is None else budgeted.error, BUDGET_TARGET,
+            f"ngspice, 5 ms, at what error_budget = {BUDGET:g} chooses; error against a reduced "
+            "model of tolerance 1e-8", at_least=False, unit="s",
+            errors={} if budgeted is None else budgeted.errors,
+        ),
+        _ratio("loop_vs_scipy", scipy, ours, 2.0,
+               f"fastest general scipy integrator over ngspice {at}"),
+        _ratio("loop_vs_scipy_specialised", special, ours, 2.0,
+               f"scipy with exact modes in flight and located events over ngspice {at}"),
+        _ratio("loop_vs_floor", bound, ours, None, f"lower bound over ngspice {at}"),
+    )  # fmt: skip
+    return Outcome((plane,), ratios)
+
+
+def _family(plane: Plane, start: str) -> list[Point]:
+    return [point for point in plane.points if point.family.startswith(start)]
+
+
+def _label(point: Point | None) -> str:
+    return "none" if point is None else point.label
+
+
+def _ratio(
+    name: str, over: Point | None, ours: Point | None, target: float | None, what: str
+) -> Ratio:
+    """Time of ``over`` in times of ``ours``, with the error of the less exact of the two."""
+    if over is None or ours is None:
+        return Ratio(name, None, None, target, what)
+    worse = max((over, ours), key=lambda point: point.error)
+    what = f"{what}: {over.label} / {ours.label}"
+    value = over.time.median / ours.time.median
+    return Ratio(name, value, worse.error, target, what, errors=worse.errors)

@@ -1,0 +1,169 @@
+"""What a benchmark measures: points of error and time, planes of points, ratios with targets."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+Who = Literal["self", "children"]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """CPU seconds of repeated runs: median, fastest, slowest, and how many there were."""
+
+    median: float
+    low: float
+    high: float
+    repeats: int
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting of one method: what it costs and how far it is from the exact result.
+
+    ``error`` is the plane's, ``errors`` are more of them by name; ``note`` says what a reader must
+    know to compare. ``same_model`` is False where the error includes that of another reduced
+    model; such a point takes no part in the ratios.
+    """
+
+    family: str
+    label: str
+    error: float
+    time: Timing
+    errors: Mapping[str, float | None] = field(default_factory=dict)
+    facts: Mapping[str, float | str] = field(default_factory=dict)
+    note: str = ""
+    same_model: bool = True
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points over one error and one time, both named with unit, and what was left out and why."""
+
+    name: str
+    title: str
+    error_name: str
+    time_name: str
+    points: tuple[Point, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A speed-up or another figure with its target, if any. ``error`` is what it was taken at.
+
+    ``at_least`` tells which side of the target is good; ``value`` None was not reached at all.
+    """
+
+    name: str
+    value: float | None
+    error: float | None
+    target: float | None
+    what: str
+    at_least: bool = True
+    unit: str = ""
+    errors: Mapping[str, float | None] = field(default_factory=dict)
+
+    @property
+    def met(self) -> bool:
+        """Whether the value is on the good side of the target, if there is one."""
+        if self.target is None:
+            return True
+        if self.value is None:
+            return False
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+
+def timed(work: Callable[[], T], repeats: int, who: Who = "self") -> tuple[T, Timing]:
+    """Run ``work`` so often; its last result and the CPU time of this process or its children."""
+    seconds = []
+    for _ in range(repeats):
+        start = cpu_seconds(who)
+        result = work()
+        seconds.append(cpu_seconds(who) - start)
+    return result, timing(seconds)
+
+
+def quick_timed(work: Callable[[], T], repeats: int, least: float = 0.02) -> tuple[T, Timing]:
+    """As :func:`timed` for work of microseconds: each repeat runs it for ``least`` seconds."""
+    start = time.process_time()
+    result = work()
+    once = max(time.process_time() - start, 1e-7)
+    count = max(1, min(100_000, round(least / once)))
+
+    def many() -> None:
+        for _ in range(count):
+            work()
+
+    _, whole = timed(many, repeats)
+    return result, Timing(whole.median / count, whole.low / count, whole.high / count, repeats)
+
+
+def timing(seconds: Sequence[float]) -> Timing:
+    """Median and range of some runs."""
+    return Timing(statistics.median(seconds), min(seconds), max(seconds), len(seconds))
+
+
+def scaled(taken: Timing, factor: float) -> Timing:
+    """Time of the whole work where only a share of it was run."""
+    return Timing(taken.median * factor, taken.low * factor, taken.high * factor, taken.repeats)
+
+
+def cpu_seconds(who: Who) -> float:
+    """CPU time so far of this process, or of all child processes that have ended."""
+    if who == "self":
+        return time.process_time()
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def pareto(points: Iterable[Point]) -> tuple[bool, ...]:
+    """Which points no other beats: in error or in time, and is not worse in the other."""
+    listed = list(points)
+    return tuple(not any(_beats(other, point) for other in listed) for point in listed)
+
+
+def _beats(one: Point, other: Point) -> bool:
+    error, cost = one.error - other.error, one.time.median - other.time.median
+    return error <= 0.0 and cost <= 0.0 and (error < 0.0 or cost < 0.0)
+
+
+def fastest(points: Iterable[Point], limits: dict[str, float]) -> Point | None:
+    """Fastest of the points whose ``errors`` keep all ``limits``, None if there is none."""
+    kept = [p for p in points if p.same_model and all(_keeps(p, *item) for item in limits.items())]
+    return min(kept, key=lambda p: p.time.median, default=None)
+
+
+def _keeps(point: Point, name: str, limit: float) -> bool:
+    value = point.errors.get(name)
+    return value is not None and value <= limit
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """CPU time over a size, with the exponent of the power law fitted to its larger half."""
+
+    name: str
+    what: str
+    sizes: tuple[float, ...]
+    times: tuple[Timing, ...]
+    exponent: float
+    memory_bytes: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one part of the laboratory found; ``poles`` [1/s] by the name of their projection."""
+
+    planes: tuple[Plane, ...] = ()
+    ratios: tuple[Ratio, ...] = ()
+    scalings: tuple[Scaling, ...] = ()
+    poles: Mapping[str, np.ndarray] = field(default_factory=dict)

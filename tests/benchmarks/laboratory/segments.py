@@ -1,0 +1,58 @@
+"""Stretches of a transient between the corners of its drive, and where it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from kc2spice.scene.model import Scene
+from laboratory.law import EXTRA, HEIGHT, SPEED, Law, Mode
+from laboratory.statics import rest
+
+
+@dataclass(frozen=True)
+class Segment:
+    """From ``start`` to ``end`` the anode's voltage is ``volt + slope (t - start)``."""
+
+    start: float
+    end: float
+    volt: float
+    slope: float
+    enabled: bool
+
+
+def segments(law: Law, stop: float) -> list[Segment]:
+    """All stretches up to ``stop``: not restarted there, integrators miss the kick."""
+    corners, volts = np.array([0.0]), np.array([0.0])
+    if law.drive is not None:
+        d = law.drive
+        rise = d.start + np.array([0.0, d.edge, d.width, d.width + d.edge])
+        corners, volts = np.append(corners, rise), np.append(volts, [0.0, d.voltage, d.voltage, 0])
+    enable = law.control.switching[0][0] if law.control is not None else np.inf
+    marks = np.unique(np.concatenate((corners, [enable, stop])))
+    marks = marks[marks <= stop]
+    level = np.interp(marks, corners, volts)
+    return [
+        Segment(float(a), float(b), float(u), float((w - u) / (b - a)), bool(a >= enable))
+        for (a, b), (u, w) in zip(pairwise(marks), pairwise(level), strict=True)
+    ]
+
+
+def initial(law: Law, scene: Scene) -> np.ndarray:
+    """State ``[a, b, p, v, d, I]``: the sphere at rest on the chip, or thrown at it."""
+    throw = scene.only("throw")
+    if throw is None:
+        return rest(law)
+    x = np.zeros(2 * law.q + EXTRA)
+    x[2 * law.q + HEIGHT], x[2 * law.q + SPEED] = throw.keys.gap, throw.keys.velocity
+    return x
+
+
+def saturation(law: Law, x: np.ndarray, enabled: bool) -> int:
+    """-1, 0 or +1: the limit at which the current is in the state ``x``."""
+    if not enabled:
+        return 0
+    sphere = x[2 * law.q :]
+    return int(np.sign(law.demand(sphere) - law.current(sphere, Mode(enabled=True))))

@@ -1,0 +1,72 @@
+"""Scenes, models and effort of a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.scene.settings import Rom
+from kc2spice.workflow.models import build_models
+
+T = TypeVar("T")
+
+# A chip of a tenth of the unknowns and a field table of a quarter of the heights.
+COARSE = ("kick.mesh.sectors=2", "kick.mesh.outer_rings=2", "kick.layers=33")
+COARSE_CATCH = ("catch.positions=11",)
+SHORT = ("solver.stop=2 ms",)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How much to measure, where to work, and whom to tell.
+
+    ``quick`` takes coarse models and few points; ``full_sweep`` runs what is otherwise sampled.
+    """
+
+    quick: bool
+    full_sweep: bool
+    repeats: int
+    work: Path
+    clock: Clock
+
+    def scene(self, name: str) -> Scene:
+        """A gallery scene, coarse in a quick run."""
+        if not self.quick:
+            return load_scene(name)
+        sets = {"em_force": COARSE_CATCH, "kick_and_catch": (*COARSE, *COARSE_CATCH, *SHORT)}
+        return load_scene(name, sets.get(name, COARSE))
+
+    def build(self, scene: Scene, rom: Rom | None = None) -> Build:
+        """``scene`` with its models, or with those of another reduction."""
+        if rom is not None:
+            scene = replace(scene, frame=scene.frame.model_copy(update={"rom": rom}))
+        return build_models(scene, self.clock)
+
+    def some(self, values: tuple[T, ...], quick: int = 2) -> tuple[T, ...]:
+        """All ``values``, or the first few in a quick run."""
+        return values[:quick] if self.quick else values
+
+
+def keys_of(scene: Scene, kind: str) -> Any:
+    """The keys of the only part of a type.
+
+    Raises
+    ------
+    UsageError : there is none, or more than one.
+    """
+    part = scene.only(kind)
+    if part is None:
+        raise UsageError("the laboratory needs one such part", where=scene.name, expected=kind)
+    return part.keys
+
+
+def changed(build: Build, keys: Mapping[str, Any]) -> Build:
+    """The same models under a scene with other dotted keys, none of which they depend on."""
+    return replace(build, scene=load_scene(build.scene, keys))

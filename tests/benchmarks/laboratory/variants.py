@@ -1,0 +1,98 @@
+"""Decks of a transient scene with one thing changed, as points of speed against error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.parttype import Build
+from kc2spice.spice.cards import number
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.decks import make_deck
+from laboratory.forms import with_form, with_text
+from laboratory.setup import Setup, changed
+
+RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
+CHGTOL = (1e-7, 1e-9, 1e-10)
+CEILINGS = (1e-6, 50e-6)
+# reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
+FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6, 101), (1.5e-3, 2e-8, 50e-6, 201), (2e-3, 1e-8, 50e-6, 101))
+LOOKUPS = (51, 101, 401)
+SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
+AS_SHIPPED = "the scene as it is"
+PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A deck to run and its place in the plane."""
+
+    family: str
+    label: str
+    deck: Deck
+    note: str = ""
+
+
+def variants(build: Build, setup: Setup) -> Iterator[Variant]:
+    """All decks of one reduced model: tolerances, methods, ceilings, lookups, realisations."""
+    scene, own = build.scene, make_deck(build)
+    catch = scene.only("ring_magnet_coils")
+    yield Variant("ngspice, as shipped", AS_SHIPPED, own)
+    for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
+        for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
+            deck = _deck(build, {"solver.reltol": reltol, "solver.method": method})
+            yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck)
+    for reltol in setup.some((1e-3, 1e-4), 1):
+        for chgtol in setup.some(CHGTOL, 1):
+            deck = _option(_deck(build, {"solver.reltol": reltol}), "chgtol", chgtol)
+            yield Variant("ngspice, chgtol", f"reltol {reltol:g}, chgtol {chgtol:g}", deck)
+    for ceiling in (c for c in setup.some(CEILINGS, 0) if c <= scene.stop):
+        deck = _deck(build, {"solver.max_step": ceiling})
+        yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
+    for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
+        ceiling = min(ceiling, scene.stop)
+        keys = {"solver.reltol": reltol, "solver.max_step": ceiling}
+        if catch is not None:
+            keys[f"{catch.name}.points"] = points
+        label = f"reltol {reltol:g}, chgtol {chgtol:g}, steps up to {ceiling * 1e6:g} us"
+        label += f", {points} heights" if catch else ""
+        deck = _option(_deck(build, keys), "chgtol", chgtol)
+        yield Variant("ngspice, for 1e-4", label, deck)
+    if catch is not None:
+        for points in setup.some(LOOKUPS, 1):
+            deck = _deck(build, {f"{catch.name}.points": points})
+            yield Variant("ngspice, lookup", f"lookup of {points} heights", deck)
+    model = resonators(build.model("kick"))
+    forms: tuple[str, ...] = ("second order", "first order")
+    if scene.stop > SHORT and not setup.full_sweep:
+        forms = forms[:1]  # the other takes minutes
+    for form in setup.some(forms, 0):
+        # Rounding in a dense chip is more than ngspice's own abstol of 1 pA lets pass as converged.
+        deck = _option(with_form(own, model, form), "abstol", 1e-9)
+        note = "as generic exporters write, abstol 1e-9"
+        yield Variant("ngspice, dense", f"dense {form}", deck, note)
+    deck = with_form(own, model, "resonators", behavioural=True)
+    yield Variant("ngspice, behavioural", "behavioural sources", deck)
+
+
+def fixed_steps(build: Build) -> Variant:
+    """The paper's fixed system step: ngspice with error control and watched contacts taken away."""
+    deck = _deck(build, {"solver.max_step": PAPER_STEP})
+    deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
+    unwatched = re.sub(r"(?m)^Snear.*\n", "", deck.files["contact.lib"])
+    deck = with_text(deck, "contact", unwatched)
+    return Variant(
+        "fixed 10 us steps", "fixed 10 us steps, as in the paper", deck,
+        "no error control; the pulse's corners are still met",
+    )  # fmt: skip
+
+
+def _deck(build: Build, keys: Mapping[str, object]) -> Deck:
+    return make_deck(changed(build, keys))
+
+
+def _option(deck: Deck, name: str, value: float) -> Deck:
+    """``deck`` with one simulator option set to another value."""
+    return deck.with_options({name: number(value)}, "of the laboratory")

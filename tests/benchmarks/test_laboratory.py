@@ -1,0 +1,134 @@
+"""The laboratory's quick run: the record's shape, and errors that are errors; never times."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from laboratory.run import PARTS
+
+pytestmark = pytest.mark.slow  # minutes: other programs, every scene
+
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join(
+        [
+            str(Path(__file__).parent),
+            str(Path(__file__).parents[2]),
+            os.environ.get("PYTHONPATH", ""),
+        ]
+    ),
+}
+
+
+def run(*words):
+    """What a user's ``python -m`` gives."""
+    return subprocess.run(
+        [sys.executable, "-m", *words], capture_output=True, text=True, env=ENVIRONMENT, check=False
+    )
+
+
+RATIOS = {
+    "loop_cpu_s", "loop_budget_cpu_s", "actuators_power",
+    "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
+    "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
+    "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
+    "start_help_s", "start_rerun_s", "start_first_s",
+}  # fmt: skip
+PLANES = {"loop", "impact", "imprint", "harmonic", "em", "fem", "dense"}
+SCALINGS = {"modes", "ports", "actuators", "simulated time", "unknowns", "chip"}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    out = tmp_path_factory.mktemp("bench")
+    done = run("laboratory", "--quick", "--repeats", "1", "--json", "--quiet", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), out
+
+
+def points(record, plane):
+    return {point["label"]: point for point in record["planes"][plane]}
+
+
+def test_record_has_the_contracts_shape(bench):
+    record, out = bench
+    assert set(record["planes"]) == PLANES
+    assert set(record["ratios"]) == RATIOS
+    assert set(record["scaling"]) == SCALINGS
+    assert {"cpu", "cores", "os", "python", "numpy", "scipy", "ngspice"} <= set(record["machine"])
+    for name, found in record["planes"].items():
+        assert found, name
+        for point in found:
+            assert math.isfinite(point["error"])
+            assert point["error"] >= 0
+            assert point["time_low_s"] <= point["time_s"] <= point["time_high_s"]
+        assert any(point["pareto"] for point in found)
+    for ratio in record["ratios"].values():
+        assert {"value", "error", "target", "met", "what"} <= set(ratio)
+    stored = json.loads((out / "bench.json").read_text())
+    assert stored["planes"] == record["planes"]
+    for file in ("bench.md", "bench.html", "bench_loop.png", "bench_scaling.png"):
+        assert (out / file).stat().st_size > 500
+
+
+def test_errors_fall_where_they_must(bench):
+    record, _ = bench
+    loop, harmonic = points(record, "loop"), points(record, "harmonic")
+    assert 0 < loop["trap, reltol 0.0001"]["error"] < loop["trap, reltol 0.001"]["error"]
+    assert 0 < loop["Radau, rtol 0.0001"]["error"] < loop["Radau, rtol 0.001"]["error"]
+    # the steps of the paper cost more than a tenth of the launch velocity
+    assert loop["fixed 10 us steps, as in the paper"]["error"] > 0.1
+    assert loop["lower bound"]["error"] < 1e-5
+    tight, loose = (harmonic[f"tolerance {t}"]["error"] for t in ("1e-06", "0.01"))
+    assert 0 < tight <= 1e-6
+    assert 1e-6 < loose <= 1e-2
+    em = points(record, "em")
+    assert 0 < em["9 heights"]["error"] < em["5 heights"]["error"]
+
+
+def test_methods_that_must_agree_do(bench):
+    record, _ = bench
+    assert record["ratios"]["em_superposition"]["error"] < 1e-11
+    assert record["ratios"]["imprint_low_rank"]["error"] < 1e-9
+    for point in record["planes"]["dense"]:
+        assert point["error"] < 1e-9
+    impact = points(record, "impact")
+    assert impact["full model, low rank"]["error"] == impact["full model, refactorising"]["error"]
+
+
+def test_scalings_have_a_power(bench):
+    record, _ = bench
+    for name, item in record["scaling"].items():
+        assert len(item["sizes"]) == len(item["time_s"]) >= 2, name
+        assert list(item["sizes"]) == sorted(item["sizes"])
+        assert math.isfinite(item["exponent"])
+
+
+def test_naive_poles_are_drawn_and_unstable(bench):
+    record, out = bench
+    naive, shipped = record["poles"].values()
+    assert max(naive["real"]) > 1e6
+    assert max(shipped["real"]) < 0
+    assert (out / "bench_poles.png").stat().st_size > 5_000
+
+
+def test_the_table_of_sizes_is_made_by_the_documented_command():
+    done = run("laboratory.reduction_scaling", "--sizes", "300", "900")
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|")[1:4] for line in done.stdout.splitlines() if "| plate |" in line]
+    assert [int(unknowns) for _, _, unknowns in rows] == [300, 867]
+    assert "CPU time as n^" in done.stdout
+
+
+def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):
+    done = run("laboratory", "--part", "loops", "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert all(part in done.stderr for part in ("--part", "loops", *PARTS))
+    assert not (tmp_path / "out").exists()

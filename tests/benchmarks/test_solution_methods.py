@@ -1,0 +1,158 @@
+"""Lower bound and peers against the event-driven reference, forms in .ac."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.fem.piezo.contact import contact_surface
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
+from kc2spice.report.distance import compare
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.header import Header
+from kc2spice.spice.realize import realize
+from kc2spice.workflow.decks import make_deck
+from laboratory.forms import FORMS, state_space, with_form
+from laboratory.fullmodel import factorisations
+from laboratory.law import law
+from laboratory.located import located
+from laboratory.lower_bound import LowerBound
+from laboratory.peers import integrate
+from laboratory.points import Point, Timing, fastest, pareto
+
+
+@pytest.fixture(scope="module")
+def exact(loop):
+    return located(law(loop), loop.scene)
+
+
+def opens(waves):
+    """The located instant [s] at which the last ring opens before the sphere flies."""
+    force, t = waves["contact.force"], waves["time"]
+    last = np.flatnonzero((force > 0) & (t < 0.6e-3))[-1]
+    return t[last + 1]
+
+
+def test_lower_bound_flies_the_loop_exactly(loop, exact):
+    waves = LowerBound(law(loop)).run(loop.scene)
+    error = compare(waves, exact)
+    # The magnets' pull is linearised for 2 us at a time during contact; all else is exact.
+    assert error["velocity_relative"] < 1e-5
+    assert abs(opens(waves) - opens(exact)) < 1e-11
+    assert error["trajectory_m"] < 2e-8
+
+
+def test_lower_bound_without_located_events_is_worse(loop, exact, monkeypatch):
+    """Rings that toggle at samples only: the test above can fail."""
+
+    def unlocated(self, values, times, first, wrong, closed):
+        return float(times[first]), wrong
+
+    monkeypatch.setattr(LowerBound, "_locate", unlocated)
+    error = compare(LowerBound(law(loop)).run(loop.scene), exact)
+    assert error["velocity_relative"] > 1e-5
+
+
+def test_lower_bound_bounces_exactly_on_an_open_anode(bounce):
+    equations = law(bounce)
+    waves = LowerBound(equations).run(bounce.scene)
+    error = compare(waves, located(equations, bounce.scene, 1e-10))
+    assert error["velocity_relative"] < 1e-6
+    assert error["trajectory_m"] < 1e-11
+
+
+def test_peers_converge_to_the_reference(loop, exact):
+    equations, scene = law(loop), loop.scene
+    coarse, fine = (compare(integrate(equations, scene, "Radau", r), exact) for r in (1e-3, 1e-5))
+    assert fine["velocity_relative"] < 1e-4
+    assert fine["trajectory_m"] < coarse["trajectory_m"]
+
+
+def test_peer_jacobian_is_the_derivative(loop):
+    from laboratory.peers import Peer, _linear
+    from laboratory.segments import Segment
+
+    equations = law(loop)
+    top = 2 * equations.q
+    x = np.zeros(top + 4)
+    # as in flight near the set point: the current is not at its limit
+    for p, closed in ((-1e-8, True), (1.5e-3 - 1e-8, False)):
+        x[top] = p
+        peer = Peer(equations, Segment(0.0, 1.0, 10.0, 3.0, not closed), _linear(equations))
+        J = peer.jacobian(0.0, x)
+        for k, step in ((0, 1e-12), (top, 1e-12), (top + 2, 1e-9)):
+            h = np.zeros_like(x)
+            h[k] = step
+            slope = (peer.rhs(0.0, x + h) - peer.rhs(0.0, x - h)) / (2 * step)
+            # central differences of nearly linear rates: rounding of the difference remains
+            assert np.allclose(J[:, k], slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+
+
+def ac_deck(model):
+    part = realize(model, Header("forms", "0"))
+    rings = [pin.name for pin in part.pins if pin.flow == "N" and pin.name != "base"]
+    main = "\n".join(
+        ["* forms", f".include {part.filename}", "V1 anode 0 DC 0 AC 1",
+         f"Xkick anode 0 {' '.join(rings)} 0 {part.name}",
+         *(f"I{ring} 0 {ring} AC {0.1 * (k + 1)}" for k, ring in enumerate(rings)),
+         ".ac lin 21 20k 1meg", *(f".save v({ring})" for ring in rings), ".save i(v1)", ".end", ""]
+    )  # fmt: skip
+    vectors = {ring: (f"v({ring.lower()})", 1.0) for ring in rings} | {"i": ("i(v1)", 1.0)}
+    return Deck(name="forms", text=main, vectors=vectors, parts=(part,))
+
+
+@pytest.mark.parametrize(
+    ("form", "behavioural", "limit"),
+    [*((form, False, 1e-9) for form in FORMS), ("resonators", True, 1e-7)],
+)
+def test_every_form_is_the_same_device(model, form, behavioural, limit, tmp_path):
+    """Numbers in B sources keep 11 digits, which the resonances magnify; in G sources all."""
+    deck = ac_deck(model)
+    ours = run_deck(deck, tmp_path / "ours")
+    other = run_deck(with_form(deck, model, form, behavioural=behavioural), tmp_path / "other")
+    for name in deck.vectors:
+        assert np.abs(other[name] - ours[name]).max() <= limit * np.abs(ours[name]).max()
+
+
+def test_dense_forms_are_dense(model):
+    q = model.order
+    assert np.count_nonzero(state_space(model, "resonators").A) == 3 * q
+    assert np.count_nonzero(state_space(model, "second order").A) == 2 * q * q + q
+    assert np.count_nonzero(state_space(model, "first order").A) == 4 * q * q
+
+
+def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):
+    """The netlist comes from the parts, the exact solution from the laboratory's own equations."""
+    error = compare(run_deck(make_deck(loop), tmp_path), exact)
+    assert error["velocity_relative"] < 1e-4
+    assert error["trajectory_m"] < 1e-6
+
+
+def test_factorisations_of_the_usual_code_are_counted():
+    """Sets of closed springs: none, one, one, two, none."""
+    force = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 0.0]])
+    assert factorisations(force) == 5 + 3
+
+
+def test_count_of_factorisations_is_that_of_the_code():
+    chip = Chip(layers=3, mesh={"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2})
+    system, surface = assemble_kick(chip), contact_surface(chip, 1e8, 1e-3)
+    depth = np.linspace(0.0, 60e-6, 7)
+    counted = factorisations(imprint(system, surface, depth).ring_force)
+    assert counted == imprint_refactorised(system, surface, depth).iterations.sum()
+
+
+def test_pareto_front_and_fastest():
+    def point(error, time, same=True):
+        return Point("f", "l", error, Timing(time, time, time, 1), {"e": error}, same_model=same)
+
+    points = [point(1e-3, 1.0), point(1e-4, 2.0), point(1e-4, 3.0), point(1e-5, 2.5)]
+    assert pareto(points) == (True, True, False, True)
+    assert fastest(points, {"e": 1e-4}) == points[1]
+    assert fastest(points, {"e": 1e-6}) is None
+    assert fastest([replace(points[0], same_model=False)], {"e": 1.0}) is None

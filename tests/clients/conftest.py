@@ -1,0 +1,73 @@
+"""Programs that read what we write, where they are installed, and decks for them.
+
+``tools/clients.sh`` fetches them into a folder of their own; the tests look there and on the path.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.decks import make_deck
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
+import device
+
+CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "kc2spice-clients"
+OWN = Path(os.environ.get("KC2SPICE_CLIENTS", CACHE)) / "bin"
+
+
+@pytest.fixture(scope="session")
+def program():
+    """``program(name, own=False)``: its path; the test is skipped where it is not installed."""
+
+    def find(name: str, *, own: bool = False) -> str:
+        path = shutil.which(name, path=str(OWN)) or (None if own else shutil.which(name))
+        if path is None:
+            pytest.skip(f"{name} is not installed: tools/clients.sh fetches it")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def deck_of():
+    """``deck_of(scene, **solver)``: a gallery scene around the made-up chip and magnets, exported."""
+
+    def make(name: str, **solver):
+        scene = load_scene(name, {f"solver.{key}": value for key, value in solver.items()})
+        build = device.built(scene, device.chip(), device.magnets())
+        others = {
+            part.name: part.type.build(part, scene, Clock(silent))
+            for part in scene.parts.values()
+            if part.type.reduced and part.name not in build.models
+        }
+        return make_deck(replace(build, models={**build.models, **others}))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def run():
+    """``run(command, folder)``: its output; it must succeed."""
+
+    def execute(command: list[str], folder: Path) -> str:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        return done.stdout + done.stderr
+
+    return execute
+
+
+@pytest.fixture(scope="session")
+def model():
+    """The made-up chip."""
+    return device.chip()

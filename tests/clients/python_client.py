@@ -1,0 +1,31 @@
+"""Runs our deck and an example of another client in one process: FIRST EXAMPLE LIBRARY."""
+
+import runpy
+import sys
+
+from kc2spice.sim.loop import run_shared
+from kc2spice.spice.deck import Deck
+
+RC = """* rc
+V1 a 0 PULSE(0 1 0 1n 1n 1 2)
+R1 a b 1000
+C1 b 0 1e-9
+.tran 1e-7 1e-5
+.save v(b)
+.end
+"""
+
+
+def ours():
+    deck = Deck(name="rc", text=RC, vectors={"b": ("v(b)", 1.0)}, stop=1e-5)
+    print(f"ours {run_shared(deck)['b'][-1]:.4f}")
+
+
+def theirs():
+    runpy.run_path(example)
+
+
+first, example, library = sys.argv[1:]
+sys.argv = [example, library]
+for run in (ours, theirs, ours) if first == "ours" else (theirs, ours, theirs):
+    run()

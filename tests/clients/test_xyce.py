@@ -1,0 +1,21 @@
+"""Xyce runs the decks written for it; it is in no package and is tested where it is found."""
+
+import numpy as np
+import pytest
+
+from kc2spice.sim.ngspice import run_deck, write_deck
+from kc2spice.sim.rawfile import read_raw
+from kc2spice.spice.dialect import translate
+
+
+@pytest.mark.parametrize("name", ["impact", "kick_and_catch"])
+def test_xyce_gives_the_speed_of_ngspice(name, deck_of, program, run, tmp_path):
+    xyce = program("Xyce")
+    deck = deck_of(name) if name == "impact" else deck_of(name, stop=0.6e-3)
+    ours = run_deck(deck, tmp_path / "ngspice")
+    spoken = translate(deck, "xyce")
+    main = write_deck(spoken, tmp_path / "xyce")
+    run([xyce, main.name], main.parent)
+    theirs = {k.lower(): v for k, v in read_raw(main.parent / f"{main.name}.raw").items()}
+    speed, _ = spoken.vectors["sphere.v"]
+    assert np.real(theirs[speed.lower()][-1]) == pytest.approx(ours["sphere.v"][-1], rel=1e-3)

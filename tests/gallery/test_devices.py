@@ -1,0 +1,289 @@
+"""Devices that others measured, and circuits around them, from their scenes to their numbers."""
+
+import json
+import math
+import runpy
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from kc2spice.bodies import bimorph
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.plan import plan
+from kc2spice.workflow.judge import frequency
+from kc2spice.workflow.run import run
+
+ROOT = Path(__file__).parents[2]
+PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
+EXAMPLE = ROOT / "docs" / "examples" / "bracket"
+# A new buzzer: nothing but its sheet.
+BUZZER = """
+[disc]
+part = "disc"
+layers = [
+  { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+  { material = "PZT-5A", diameter = "14 mm", thickness = "0.22 mm", electrodes = "12.8 mm" },
+]
+damping = { quality = 50 }
+pins = { anode = "drive.out" }
+[drive]
+part = "source"
+ac = "1 V"
+[analysis]
+type = "ac"
+start = "600 Hz"
+stop = "14 kHz"
+"""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Record and waveforms of a scene with overrides, run once."""
+    found = {}
+
+    def result(scene, *overrides):
+        if (scene, overrides) not in found:
+            out = tmp_path_factory.mktemp("run")
+            record = run(load_scene(scene, list(overrides)), out)
+            with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
+                found[scene, overrides] = record, dict(waves), out
+        return found[scene, overrides]
+
+    return result
+
+
+def within(name, quantity, value):
+    entry = PUBLISHED[name][quantity]
+    inside = abs(value / entry["value"] - 1) <= entry["tolerance"]
+    return inside != (quantity in PUBLISHED[name].get("misses", {}))
+
+
+def test_new_buzzer_is_a_short_file_and_shows_what_an_analyser_shows(tmp_path, results):
+    """Murata 7BB-20-6: 6.3 kHz, 10 nF (catalogue P37E)."""
+    path = tmp_path / "mine.toml"
+    path.write_text(BUZZER, "utf-8")
+    assert len(BUZZER.strip().splitlines()) < 25
+    metrics = results(str(path))[0]["metrics"]
+    assert metrics["resonance_hz"] == pytest.approx(6300, rel=600 / 6300)
+    assert metrics["capacitance_f"] == pytest.approx(10e-9, rel=0.3)
+    f_s, f_p = metrics["resonance_hz"], metrics["antiresonance_hz"]
+    assert metrics["coupling"] == pytest.approx(math.sqrt(1 - (f_s / f_p) ** 2), rel=0.02)
+    assert metrics["quality"] == pytest.approx(50, rel=0.02)
+    bvd = metrics["bvd"]
+    series = 1 / (2 * np.pi * math.sqrt(bvd["lm_h"] * bvd["cm_f"]))
+    assert series == pytest.approx(f_s, rel=5e-3)
+
+
+def test_harvester_gives_the_measured_power_at_its_optimum_load(results):
+    """Peaks of |V| over frequency by load: between both resonances, highest power near 35 kOhm."""
+    powers = {}
+    for load in (10e3, 35e3, 120e3):
+        record, waves, _ = results("harvester", f"load.resistance={load}")
+        volts = np.abs(waves["load.v"])
+        assert record["metrics"]["peak_voltage_v"] == pytest.approx(volts.max())
+        assert "impedance_ohm" not in record["metrics"]  # the beam feeds the load
+        facts = record["model"]["beam"]
+        peak = waves["frequency"].real[volts.argmax()]
+        assert facts["resonance_short_hz"] - 0.2 < peak < facts["resonance_open_hz"] + 0.2
+        powers[load] = volts.max() ** 2 / load
+    assert within("harvester", "resonance_short_hz", facts["resonance_short_hz"])
+    assert within("harvester", "resonance_open_hz", facts["resonance_open_hz"])
+    assert within("harvester", "power_w", powers[35e3])
+    assert powers[10e3] < powers[35e3]
+
+
+def test_harvester_follows_the_model_of_one_mode(results):
+    """|V| at the load against a single degree of freedom with the facts of the body: stiffness and
+    coupling from both resonances and the static capacitance, without any of the circuit's code.
+    The capacitance beside the mode (clamped, with the static part of all others) is then
+    ``C = C_free (f_s / f_p)^2``.
+    """
+    load = 35e3
+    record, waves, _ = results("harvester", f"load.resistance={load}")
+    facts = record["model"]["beam"]
+    w = 2 * np.pi * waves["frequency"].real
+    ws, wp = (2 * np.pi * facts[f"resonance_{k}_hz"] for k in ("short", "open"))
+    C = facts["capacitance_free_f"] * (ws / wp) ** 2
+    # eta'' + 2 z ws eta' + ws^2 eta - theta v = -g a;  C v' + v/R + theta eta' = 0
+    theta = math.sqrt(C * (wp**2 - ws**2))
+    tip = np.abs(waves["beam.u.tip"])
+    shape = np.abs(waves["load.v"] * (1j * w * C + 1 / load) / (1j * w * theta))  # |eta|
+    assert np.ptp(tip / shape) < 0.01 * np.mean(tip / shape)  # one mode: one shape
+    response = ws**2 - w**2 + 2j * 0.027 * ws * w + theta**2 * 1j * w / (1j * w * C + 1 / load)
+    force = shape * np.abs(response)
+    assert np.ptp(force) < 0.01 * force.mean()
+
+
+def test_harvester_charges_its_capacitor_through_the_bridge(results):
+    record, waves, _ = results("harvester_bridge", "beam.fields=true")
+    metrics = record["metrics"]
+    stored, open_peak = waves["store.v"], np.abs(waves["beam.voltage"]).max()
+    assert metrics["store_v"] == pytest.approx(stored[-1])
+    # two junctions of about 0.5 V lie between beam and capacitor
+    assert 0.5 < open_peak - metrics["store_v"] < 2.0
+    assert np.diff(stored[::200]).min() > -0.5
+    charged = stored[waves["time"] > 1.2]
+    assert np.ptp(charged) < 0.1 * charged.mean()
+
+
+def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(results):
+    """The largest stress against bending of the beam's own first mode, outside of the body's code:
+    T = 3 E' h u / (2 L^2) at the clamp of a cantilever with its load at the tip."""
+    record, waves, out = results("harvester_bridge", "beam.fields=true")
+    metrics = record["metrics"]
+    limit = metrics["stress_limit_layers_0_pzt_5a_pa"]
+    assert limit == 76e6
+    stress = metrics["stress_layers_0_pzt_5a_pa"]
+    tip = np.abs(waves["beam.u.tip"]).max()
+    rough = 3 * 70e9 * 0.66e-3 * tip / (2 * (50.8e-3) ** 2)
+    assert stress == pytest.approx(rough, rel=0.35)
+    assert stress < limit
+    assert (
+        metrics["field_layers_2_pzt_5a_v_m"] < metrics["field_limit_layers_2_pzt_5a_v_m"] == 0.7e6
+    )
+    names = {check["name"] for check in record["checks"]}
+    assert "principal stress in layers[0] (PZT-5A) of beam" in names
+    assert {"beam_fields.vtu", "beam_deformed.png", "beam_stress.png"} <= set(record["files"])
+    found = meshio.read(out / "beam_fields.vtu")
+    # at the nodes of the clamp rather than at Gauss points beside it
+    assert stress < found.point_data["principal_stress"].max() < 2 * stress
+    moved = np.abs(found.point_data["displacement"][:, 2]).max()
+    k = np.argmin(np.abs(waves["time"] - metrics["worst_stress_time_s"]))
+    assert moved == pytest.approx(abs(waves["beam.u.tip"][k]), rel=0.02)
+
+
+def test_fields_cost_nothing_and_say_nothing_unless_asked_for(results):
+    record, _, out = results("harvester_bridge", "solver.stop=0.05", "analysis.stop=0.05")
+    assert not any("stress" in name for name in record["metrics"])
+    assert not list(out.glob("*.vtu"))
+    with pytest.raises(UsageError, match="over time"):
+        load_scene("harvester", ["beam.fields=true"])
+
+
+def test_square_wave_makes_the_buzzer_sound_at_its_resonance(results):
+    metrics = results("buzzer_square")[0]["metrics"]
+    off = results("buzzer_square", "gate.pulse.period=250 us", "gate.pulse.width=125 us")[0]
+    assert metrics["swing_m"] > 2 * off["metrics"]["swing_m"]
+    assert metrics["pin_current_a"] <= 5e-3  # 5 V over 1 kOhm
+
+
+def test_feedback_electrode_makes_the_buzzer_oscillate_at_the_frequency_of_its_sheet(results):
+    record, waves, _ = results("buzzer_self")
+    assert within("buzzer_ft_39t_2_5b1", "resonance_hz", record["metrics"]["tone_hz"])
+    swing = waves["disc.u.centre"]
+    t = waves["time"]
+    late = [np.ptp(swing[(t > a) & (t <= a + 0.01)]) for a in (0.03, 0.04, 0.05)]
+    assert late[-1] == pytest.approx(late[0], rel=0.02)  # a steady tone
+
+
+def test_no_tone_without_the_feedback_electrode(results, tmp_path):
+    source = ROOT / "kc2spice" / "scenes"
+    text = (source / "buzzer_self.toml").read_text("utf-8")
+    shutil.copy(source / "buzzer_self.lib", tmp_path)
+    silent = text.replace('feedback = "circuit.feedback"', 'feedback = "gnd"')
+    silent = silent.replace('vcc = "battery.out" }', 'vcc = "battery.out", feedback = "leak.a" }')
+    silent += '[leak]\npart = "capacitor"\ncapacitance = "3 nF"\n'
+    (tmp_path / "silent.toml").write_text(silent, "utf-8")
+    _, waves, _ = results(str(tmp_path / "silent.toml"))
+    late = waves["disc.u.centre"][waves["time"] > 0.05]
+    assert np.ptp(late) < 1e-8
+
+
+@pytest.mark.slow
+def test_sphere_strikes_the_beam_several_times_in_one_blow(results):
+    record, waves, _ = results("sphere_on_beam")
+    force, t = waves["contact.force"], waves["time"]
+    loaded = force > 1e-6 * force.max()
+    first = np.flatnonzero(loaded[:-1] & ~loaded[1:])[0]
+    begins = np.count_nonzero(~loaded[:-1] & loaded[1:])
+    assert begins >= 2  # published: sub-impacts in most of the blows
+    # The first lasts as long as Hertz says for a half-space: 2.94 d/v, d = (5 m v^2 / 4 k)^(2/5)
+    modulus, mass = 193e9 / (2 * (1 - 0.3**2)), 4 / 3 * math.pi * 0.07**3 * 7850
+    depth = (5 * mass / (4 * (4 / 3 * modulus * math.sqrt(0.07)))) ** 0.4
+    assert t[first] - t[loaded][0] == pytest.approx(2.943 * depth, rel=0.1)
+    assert 0 < record["metrics"]["rebound_velocity_m_s"] < 1
+
+
+def test_beam_on_knife_edges_has_the_frequency_of_beam_theory():
+    L, h = 0.78, 5e-3
+    steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
+    keys = {"length": L, "width": 0.02, "layers": [{"material": steel, "thickness": h}]}
+    facts = bimorph.build({**keys, "support": "simply_supported"}).facts
+    wanted = np.pi / 2 * math.sqrt(200e9 / 7800 / 12) * h / L**2
+    assert facts["resonance_hz"] == pytest.approx(wanted, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_slower_drivers_kick_lower(results):
+    """Wapler et al.: 0.243 m/s, about 3 mm, drive unknown: reached at 5 V/us."""
+    speeds = {
+        edge: results("kick_slew", f"kick.drive.edge={edge} us")[0]["metrics"]
+        for edge in (0.1, 10, 20)
+    }
+    launched = [speeds[edge]["launch_velocity_m_s"] for edge in (0.1, 10, 20)]
+    assert launched[0] > launched[1] > launched[2]
+    assert within("kick_slew", "launch_velocity_m_s", launched[2])
+    assert speeds[0.1]["peak_current_a"] > 30
+    assert speeds[20]["peak_current_a"] < 2
+
+
+def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
+    shutil.copy(EXAMPLE / "bracket.toml", tmp_path)
+    runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
+    command = [sys.executable, "-m", "kc2spice", "export", "bracket.toml", "-o", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "out" / "bracket.lib").read_text("utf-8")
+    pins = [line.split()[3] for line in text.splitlines() if line.startswith("* @pin")]
+    assert pins == ["anode", "cathode", "tip", "base", "ground"]
+
+
+@pytest.mark.parametrize("name", ["harvester", "buzzer_ft_20t_6_5a1"])
+def test_export_of_an_ac_scene_gives_a_deck_that_ngspice_takes(name, tmp_path):
+    command = [sys.executable, "-m", "kc2spice", "export", name, "-o", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    deck = next((tmp_path / "out").glob("*.cir"))
+    ran = subprocess.run(
+        ["ngspice", "-n", "-b", "-r", "out.raw", deck.name], cwd=deck.parent,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    assert (deck.parent / "out.raw").stat().st_size > 1000
+
+
+def test_explain_states_the_mesh_error_of_a_body():
+    rows = plan(load_scene("buzzer_7bb_20_6", []), estimate=True).errors
+    row = next(row for row in rows if row.stage == "mesh of disc")
+    assert row.settings == "resonance short"
+    assert 0 < row.expected < 0.01
+    assert not any(
+        row.stage == "mesh of disc" for row in plan(load_scene("buzzer_7bb_20_6", [])).errors
+    )
+
+
+def test_explain_says_where_a_mesh_error_takes_too_long(monkeypatch):
+    monkeypatch.setattr("kc2spice.parts._linear_body.PATIENCE", 1e-3)
+    rows = plan(load_scene("buzzer_7bb_20_6", []), estimate=True).errors
+    row = next(row for row in rows if row.stage == "mesh of disc")
+    assert row.expected is None
+    assert row.why.startswith("not estimated")
+
+
+def test_records_are_json(results):
+    record, _, out = results("buzzer_square")
+    assert json.loads((out / "result.json").read_text("utf-8"))["scene"] == record["scene"]
+
+
+def test_frequency_of_a_tone_is_counted_in_the_last_half():
+    t = np.sort(np.random.default_rng(1).uniform(0, 1, 20_000))
+    chirp = np.where(t < 0.5, np.sin(2 * np.pi * 5 * t), 3 + np.sin(2 * np.pi * 40 * t))
+    assert frequency(t, chirp) == pytest.approx(40, rel=1e-3)
+    assert frequency(t, np.ones_like(t)) is None

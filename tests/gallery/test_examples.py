@@ -1,0 +1,36 @@
+"""The examples of the docs run as they stand, in an empty directory."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# Those that ask for a library of the reader run in tests/clients.
+EXAMPLES = [
+    path
+    for path in sorted((ROOT / "docs" / "examples").glob("*.py"))
+    if "sys.argv" not in path.read_text("utf-8")
+]
+
+
+def test_there_are_enough_and_they_are_short():
+    assert len(EXAMPLES) >= 8
+    for path in EXAMPLES:
+        code = [line for line in path.read_text("utf-8").splitlines() if line.strip()]
+        assert 10 <= len(code) <= 45, f"{path.name}: {len(code)} lines"
+        assert code[0].startswith('"""'), path.name
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path, tmp_path):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning", str(path)],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,450 @@
+"""Axisymmetric piezoelectric elements against closed forms that share nothing with them."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+from scipy.special import i0, i1, j0, j1
+
+from kc2spice.bodies import disc, langevin
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
+from kc2spice.fem.materials import Material, material
+from kc2spice.fem.potentials import condense_potentials
+
+approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
+PZT = material("PZT-5A")
+STEEL = material("steel")
+
+
+def admittance(model, frequency):
+    """Y of the first port by direct solution of the model's equations."""
+    K, E, M = (x.toarray() for x in (model.K, model.E, model.M))
+    w = 2 * np.pi * frequency
+    x = np.linalg.solve(K + 1j * w * E - w**2 * M, model.B[:, 0])
+    return 1j * w * (model.D[0, 0] + model.C[0] @ x)
+
+
+def static(K, load, rigid=0):
+    """Displacement under a load; a free body is held at one unknown."""
+    K = K.toarray()
+    return np.concatenate([np.zeros(rigid), np.linalg.solve(K[rigid:, rigid:], load[rigid:])])
+
+
+def mechanical(blocks, supports=(), **mesh):
+    """Natural frequencies [Hz] of a body without electrodes."""
+    o = assemble(blocks, (), supports, (), **mesh)
+    values = eigh(o.K_uu.toarray(), o.M.toarray(), eigvals_only=True)
+    return np.sqrt(np.abs(values)) / (2 * np.pi)
+
+
+def ceramic(radius, thickness, refine=1, size=None, electrode=None):
+    faces = [Face((0, electrode or radius), z) for z in (0, thickness)]
+    electrodes = (Electrode("cathode", faces[:1], "ground"), Electrode("anode", faces[1:]))
+    block = Block((0, radius), (0, thickness), PZT)
+    return assemble([block], electrodes, size=size or radius / 10, refine=refine)
+
+
+# -- patch tests ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("strain_r", "strain_z"), [(1e-3, 0), (0, 1e-3), (2e-3, -1e-3)])
+def test_uniform_strain_is_represented_exactly(strain_r, strain_z):
+    blocks = [Block((0, 2e-3), (0, 1e-3), STEEL), Block((0.5e-3, 3e-3), (1e-3, 1.7e-3), STEEL)]
+    o = assemble(blocks, (), (), (), size=0.6e-3)
+    r, z, direction = o.points.T
+    u = np.where(direction == 0, strain_r * r, strain_z * z)
+    strain = np.array([strain_r, strain_r, strain_z, 0, 0, 0])
+    volume = np.pi * (4e-6 * 1e-3 + (9e-6 - 0.25e-6) * 0.7e-3)
+    assert u @ o.K_uu @ u == approx(strain @ STEEL.C @ strain * volume, rel=1e-12)
+    inside = (z > 1e-5) & (z < 0.99e-3) & (r < 1.99e-3)  # no surface, so no force
+    assert np.abs((o.K_uu @ u)[inside]).max() < 1e-12 * np.abs(o.K_uu @ u).max()
+    assert o.mass == approx(7860 * volume, rel=1e-12)
+    axial = (direction == 1).astype(float)
+    assert axial @ o.M @ axial == approx(o.mass, rel=1e-12)
+    assert np.abs(o.K_uu @ axial).max() < 1e-9 * np.abs(o.K_uu).max()
+
+
+def test_uniform_shear_and_fields_couple_as_the_tensors_say():
+    block = Block((0.5e-3, 2e-3), (0, 1e-3), PZT.poled((0, 0, 1)))
+    o = assemble([block], (), size=0.6e-3)
+    r, z, direction = o.points.T
+    rp, zp = o.potential_points.T
+    a, b, g, h, k = 1e-3, -2e-3, 3e-3, 2e3, -5e3  # strains rr = tt, zz, rz; slopes of potential
+    u = np.where(direction == 0, a * r, b * z + g * r)
+    p = h * rp + k * zp
+    S = np.array([a, a, b, 0, g, 0])
+    slope = np.array([h, 0, k])
+    volume = np.pi * (4 - 0.25) * 1e-9
+    assert u @ o.K_uu @ u == approx(S @ PZT.C @ S * volume, rel=1e-12)
+    assert u @ o.K_up @ p == approx(slope @ PZT.e @ S * volume, rel=1e-12)
+    assert p @ o.K_pp @ p == approx(slope @ PZT.eps_S @ slope * volume, rel=1e-12)
+
+
+def test_a_free_ceramic_has_its_free_permittivity_and_strain():
+    radius, thickness = 3e-3, 1.3e-3
+    o = ceramic(radius, thickness, size=0.7e-3)
+    c = condense_potentials(o)
+    u = static(c.K, c.b[:, 0], rigid=1)
+    area = np.pi * radius**2
+    capacitance = c.C0[0, 0] + c.b[:, 0] @ u
+    assert capacitance == approx(PZT.eps_T[2, 2] * area / thickness, rel=1e-9)
+    # S = d' E with E = -V/t along z
+    r, z, direction = o.points.T
+    axial = direction == 1
+    slope = np.polyfit(z[axial], u[axial], 1)[0]
+    assert slope == approx(-PZT.d[2, 2] / thickness, rel=1e-6)
+    rim = (direction == 0) & (r > 0.999 * radius)
+    np.testing.assert_allclose(u[rim], -PZT.d[2, 0] / thickness * radius, rtol=1e-6)
+    assert c.C0[0, 0] == approx(PZT.eps_S[2, 2] * area / thickness, rel=1e-9)
+
+
+def test_partial_electrodes_see_the_plate_capacitor_and_a_fringe():
+    radius, thickness, electrode = 8e-3, 0.5e-3, 5e-3
+    plate = PZT.eps_S[2, 2] * np.pi * electrode**2 / thickness
+    clamped = [
+        condense_potentials(ceramic(radius, thickness, refine, 0.25e-3, electrode)).C0[0, 0]
+        for refine in (1, 2)
+    ]
+    # The fringe inside the dielectric is worth ln(2) t / pi of radius on either side (Love).
+    stretch = np.sqrt(PZT.eps_S[0, 0] / PZT.eps_S[2, 2])
+    fringe = PZT.eps_S[2, 2] * np.pi * (electrode + stretch * thickness * np.log(2) / np.pi) ** 2
+    # The corner singularity of the field leaves an error that halves with the cell.
+    assert 2 * clamped[1] - clamped[0] == approx(fringe / thickness, rel=1e-3)
+    assert plate < clamped[1] < clamped[0] < 1.1 * plate
+
+
+# -- plates ---------------------------------------------------------------------------------------
+
+
+def bending(root, radius, thickness, m=STEEL):
+    E, nu = 211.9e9, 0.291
+    D = E * thickness**3 / (12 * (1 - nu**2))
+    return root**2 / (2 * np.pi * radius**2) * np.sqrt(D / (m.density * thickness))
+
+
+def plate_root(condition):
+    nu = 0.291
+    conditions = {
+        "clamped": lambda x: j0(x) * i1(x) + j1(x) * i0(x),
+        "simply_supported": lambda x: j1(x) / j0(x) + i1(x) / i0(x) - 2 * x / (1 - nu),
+        "free": lambda x: j0(x) / j1(x) + i0(x) / i1(x) - 2 * (1 - nu) / x,
+    }
+    brackets = {"clamped": (2.5, 4), "simply_supported": (1.8, 2.39), "free": (2.4, 3.8)}
+    return brentq(conditions[condition], *brackets[condition])
+
+
+@pytest.mark.parametrize("condition", ["clamped", "simply_supported", "free"])
+def test_thin_plates_bend_at_the_frequencies_of_plate_theory(condition):
+    radius, thickness = 20e-3, 0.4e-3
+    rim = (radius, radius)
+    supports = {
+        "clamped": [Fixed("r", rim, (0, thickness)), Fixed("z", rim, (0, thickness))],
+        "simply_supported": [Fixed("z", rim, (thickness / 2, thickness / 2))],
+        "free": [],
+    }[condition]
+    f = mechanical([Block((0, radius), (0, thickness), STEEL)], supports, size=0.5e-3)
+    first = f[1] if condition == "free" else f[0]
+    theory = bending(plate_root(condition), radius, thickness)
+    assert first == approx(theory, rel=1e-3)  # shear and rotation: (t/a)^2 = 4e-4
+
+
+def test_the_disc_part_holds_its_rim_as_its_key_says():
+    layers = [
+        {"material": "steel", "diameter": "40 mm", "thickness": "0.4 mm"},
+        {"material": "PZT-5A", "diameter": "1 mm", "thickness": "1 um"},
+    ]
+    for support in ("clamped", "simply_supported"):
+        model = disc.build({"layers": layers, "support": support}, refine=2)
+        values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
+        theory = bending(plate_root(support), 20e-3, 0.4e-3)
+        assert np.sqrt(values[0]) / (2 * np.pi) == approx(theory, rel=2e-3)
+        assert model.facts["rigid_modes"] == 0
+
+
+# -- ceramics in closed form ----------------------------------------------------------------------
+
+
+def radial_admittance(frequency, radius, thickness, m=PZT):
+    """Thin disc in radial motion: Bessel functions (Meitzler, O'Bryan, Tiersten 1973)."""
+    s = np.linalg.inv(m.C)
+    nu = -s[0, 1] / s[0, 0]
+    c = 1 / (s[0, 0] * (1 - nu**2))
+    e = m.d[2, 0] / (s[0, 0] * (1 - nu))
+    eps = m.eps_T[2, 2] - 2 * m.d[2, 0] ** 2 / (s[0, 0] + s[0, 1])
+    x = 2 * np.pi * frequency * radius * np.sqrt(m.density / c)
+    factor = eps + 2 * e**2 / c * j1(x) / (x * j0(x) - (1 - nu) * j1(x))
+    return 2j * np.pi * frequency * np.pi * radius**2 / thickness * factor
+
+
+def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
+    radius, thickness = 10e-3, 0.4e-3
+    layer = {"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.4 mm"}
+    model = disc.build({"layers": [layer], "damping": {"ratio": 0}}, refine=2)
+    f = np.linspace(5e3, 200e3, 40)
+    theory = radial_admittance(f, radius, thickness).imag
+    pole = brentq(lambda x: 1 / radial_admittance(x, radius, thickness).imag, 90e3, 110e3)
+    zero = brentq(lambda x: radial_admittance(x, radius, thickness).imag, 1.05 * pole, 1.3 * pole)
+    assert model.facts["resonance_short_hz"] == approx(pole, rel=5e-4)
+    assert model.facts["resonance_open_hz"] == approx(zero, rel=5e-4)
+    away = (np.abs(f - pole) > 5e3) & (np.abs(f - zero) > 5e3)
+    computed = np.array([admittance(model, x).imag for x in f[away]])
+    np.testing.assert_allclose(computed, theory[away], rtol=5e-3)
+
+
+def test_a_slender_rod_has_the_length_mode_of_piezoelectric_theory():
+    length, radius = 20e-3, 0.5e-3
+    o = ceramic(radius, length, size=0.5e-3)
+    c = condense_potentials(o)
+    s33 = np.linalg.inv(PZT.C)[2, 2]
+    k33 = PZT.d[2, 2] / np.sqrt(s33 * PZT.eps_T[2, 2])
+    speed = 1 / np.sqrt(PZT.density * s33 * (1 - k33**2))
+    opened = speed / (2 * length)  # length mode at constant D
+    ratio = brentq(lambda x: x / np.tan(x) - k33**2, 0.3, np.pi / 2) / (np.pi / 2)
+    b = c.b[:, 0]
+    K_open = c.K.toarray() + np.outer(b, b) / c.C0[0, 0]
+    hertz = [
+        np.sqrt(eigh(K, o.M.toarray(), eigvals_only=True, subset_by_index=[1, 1])[0]) / 2 / np.pi
+        for K in (c.K.toarray(), K_open)
+    ]
+    assert hertz[1] == approx(opened, rel=1.5e-3)  # Rayleigh: (nu pi a/L)^2/4 = 2e-4
+    assert hertz[0] / hertz[1] == approx(ratio, rel=1e-3)
+
+
+def test_smooth_modes_converge_with_the_fourth_power_of_the_cell():
+    first = []
+    for refine in (1, 2, 4):
+        o = ceramic(2e-3, 2e-3, refine, size=1e-3)
+        c = condense_potentials(o)
+        values = eigh(c.K.toarray(), o.M.toarray(), eigvals_only=True, subset_by_index=[1, 3])
+        first.append(np.sqrt(values))
+    steps = np.abs(np.diff(first, axis=0))
+    rate = np.log2(steps[0] / steps[1])
+    assert rate.min() > 3.3
+
+
+# -- wiring, feedback, passivity ------------------------------------------------------------------
+
+
+def bimorph(wiring, lower, upper):
+    layers = [
+        {"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm", "poling": pole}
+        for pole in (lower, upper)
+    ]
+    return disc.build({"layers": layers, "wiring": wiring})
+
+
+def test_series_and_parallel_wiring_transform_impedance_by_four():
+    parallel, series = bimorph("parallel", "up", "up"), bimorph("series", "up", "down")
+    a, b = parallel.facts, series.facts
+    assert a["capacitance_free_f"] == approx(4 * b["capacitance_free_f"], rel=1e-9)
+    assert a["resonance_short_hz"] == approx(b["resonance_short_hz"], rel=1e-9)
+    assert a["resonance_open_hz"] > a["resonance_short_hz"]
+    x = static(parallel.K, parallel.B[:, 0], 1)
+    y = static(series.K, series.B[:, 0], 1)
+    np.testing.assert_allclose(x, 2 * y, atol=1e-6 * np.abs(x).max())  # twice the field
+
+
+def test_poling_down_reverses_the_motion_and_nothing_else():
+    layers = [{"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"}]
+    top = {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.2 mm"}
+    up, down = (
+        disc.build({"layers": [*layers, top | {"poling": pole}], "support": "simply_supported"})
+        for pole in ("up", "down")
+    )
+    stroke = [m.B[:, 1] @ static(m.K, m.B[:, 0]) for m in (up, down)]
+    assert stroke[0] == approx(-stroke[1], rel=1e-9)
+    # d31 < 0: along the poling, +V at the top contracts the plane when poled up (E downwards
+    # expands), so that the plate with its ceramic on top moves upwards.
+    assert stroke[0] > 1e-9
+    assert up.facts == approx(down.facts, rel=1e-9)
+
+
+def test_a_feedback_ring_takes_its_area_from_the_main_electrode():
+    layers = [{"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"}]
+    top = {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.2 mm"}
+    ring = {"inner": "4 mm", "outer": "6 mm", "gap": "0.1 mm"}
+    whole = disc.build({"layers": [*layers, top]}, refine=2)
+    split = disc.build({"layers": [*layers, top | {"feedback": ring}]}, refine=2)
+    assert [p.name for p in split.ports] == ["anode", "feedback", "centre"]
+    C0 = split.D[:2, :2]
+    assert np.linalg.eigvalsh(C0).min() > 0
+    assert abs(C0[0, 1]) < 0.2 * C0[1, 1]
+    together = C0.sum()  # all on one voltage: only the gaps are missing
+    assert 0.95 * whole.D[0, 0] < together < whole.D[0, 0]
+    half_gaps = (3.05**2 - 1.95**2) / 7**2
+    assert C0[1].sum() / together == approx(half_gaps, rel=0.02)
+
+
+@pytest.mark.parametrize("support", ["free", "clamped", {"node": "13 mm"}])
+def test_models_are_symmetric_positive_and_collocated(support):
+    layers = [
+        {"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"},
+        {"material": "epoxy", "diameter": "14 mm", "thickness": "20 um"},
+        {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.2 mm", "electrodes": "12 mm"},
+    ]
+    model = disc.build({"layers": layers, "support": support, "damping": {"quality": 30}})
+    for name in "KME":
+        matrix = getattr(model, name).toarray()
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
+        values = np.linalg.eigvalsh(matrix)
+        assert values[0] > -1e-9 * values[-1]
+    np.testing.assert_array_equal(model.C, model.B.T)
+    assert model.facts["rigid_modes"] == (support == "free")
+    w = 2 * np.pi * model.facts["resonance_short_hz"]
+    y = admittance(model, w / (2 * np.pi))
+    bandwidth = [admittance(model, w / (2 * np.pi) * (1 + s / 60)).real for s in (-1, 1)]
+    np.testing.assert_allclose(bandwidth, y.real / 2, rtol=0.05)  # half power at f (1 +- 1/2Q)
+
+
+def test_damping_per_material_is_that_of_the_ceramic_alone():
+    layer = {"material": "PZT-4", "diameter": "20 mm", "thickness": "0.4 mm"}
+    model = disc.build({"layers": [layer], "damping": {"per_material": True}}, refine=2)
+    f = model.facts["resonance_short_hz"]
+    around = [admittance(model, f * (1 + s / 1000)).real for s in (-1, 0, 1)]
+    np.testing.assert_allclose(np.array(around) / around[1], [0.5, 1, 0.5], atol=0.03)  # Q = 500
+
+
+# -- Langevin -------------------------------------------------------------------------------------
+
+
+def line_resonance(sections):
+    """First free-free longitudinal resonance of sections (area, modulus, density, length)."""
+
+    def end_force(frequency):
+        w, state = 2 * np.pi * frequency, np.array([1.0, 0.0])  # displacement, force
+        for area, modulus, density, length in sections:
+            k = w * np.sqrt(density / modulus)
+            z = area * modulus * k
+            c, s = np.cos(k * length), np.sin(k * length)
+            state = np.array([[c, s / z], [-z * s, c]]) @ state
+        return state[1]
+
+    f = np.linspace(1e3, 30e3, 400)
+    force = np.array([end_force(x) for x in f])
+    at = np.flatnonzero(np.diff(np.sign(force)))[0]
+    return brentq(end_force, f[at], f[at + 1])
+
+
+def test_a_slender_langevin_resonates_as_a_transmission_line():
+    keys = {
+        "front": [{"material": "aluminium", "diameter": "10 mm", "length": "80 mm"}],
+        "back": [{"material": "steel", "diameter": "10 mm", "length": "60 mm"}],
+        "rings": {
+            "material": "PZT-4", "outer": "10 mm", "inner": "4 mm", "thickness": "5 mm", "count": 4,
+        },
+        "bolt": {"material": "steel", "diameter": "3 mm", "depth": "10 mm"},
+    }  # fmt: skip
+    model = langevin.build(keys)
+    pzt = material("PZT-4")
+    circle = np.pi / 4 * 1e-6
+    ring, bolt, full = circle * (100 - 16), circle * 9, circle * 100
+    stack = ring / np.linalg.inv(pzt.C)[2, 2] + bolt * 211.9e9
+    mass = ring * 7500 + bolt * 7860
+    thread = (full - bolt) * 70.3e9 + bolt * 211.9e9
+    weight = (full - bolt) * 2700 + bolt * 7860
+    sections = [
+        (full, 211.9e9, 7860, 60e-3),
+        (full, stack / full, mass / full, 20e-3),
+        (full, thread / full, weight / full, 10e-3),
+        (full, 70.3e9, 2700, 70e-3),
+    ]
+    assert model.facts["resonance_short_hz"] == approx(line_resonance(sections), rel=0.01)
+    mass = full * 60e-3 * 7860 + mass * 20e-3 + weight * 10e-3 + full * 70e-3 * 2700
+    assert model.facts["mass_kg"] == approx(mass, rel=1e-9)
+    capacitance = 4 * pzt.eps_T[2, 2] * ring / 5e-3
+    assert model.facts["capacitance_free_f"] == approx(capacitance, rel=0.15)  # bolt clamps
+    assert [p.name for p in model.ports] == ["anode", "front", "back"]
+    fixed = langevin.build(keys | {"support": "back"})
+    assert fixed.facts["rigid_modes"] == 0
+    assert fixed.facts["resonance_short_hz"] < model.facts["resonance_short_hz"]
+
+
+# -- errors ---------------------------------------------------------------------------------------
+
+BRASS = {"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"}
+CERAMIC = {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.2 mm"}
+RING = {"inner": "2 mm", "outer": "4 mm"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"layers": []}, "at least 1"),
+        ({"layers": [BRASS]}, "no piezoelectric layer"),
+        ({"layers": [BRASS | {"electrodes": "5 mm"}, CERAMIC]}, "not piezoelectric"),
+        ({"layers": [BRASS, CERAMIC | {"electrodes": "15 mm"}]}, "larger than the layer"),
+        ({"layers": [BRASS, CERAMIC | {"diameter": "14 s"}]}, "wrong unit"),
+        ({"layers": [BRASS, CERAMIC | {"thickness": 0}]}, "greater than 0"),
+        ({"layers": [BRASS, CERAMIC | {"glue": 1}]}, "Extra inputs"),
+        ({"layers": [BRASS, CERAMIC | {"material": "PZT"}]}, "no such material"),
+        ({"layers": [BRASS, CERAMIC | {"material": "quartz"}]}, "isotropic about its axis"),
+        ({"layers": [BRASS, CERAMIC], "support": {"node": "21 mm"}}, "outside the body"),
+        ({"layers": [BRASS, CERAMIC], "support": "glued"}, "support"),
+        ({"layers": [BRASS, CERAMIC], "centre": "15 mm"}, "wider than the top"),
+        ({"layers": [BRASS, CERAMIC], "damping": {"ratio": 1, "quality": 2}}, "one of ratio"),
+        ({"layers": [BRASS, CERAMIC], "damping": {"per_material": True}}, "none for brass"),
+        ({"layers": [BRASS, CERAMIC | {"feedback": RING | {"outer": "14.5 mm"}}]}, "no room"),
+        (
+            {"layers": [CERAMIC | {"electrodes": "9 mm"}, CERAMIC | {"electrodes": "8 mm"}]},
+            "different diameters",
+        ),
+    ],
+)
+def test_impossible_discs_are_refused_with_a_reason(keys, says):
+    with pytest.raises(UsageError) as caught:
+        disc.build(keys, where="buzzer")
+    assert says in str(caught.value)
+    assert "buzzer" in str(caught.value) or "axis" in says
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rings": {"count": 3}}, "odd number"),
+        ({"rings": {"inner": "40 mm"}}, "inner must be smaller"),
+        ({"bolt": {"diameter": "16 mm"}}, "does not pass"),
+        ({"bolt": {"depth": "31 mm"}}, "reaches through"),
+        ({"bolt": {"head_diameter": "11 mm", "head_length": "5 mm"}}, "no wider"),
+        ({"bolt": {"head_diameter": "20 mm"}}, "head_length"),
+        ({"rings": {"material": "steel"}}, "not piezoelectric"),
+    ],
+)
+def test_impossible_sandwiches_are_refused_with_a_reason(change, says):
+    keys = {
+        "front": [{"material": "aluminium", "diameter": "40 mm", "length": "30 mm"}],
+        "back": [{"material": "steel", "diameter": "40 mm", "length": "25 mm"}],
+        "rings": {
+            "material": "PZT-4", "outer": "38 mm", "inner": "15 mm", "thickness": "5 mm",
+        },
+        "bolt": {"material": "steel", "diameter": "12 mm"},
+    }  # fmt: skip
+    for part, values in change.items():
+        keys[part] = keys[part] | values
+    with pytest.raises(UsageError) as caught:
+        langevin.build(keys)
+    assert says in str(caught.value)
+
+
+def test_electrodes_that_touch_or_touch_nothing_are_refused():
+    block = Block((0, 1e-3), (0, 1e-3), PZT)
+    bottom = Electrode("cathode", (Face((0, 1e-3), 0.0),), "ground")
+    both = Electrode("anode", (Face((0, 0.5e-3), 0.0),))
+    with pytest.raises(UsageError, match="two electrodes touch"):
+        assemble([block], [bottom, both], size=1e-3)
+    off = Electrode("anode", (Face((0, 0.5e-3), 2e-3),))
+    with pytest.raises(UsageError, match="touches no piezoelectric layer"):
+        assemble([block], [bottom, off], size=1e-3)
+    with pytest.raises(UsageError, match="port touches nothing"):
+        assemble([block], [bottom], (), [Face((0, 1e-3), 3e-3)], size=1e-3)
+    with pytest.raises(UsageError, match="support touches nothing"):
+        assemble([block], [bottom], [Fixed("z", (2e-3, 2e-3), (0, 0))], size=1e-3)
+    assert isinstance(block.material, Material)
+
+
+def test_a_ceramic_without_electrodes_has_no_potential():
+    block = Block((0, 1e-3), (0, 1e-3), PZT)
+    with pytest.raises(UsageError, match="touches no electrode"):
+        condense_potentials(assemble([block], (), size=1e-3))

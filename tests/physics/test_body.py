@@ -1,0 +1,342 @@
+"""Bodies from files: against parametric bodies of the same geometry, and every bad group named."""
+
+import runpy
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from kc2spice.bodies.bimorph import Bimorph
+from kc2spice.bodies.bimorph import build as build_bimorph
+from kc2spice.bodies.body import Body, build, device
+from kc2spice.bodies.disc import Disc
+from kc2spice.bodies.disc import build as build_disc
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.materials import material
+from kc2spice.rom.reduce import reduce
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "bracket"
+PZT = material("PZT-5A")
+
+
+def write(path, draw, *, size, order=2, mesh=3):
+    """A file made by gmsh: ``draw(gmsh)`` returns groups {(dimension, name): tags}."""
+    gmsh.initialize([], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.option.setNumber("General.Verbosity", 0)
+    groups = draw(gmsh)
+    for (dimension, name), tags in groups.items():
+        gmsh.model.addPhysicalGroup(dimension, tags, name=name)
+    if path.suffix == ".msh":
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.model.mesh.generate(mesh)
+        gmsh.model.mesh.setOrder(order)
+    gmsh.write(str(path))
+    gmsh.finalize()
+    return path.name
+
+
+def slabs(heights, length, width):
+    """Layers of a beam in millimetres, with faces by their height as groups."""
+
+    def draw(gmsh):
+        occ = gmsh.model.occ
+        bodies = [(3, occ.addBox(0, 0, a, length, width, b - a)) for a, b in pairwise(heights)]
+        if len(bodies) > 1:
+            occ.fragment(bodies[:1], bodies[1:])
+        occ.synchronize()
+        groups = {}
+        for k, (a, b) in enumerate(pairwise(heights)):
+            inside = gmsh.model.getEntitiesInBoundingBox(-1, -1, a - 1e-6, 99, 99, b + 1e-6, 3)
+            groups[3, f"layer{k}"] = [t for _, t in inside]
+        for k, z in enumerate(heights):
+            flat = gmsh.model.getEntitiesInBoundingBox(-1, -1, z - 1e-6, 99, 99, z + 1e-6, 2)
+            groups[2, f"level{k}"] = [t for _, t in flat]
+        for name, x in (("root", 0), ("end", length)):
+            flat = gmsh.model.getEntitiesInBoundingBox(x - 1e-6, -1, -1, x + 1e-6, 99, 99, 2)
+            groups[2, name] = [t for _, t in flat]
+        edge = gmsh.model.getEntitiesInBoundingBox(
+            length - 1e-6, -1, heights[-1] - 1e-6, 99, 99, heights[-1] + 1e-6, 1
+        )
+        groups[1, "edge"] = [t for _, t in edge]
+        corner = gmsh.model.getEntitiesInBoundingBox(
+            length - 1e-6, -1e-6, heights[-1] - 1e-6, 99, 1e-6, 99, 0
+        )
+        groups[0, "corner"] = [t for _, t in corner]
+        return groups
+
+    return draw
+
+
+@pytest.fixture(scope="module")
+def beam(tmp_path_factory):
+    """A unimorph of 12 x 3 mm: 0.4 mm of steel under 0.3 mm of PZT-5A."""
+    home = tmp_path_factory.mktemp("beam")
+    write(home / "beam.msh", slabs([0, 0.4, 0.7], 12, 3), size=0.8)
+    return home
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """The same with one element or two across."""
+    home = tmp_path_factory.mktemp("coarse")
+    write(home / "beam.msh", slabs([0, 0.4, 0.7], 12, 3), size=2.5)
+    return home
+
+
+def keys(**changes):
+    table = {
+        "mesh": "beam.msh",
+        "materials": {"layer0": "steel", "layer1": "PZT-5A"},
+        "poling": {"layer1": [0, 0, -1]},
+        "fixed": ["root"],
+        "electrodes": {"anode": "level2", "cathode": "level1"},
+        "ports": [
+            {"name": "tip", "group": "end", "axis": "z"},
+            {"name": "base", "kind": "base", "axis": "z"},
+        ],
+        "damping": {"ratio": 0},
+    }
+    return Body.model_validate({**table, **changes})
+
+
+def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
+    parametric = build_bimorph(
+        Bimorph.model_validate({
+            "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0},
+            "layers": [{"material": "steel", "thickness": "0.4 mm"},
+                       {"material": "PZT-5A", "thickness": "0.3 mm"}],
+        }), beam, refine=2,
+    )  # fmt: skip
+    found = build(keys(), beam)
+    assert [p.name for p in found.ports] == [p.name for p in parametric.ports]
+    for name, value in parametric.facts.items():
+        if name != "unknowns":
+            assert found.facts[name] == pytest.approx(value, rel=1e-2), name
+    s = np.array([0.0, 900.0])
+    ours, theirs = found.transfer(s), parametric.transfer(s)
+    assert np.abs(ours / theirs - 1).max() < 1e-2
+
+
+def test_ports_on_every_kind_of_group(coarse):
+    ports = [
+        {"name": "face", "group": "end", "axis": [0, 0, 2]},
+        {"name": "edge", "group": "edge", "axis": "z"},
+        {"name": "corner", "group": "corner", "axis": "z"},
+        {"name": "near", "at": ["12 mm", 0, "0.7 mm"], "axis": "z"},
+        {"name": "bulk", "group": "layer0", "axis": "z"},
+    ]
+    model = build(keys(ports=ports), coarse)
+    n = len(model.ports)
+    stroke = np.real(model.transfer(np.zeros(1))[0][:-1, n - 1])
+    assert stroke[0] == pytest.approx(stroke[1], rel=1e-2)
+    assert stroke[2] == pytest.approx(stroke[3], rel=1e-9)
+    assert 0.2 < stroke[4] / stroke[0] < 0.5  # a parabola has a third of its end as mean
+
+
+def test_rigid_face_gives_six_ports(coarse):
+    model = build(keys(ports=[{"name": "end", "group": "end", "kind": "rigid"}]), coarse)
+    assert [p.name for p in model.ports[:6]] == [
+        f"end_{m}" for m in ("x", "y", "z", "rx", "ry", "rz")
+    ]
+    assert [p.kind for p in model.ports[:6]] == ["mechanical"] * 3 + ["rotational"] * 3
+    free = build(keys(), coarse).facts
+    assert model.facts["resonance_short_hz"] == pytest.approx(free["resonance_short_hz"], rel=1e-2)
+
+
+def test_file_unit_scales_the_body(coarse):
+    small, large = (
+        build(keys(unit=unit, damping={"alpha": 0, "ratio": 0}), coarse).facts
+        for unit in ("mm", "cm")
+    )
+    assert large["mass_kg"] == pytest.approx(1000 * small["mass_kg"])
+    assert large["resonance_short_hz"] == pytest.approx(small["resonance_short_hz"] / 10)
+
+
+def test_step_file_states_its_own_unit(tmp_path):
+    write(tmp_path / "a.step", slabs([0, 4], 12, 3), size=1)
+    table = {
+        "mesh": "a.step", "size": "3 mm", "materials": {"all": "steel"},
+        "groups": {"all": {"solids": [["6 mm", "1 mm", "1 mm"]]}},
+        "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
+    }  # fmt: skip
+    steel = material("steel").density
+    assert build(table, tmp_path).facts["mass_kg"] == pytest.approx(144e-9 * steel)
+    with pytest.raises(UsageError, match="own unit"):
+        build({**table, "unit": "m"}, tmp_path)
+    text = (tmp_path / "a.step").read_text()
+    assert "SI_UNIT(.MILLI.,.METRE.)" in text
+    (tmp_path / "a.step").write_text(
+        text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.CENTI.,.METRE.)")
+    )
+    larger = {
+        **table,
+        "size": "30 mm",
+        "groups": {"all": {"solids": [["60 mm", "10 mm", "10 mm"]]}},
+    }
+    assert build(larger, tmp_path).facts["mass_kg"] == pytest.approx(144e-6 * steel)
+
+
+def test_axisymmetric_mesh_is_the_disc(tmp_path):
+    def draw(gmsh):
+        gmsh.model.occ.addRectangle(0, 0, 0, 5, 0.5)
+        gmsh.model.occ.synchronize()
+        around = {
+            name: [t for _, t in gmsh.model.getEntitiesInBoundingBox(*box, 1)]
+            for name, box in {
+                "low": (-1, -1e-6, -1, 9, 1e-6, 1), "high": (-1, 0.5 - 1e-6, -1, 9, 0.6, 1),
+            }.items()
+        }  # fmt: skip
+        return {(2, "disc"): [1], **{(1, name): tags for name, tags in around.items()}}
+
+    write(tmp_path / "disc.msh", draw, size=0.25, mesh=2)
+    found = build(Body.model_validate({
+        "mesh": "disc.msh", "axisymmetric": True, "materials": {"disc": "PZT-5A"},
+        "electrodes": {"anode": "high", "cathode": "low"}, "damping": {"ratio": 0},
+    }), tmp_path).facts  # fmt: skip
+    own = build_disc(Disc.model_validate({
+        "layers": [{"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm"}],
+        "damping": {"ratio": 0},
+    })).facts  # fmt: skip
+    for name in ("mass_kg", "capacitance_free_f", "capacitance_clamped_f",
+                 "resonance_short_hz", "resonance_open_hz"):  # fmt: skip
+        assert found[name] == pytest.approx(own[name], rel=1e-3), name
+
+
+def test_curved_cylinder_keeps_its_volume(tmp_path):
+    """Quadratic elements follow the curve: 20 edges lose 1.6 % of the area if straight."""
+
+    def draw(gmsh):
+        gmsh.model.occ.addCylinder(0, 0, 0, 0, 0, 3, 2)
+        gmsh.model.occ.synchronize()
+        return {}
+
+    write(tmp_path / "rod.brep", draw, size=1)
+    found = build(Body.model_validate({
+        "mesh": "rod.brep", "size": "0.7 mm", "materials": {"rod": "steel"}, "fixed": ["foot"],
+        "groups": {"rod": {"solids": [[0, 0, "1 mm"]]}, "foot": {"faces": [[0, 0, 0]]},
+                   "top": {"faces_in": [["-3 mm", "-3 mm", "3 mm"], ["3 mm", "3 mm", "3 mm"]]}},
+        "ports": [{"name": "top", "group": "top", "axis": "z"}],
+    }), tmp_path)  # fmt: skip
+    volume = np.pi * 4 * 3 * 1e-9
+    assert found.facts["mass_kg"] == pytest.approx(material("steel").density * volume, rel=1e-3)
+
+
+def test_refining_moves_towards_one_answer(coarse):
+    once, twice = (build(keys(), coarse, refine=n).facts["resonance_short_hz"] for n in (1, 2))
+    assert twice < once  # displacement elements are too stiff
+    assert twice == pytest.approx(once, rel=2e-2)
+
+
+def test_damping_of_each_material(coarse):
+    lossy = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3, "quality": 50}
+    table = {"layer0": lossy, "layer1": {**lossy, "quality": 50}}
+    ports = [{"name": "tip", "group": "end", "axis": "z"}]
+    changes = {"materials": table, "poling": {}, "electrodes": {}, "ports": ports}
+    each = build(keys(**changes, damping={"per_material": True}), coarse)
+    whole = build(keys(**changes, damping={"quality": 50}), coarse)
+    f = np.array([each.facts["resonance_hz"]])
+    assert each.transfer(f) == pytest.approx(whole.transfer(f), rel=1e-9)
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"fixed": ["foot"]}, "no such group"),
+    ({"materials": {"layer0": "steel"}, "poling": {}}, "elements without material"),
+    ({"fixed": ["root"], "electrodes": {"anode": "level0", "cathode": "level2"}},
+     "not piezoelectric"),
+    ({"electrodes": {"anode": "layer1", "cathode": "level1"}}, "wrong kind"),
+    ({"electrodes": {"anode": "level2", "cathode": ["level1", "root"]}}, "touch each other|fixed"),
+    ({"floating": ["level2"]}, "touch each other"),
+    ({"ports": [{"name": "a", "group": "root", "kind": "rigid"}]}, "touches a support"),
+    ({"size": "1 mm"}, "has its size"),
+    ({"mesh": "absent.msh"}, "cannot be read"),
+    ({"mesh": "coarse.stl"}, "not a kind of mesh"),
+    ({"groups": {"a": {"faces": [[0, 0, 0]]}}}, "CAD files only"),
+    ({"unit": "kg"}, "wrong unit"),
+])  # fmt: skip
+def test_errors_name_the_group(coarse, changes, message):
+    with pytest.raises(UsageError, match=message):
+        build(keys(**changes), coarse)
+
+
+def test_group_of_two_materials_is_named(tmp_path):
+    def draw(gmsh):
+        return {**slabs([0, 0.4, 0.7], 12, 3)(gmsh), (3, "all"): [1, 2]}
+
+    write(tmp_path / "beam.msh", draw, size=3)
+    with pytest.raises(UsageError, match="two materials") as error:
+        build(keys(materials={"all": "steel", "layer1": "PZT-5A"}), tmp_path)
+    assert error.value.where == "body: materials.layer1"
+
+
+def test_script_that_calls_itself_a_mesh_is_not_run(tmp_path):
+    (tmp_path / "beam.msh").write_text('Printf("run") > "ran.txt";\n')
+    with pytest.raises(UsageError, match="not what its name says"):
+        build(keys(), tmp_path)
+
+
+def test_pick_that_misses_names_its_point(tmp_path):
+    write(tmp_path / "beam.step", slabs([0, 0.4], 12, 3), size=1)
+    table = {
+        "mesh": "beam.step", "size": "2 mm", "materials": {"all": "steel"},
+        "groups": {"all": {"solids": [["1 mm", "1 mm", "0.1 mm"]]}, "foot": {"faces": [[1, 0, 0]]}},
+        "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
+    }  # fmt: skip
+    with pytest.raises(UsageError, match="no face contains") as error:
+        build(Body.model_validate(table), tmp_path)
+    assert error.value.where == "body: groups.foot.at"
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"electrodes": {"anode": "level2"}}, "single electrode"),
+    ({"poling": {"layer7": [0, 0, 1]}}, "without material"),
+    ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs an axis"),
+    ({"ports": [{"name": "a", "axis": "x"}]}, "needs group"),
+    ({"ports": [{"name": "a b", "group": "end", "axis": "x"}]}, "pattern"),
+    ({"electrodes": {}, "ports": []}, "electrodes or ports"),
+])  # fmt: skip
+def test_bad_tables(changes, message):
+    with pytest.raises(ValidationError, match=message):
+        keys(**changes)
+
+
+def test_free_body_has_no_support_and_exact_capacitance(coarse):
+    facts = device(keys(fixed=[], ports=[]), coarse).model.facts
+    assert facts["capacitance_free_f"] < PZT.eps_T[2, 2] * 36e-6 / 0.3e-3
+    assert facts["capacitance_clamped_f"] == pytest.approx(
+        PZT.eps_S[2, 2] * 36e-6 / 0.3e-3, rel=1e-9
+    )
+
+
+def test_example_of_the_bracket(tmp_path):
+    """The STEP file that the example draws, with the keys that it ships: mass of the drawing, a
+    stroke that both patches add to, and a reduced model that keeps its ports."""
+    runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
+    table = tomllib.loads((EXAMPLE / "bracket.toml").read_text("utf-8"))["bracket"]
+    assert table.pop("part") == "body"
+    model = build(Body.model_validate(table), tmp_path)
+    frame = (60 * 20 * 2 + 2 * 20 * 18) * 1e-9 * material("aluminium").density
+    patches = 2 * 30 * 14 * 0.5e-9 * PZT.density
+    assert model.facts["mass_kg"] == pytest.approx(frame + patches, rel=1e-9)
+    area = 2 * 30e-3 * 14e-3 / 0.5e-3
+    assert PZT.eps_S[2, 2] * area < model.facts["capacitance_clamped_f"] * 1.01
+    assert model.facts["capacitance_free_f"] < PZT.eps_T[2, 2] * area
+    passive = {"density": PZT.density, "stiffness": PZT.C.tolist()}
+    one = {**table, "materials": {**table["materials"], "lower": passive}}
+    one["poling"] = {"upper": [0, 0, 1]}
+    one["electrodes"] = {"anode": "hot", "cathode": "cold"}
+    one["groups"] = {**table["groups"], "hot": {"faces": [["20 mm", "10 mm", "2.5 mm"]]},
+                     "cold": {"faces": [["20 mm", "10 mm", "2 mm"]]}}  # fmt: skip
+    alone = build(Body.model_validate(one), tmp_path)
+    both, single = (m.facts["free_stroke_m_per_v"] for m in (model, alone))
+    assert both == pytest.approx(2 * single, rel=0.05)
+    reduced = reduce(model, tolerance=1e-3, band=(0.0, 3e3))
+    assert reduced.certificate.stable
+    assert reduced.certificate.passive
+    assert [p.terminals for p in reduced.ports] == [("tip",), ("base",), ("anode", "cathode")]
+    f = np.array([0.0, 500.0, 619.0, 2000.0])
+    assert np.abs(reduced.transfer(f) / model.transfer(f) - 1).max() < 1e-2

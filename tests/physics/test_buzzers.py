@@ -1,0 +1,54 @@
+"""Buzzers of data sheets, from their scenes and textbook materials: nothing is fitted."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from kc2spice.bodies import disc
+from kc2spice.bodies.convergence import mesh_error
+
+ROOT = Path(__file__).parents[2]
+PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
+BUZZERS = [name for name, entry in PUBLISHED.items() if "capacitance_f" in entry]
+
+
+def keys_of(name):
+    text = (ROOT / "kc2spice" / "scenes" / f"{name}.toml").read_text("utf-8")
+    assert len(text.splitlines()) < 25
+    table = tomllib.loads(text)["disc"]
+    assert table.pop("part") == "disc"
+    assert {"anode", "cathode"} <= set(table.pop("pins"))
+    return table
+
+
+def test_every_buzzer_of_the_gallery_has_published_numbers():
+    scenes = {path.stem for path in (ROOT / "kc2spice" / "scenes").glob("buzzer_*.toml")}
+    assert scenes - {"buzzer_square", "buzzer_self"} == set(BUZZERS)  # those are circuits
+    assert len(BUZZERS) >= 6
+
+
+@pytest.mark.parametrize("name", BUZZERS)
+def test_resonance_and_capacitance_are_those_of_the_sheet_or_a_stated_miss(name):
+    published = PUBLISHED[name]
+    model = disc.build(keys_of(name))
+    predicted = {
+        "resonance_hz": model.facts["resonance_short_hz"],
+        "capacitance_f": model.facts["capacitance_free_f"],
+    }
+    if "feedback_capacitance_f" in published:
+        predicted["feedback_capacitance_f"] = model.facts["feedback_capacitance_f"]
+    misses = published.get("misses", {})
+    for quantity, value in predicted.items():
+        sheet = published[quantity]
+        inside = abs(value / sheet["value"] - 1) <= sheet["tolerance"]
+        assert inside != (quantity in misses), (quantity, value, sheet)
+
+
+@pytest.mark.parametrize("name", ["buzzer_7bb_20_6", "buzzer_ft_15t_5_5a1"])
+@pytest.mark.parametrize("fact", ["resonance_short_hz", "capacitance_free_f"])
+def test_the_mesh_is_worth_less_than_a_percent_and_no_more_than_stated(name, fact):
+    keys = keys_of(name)
+    stated = mesh_error(disc.build, keys, fact)
+    coarse, fine = (disc.build(keys, refine=k).facts[fact] for k in (1, 3))
+    assert abs(coarse / fine - 1) < stated < 1e-2

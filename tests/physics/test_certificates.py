@@ -1,0 +1,88 @@
+"""Certificates of random models against direct solutions at fine sets of frequencies.
+
+The oracle shares no code with the reduction: poles by scipy's eigenvalues of the full matrices,
+responses by numpy's solver at, beside and between them.
+"""
+
+import numpy as np
+import pytest
+from scipy.linalg import eigvals
+
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
+
+FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
+
+
+def random_case(seed):
+    """A model of 10 to 80 unknowns, a band and a tolerance; damping ratios from 1e-6 to 0.1."""
+    rng = np.random.default_rng(seed)
+    n, ports = int(rng.integers(10, 80)), int(rng.integers(1, 4))
+    Q, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    omega = np.sort(np.exp(rng.uniform(0, 4, n)))
+    ratio = 10 ** rng.uniform(-6, -1)
+    damping = 2 * ratio * omega
+    if rng.integers(0, 2):
+        damping = damping * omega / omega[0]
+    root = np.exp(rng.uniform(-1, 1, n))[:, None] * Q
+    K, E, M = (root @ np.diag(d) @ root.T for d in (omega**2, damping, np.ones(n)))
+    K, E, M = (0.5 * (P + P.T) for P in (K, E, M))
+    if rng.integers(0, 3) == 0:  # a dashpot that couples the modes
+        E[0, 0] += ratio * np.sqrt(K[0, 0] * M[0, 0])
+    B = rng.standard_normal((n, ports))
+    C = B.T if rng.integers(0, 2) else rng.standard_normal((2, n))
+    band = 0.0, float(omega[int(n * rng.uniform(0.1, 0.6))]) * 1.03 / (2 * np.pi)
+    return (M, E, K, B, C), band, 10 ** rng.uniform(-6, -2)
+
+
+def direct(matrices, frequency):
+    M, E, K, B, C = matrices
+    s = 2j * np.pi * frequency[:, None, None]
+    return C @ np.linalg.solve(s * s * M + s * E + K, B.astype(complex)[None])
+
+
+def fine(matrices, band):
+    """On every pole in the band, at many multiples of its half width, and in between."""
+    M, E, K, _, _ = matrices
+    n = len(M)
+    inner = np.linalg.solve(M, np.hstack([K, E]))
+    poles = eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inner[:, :n], -inner[:, n:]]]))
+    poles = poles[poles.imag > 0] / (2 * np.pi)
+    offsets = np.r_[0.0, 0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
+    near = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-offsets, offsets]).ravel()
+    every = np.union1d(near, np.linspace(*band, 150))
+    every = every[(every >= band[0]) & (every <= band[1])]
+    for _ in range(3):  # into the notches, where relative errors are largest
+        size = np.abs(direct(matrices, every)).reshape(len(every), -1)
+        lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
+        at = np.flatnonzero(lowest.any(axis=1))
+        spans = [np.linspace(every[k], every[k + 2], 6) for k in at]
+        every = np.unique(np.concatenate([every, *spans]))
+    return every
+
+
+def check(seed):
+    matrices, band, tolerance = random_case(seed)
+    M, E, K, B, C = matrices
+    rom = reduce(LinearModel(M=M, E=E, K=K, B=B, C=C), tolerance=tolerance, band=band)
+    frequency = fine(matrices, band)
+    exact = direct(matrices, frequency)
+    found = direct((rom.M, rom.E, rom.K, rom.B, rom.C), frequency)
+    base = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
+    error = float((np.abs(found - exact) / base).max())
+    estimate = rom.certificate.error_estimate
+    # Rounding of either solution is no error of the reduction.
+    assert error <= estimate + 1e-9, (seed, error, estimate)
+    assert estimate <= tolerance, (seed, estimate, tolerance)
+    assert estimate <= 4 * error + 1e-9, (seed, error, estimate)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_estimate_is_between_the_error_and_four_times_it(seed):
+    check(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40, 500))
+def test_estimate_is_between_the_error_and_four_times_it_in_all(seed):
+    check(seed)

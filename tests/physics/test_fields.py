@@ -1,0 +1,166 @@
+"""Fields back: closed-form stresses, motion against exact integrals, files read by others."""
+
+import meshio
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.signal import StateSpace, lsim
+from skfem.mesh import MeshHex, MeshTet, MeshTet2, MeshTri, MeshTri2
+
+from kc2spice.bodies.device import Setup, Shape, make_device, mean
+from kc2spice.bodies.fields import Probe, extremes, principal
+from kc2spice.bodies.keys import Damping
+from kc2spice.bodies.recover import recover
+from kc2spice.bodies.vtu import write_vtu
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.materials import material
+from kc2spice.fem.solid import Solid
+from kc2spice.rom.linear import Port
+
+PZT = material("PZT-5A")
+SIZE = np.array([4e-3, 1e-3, 0.5e-3])
+
+
+def plate(kind=MeshTet, made_of=PZT):
+    mesh = kind.init_tensor(*(np.linspace(0, s, n) for s, n in zip(SIZE, (5, 2, 3), strict=True)))
+    mesh = MeshTet2.from_mesh(mesh) if kind is MeshTet else mesh
+    return Solid(mesh, (made_of,), np.zeros(mesh.nelements, int))
+
+
+def at(solid, axis, value):
+    return np.flatnonzero(np.abs(solid.basis(1).doflocs[axis] - value) < 1e-9)
+
+
+def pulled(solid, damping=None):
+    """A bar held at x = 0 without hindering its contraction, pulled at the other end, with
+    electrodes below and above."""
+    x = solid.basis(1).doflocs
+    fixed = np.zeros((x.shape[1], 3), bool)
+    fixed[x[0] < 1e-9, 0] = True
+    fixed[np.all(x < 1e-9, axis=0)] = True
+    fixed[(x[0] < 1e-9) & (x[1] < 1e-9), 1] = True
+    end = solid.mesh.facets_satisfying(lambda p: p[0] > SIZE[0] - 1e-9)
+    pull = Shape(Port("pull", "mechanical"), mean(solid, np.eye(3)[0], facets=end))
+    electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
+    return make_device(solid, Setup(
+        fixed.ravel(), electrodes, "cathode", shapes=[pull],
+        damping=damping or Damping(ratio=0.02),
+    ))  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [MeshTet, MeshHex])
+def test_uniform_stress_and_field_are_exact(kind):
+    device = pulled(plate(kind))
+    time = np.array([0.0, 1e-6, 2e-6])  # at rest under constant inputs: static
+    force, voltage = 3.0, 20.0
+    motion = recover(device, time, {"pull": np.full(3, force), "anode": np.full(3, voltage)})
+    for gauss in (False, True):
+        fields = Probe(device, gauss=gauss)(*motion.at(1e-6))
+        pressure = force / (SIZE[1] * SIZE[2])
+        assert fields.stress[:, 0] == pytest.approx(pressure, rel=1e-6)
+        assert np.abs(fields.stress[:, 1:]).max() < 1e-6 * pressure
+        assert fields.field[:, 2] == pytest.approx(-voltage / SIZE[2], rel=1e-6)
+    strain = np.linalg.inv(PZT.C)[0, 0] * pressure - PZT.d[2, 0] * voltage / SIZE[2]
+    stretched = Probe(device, gauss=False)(*motion.at(1e-6)).displacement[:, 0].max()
+    assert stretched == pytest.approx(strain * SIZE[0], rel=1e-6)
+    stress, field = extremes(motion)
+    assert (stress.quantity, stress.unit, stress.limit) == ("principal_stress", "Pa", 76e6)
+    assert stress.value == pytest.approx(pressure, rel=1e-6)
+    assert (field.quantity, field.limit) == ("electric_field", 0.7e6)
+    assert field.value == pytest.approx(voltage / SIZE[2], rel=1e-6)
+
+
+def test_motion_is_that_of_the_full_model():
+    """Against modes of the dense matrices and scipy's integration of the state space."""
+    device = pulled(plate(), Damping(ratio=0.05))
+    model = device.model
+    time = np.linspace(0, 2e-5, 801)
+    inputs = np.column_stack([np.sin(4e5 * time) * (time < 1e-5), 30 * np.clip(time / 1e-6, 0, 1)])
+    found = recover(device, time, dict(zip(("pull", "anode"), inputs.T, strict=True)), order=60)
+    squares, X = eigh(model.K.toarray(), model.M.toarray())
+    keep = squares < (2 * np.pi * 60e6) ** 2
+    squares, X = squares[keep], X[:, keep]
+    n, (alpha, beta) = len(squares), model.rayleigh
+    A = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.diag(squares), -np.diag(alpha + beta * squares)]]
+    )
+    gain = X.T @ model.B
+    B, C = np.vstack([np.zeros_like(gain), gain]), np.hstack([gain.T, np.zeros_like(gain.T)])
+    _, y, _ = lsim(StateSpace(A, B, C, model.D), inputs, time)
+    assert (np.abs(found.outputs - y).max(axis=0) < 2e-3 * np.abs(y).max(axis=0)).all()
+
+
+def test_free_body_falls_as_newton_says():
+    solid = plate(MeshHex, material("steel"))
+    fixed = np.zeros(3 * solid.basis(1).N, bool)
+    everywhere = mean(solid, np.eye(3)[2], elements=np.arange(solid.mesh.nelements))
+    push = Shape(Port("push", "mechanical"), everywhere)
+    device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
+    time = np.linspace(0, 1e-3, 50)
+    force = np.where(time > 0, 1e-3, 0.0)
+    found = recover(device, time, {"push": force}, order=5).outputs[-1, 0]
+    start = time[1]  # the force rises linearly over the first step
+    late = time[-1] - start
+    velocity = 0.5 * start
+    distance = 1e-3 * (start**2 / 6 + velocity * late + late**2 / 2)
+    assert found == pytest.approx(distance / device.model.facts["mass_kg"], rel=1e-5)
+
+
+def test_largest_principal_stress_is_the_largest_eigenvalue():
+    voigt = np.random.default_rng(0).standard_normal((500, 6))
+    voigt[:3] = [[0] * 6, [1, 1, 1, 0, 0, 0], [-2, -2, -2, 0, 0, 1e-9]]
+    place = [[0, 5, 4], [5, 1, 3], [4, 3, 2]]
+    wanted = np.linalg.eigvalsh(voigt[:, place])[:, -1]
+    assert principal(voigt) == pytest.approx(wanted, abs=1e-7)
+
+
+@pytest.mark.parametrize(("kind", "cell"), [
+    (MeshTet, "tetra10"), (MeshHex, "hexahedron27"), (MeshTri, "triangle6"),
+])  # fmt: skip
+def test_file_holds_what_another_reader_finds(tmp_path, kind, cell):
+    if kind is MeshTri:
+        flat = MeshTri.init_tensor(np.linspace(0, 2e-3, 3), np.linspace(0, 0.5e-3, 2))
+        solid = Solid(MeshTri2.from_mesh(flat), (PZT,), np.zeros(flat.nelements, int), True)
+        heights = solid.basis(1).doflocs[1]
+        fixed = np.zeros((heights.size, 2), bool)
+        fixed[heights < 1e-9, 1] = True
+        fixed[solid.basis(1).doflocs[0] < 1e-9, 0] = True
+        electrodes = {"anode": np.flatnonzero(heights > 0.5e-3 - 1e-9),
+                      "cathode": np.flatnonzero(heights < 1e-9)}  # fmt: skip
+        device = make_device(solid, Setup(fixed.ravel(), electrodes, "cathode"))
+    else:
+        device = pulled(plate(kind))
+    n = device.model.order
+    voltage = np.array([7.0])
+    electrical = device.model.B[:, -1:] @ voltage
+    z = device.model.pencil.pencil_solver(0.0).solve(electrical)
+    write_vtu(tmp_path / "a.vtu", device, z, voltage)
+    found = meshio.read(tmp_path / "a.vtu")
+    assert z.shape == (n,)
+    assert [block.type for block in found.cells] == [cell]
+    nodes = found.cells[0].data
+    corners, ends = {
+        "tetra10": (4, "01 12 02 03 13 23"),
+        "triangle6": (3, "01 12 20"),
+        "hexahedron27": (8, "01 12 23 30 45 56 67 74 04 15 26 37"),
+    }[cell]
+    for k, (a, b) in enumerate(map(int, pair) for pair in ends.split()):
+        halfway = (found.points[nodes[:, a]] + found.points[nodes[:, b]]) / 2
+        assert found.points[nodes[:, corners + k]] == pytest.approx(halfway, abs=1e-12)
+    z_at = found.points[:, 2]
+    assert found.point_data["potential"] == pytest.approx(7.0 * z_at / 0.5e-3, abs=1e-6)
+    assert found.point_data["field"][:, 2] == pytest.approx(-14e3, rel=1e-6)
+    # the free plate is stretched by d31 and d33 alone
+    move = found.point_data["displacement"]
+    top = z_at > 0.5e-3 - 1e-9
+    assert move[top, 2] == pytest.approx(PZT.d[2, 2] * -7.0, rel=1e-5)
+    assert np.abs(found.point_data["stress"]).max() < 1e-3 * 14e3 * abs(PZT.e[2, 0])
+
+
+def test_waveform_of_no_port_is_refused():
+    device = pulled(plate())
+    with pytest.raises(UsageError, match="not a port waveform"):
+        recover(device, np.zeros(2), {"push": np.zeros(2)})
+    motion = recover(device, np.linspace(0, 1e-6, 3), {"pull": np.ones(3)})
+    with pytest.raises(UsageError, match="outside the run"):
+        motion.at(1.0)

@@ -1,0 +1,95 @@
+"""The analyser's figures from samples of circuits whose elements are known."""
+
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from kc2spice.bodies.impedance import analyse, impedance
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear import Port
+
+approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
+C0, R, L, C = 7.3e-9, 470.0, 0.59, 1.08e-9
+FS = 1 / (2 * np.pi * np.sqrt(L * C))
+
+
+def circuit(f, r=R, extra=0.0):
+    s = 2j * np.pi * np.asarray(f)
+    return 1 / (s * C0 + 1 / (r + s * L + 1 / (s * C)) + extra * s)
+
+
+@pytest.mark.parametrize("samples", [40, 150, 1000])
+@pytest.mark.parametrize("quality", [5, 50, 1000])
+def test_the_circuit_is_found_whatever_the_samples(samples, quality):
+    r = np.sqrt(L / C) / quality
+    f = np.geomspace(300, 20e3, samples)
+    reading = analyse(f, circuit(f, r))
+    assert reading.resonance_hz == approx(FS, rel=1e-6)
+    assert reading.antiresonance_hz == approx(FS * np.sqrt(1 + C / C0), rel=1e-6)
+    assert reading.quality == approx(quality, rel=1e-4)
+    assert reading.coupling == approx(np.sqrt(C / (C + C0)), rel=1e-5)
+    bvd = reading.metrics()["bvd"]
+    np.testing.assert_allclose(list(bvd.values()), [C0, r, L, C], rtol=1e-4)
+    assert list(bvd) == ["c0_f", "rm_ohm", "lm_h", "cm_f"]
+    assert reading.fit_error < 1e-5
+
+
+def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
+    f = np.geomspace(100, 20e3, 400)
+    at = FS / 10  # 630 Hz
+    expected = C0 + C / (1 - (at / FS) ** 2)
+    assert analyse(f, circuit(f)).capacitance_f == approx(expected, rel=1e-4)
+    narrow = np.geomspace(3e3, 12e3, 200)
+    assert analyse(narrow, circuit(narrow)).capacitance_f == approx(expected, rel=1e-4)
+    fast = 100 * f  # the same circuit a hundred times as fast is read at 1 kHz
+    assert analyse(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
+
+
+def test_higher_modes_and_loss_are_left_to_the_rest():
+    f = np.geomspace(300, 40e3, 800)
+    s = 2j * np.pi * f
+    second = 1 / (200 + s * 0.06 + 1 / (s * 0.6e-9))  # at 26.5 kHz
+    Z = 1 / (1 / circuit(f) + second + 0.02 * 2 * np.pi * f * C0)
+    reading = analyse(f, Z)
+    assert reading.resonance_hz == approx(FS, rel=1e-4)
+    assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
+    assert reading.bvd.c0_f == approx(C0 + 0.6e-9 / (1 - (FS / 26.5e3) ** 2), rel=0.02)
+
+
+def test_noise_moves_the_figures_by_its_own_size():
+    rng = np.random.default_rng(1)
+    f = np.linspace(4e3, 9e3, 400)
+    Z = circuit(f) * (1 + 1e-3 * rng.standard_normal(400))
+    reading = analyse(f, Z)
+    assert reading.resonance_hz == approx(FS, rel=1e-3)
+    assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
+
+
+def test_a_model_is_read_at_its_electrical_port():
+    def transfer(f):
+        charge = 1 / (2j * np.pi * f * circuit(f))
+        return np.array([[[0, 0], [0, q]] for q in charge])
+
+    ports = (Port("centre", "mechanical", "um", "N"), Port("anode", "electrical", "V", "A"))
+    model = SimpleNamespace(ports=ports, transfer=transfer)
+    f = np.geomspace(1e3, 10e3, 50)
+    np.testing.assert_allclose(impedance(model, f), circuit(f), rtol=1e-12)
+    with pytest.raises(UsageError, match="no electrical port"):
+        impedance(model, f, "centre")
+
+
+@pytest.mark.parametrize(
+    ("f", "Z", "says"),
+    [
+        ([1, 2], [1, 1], "not samples"),
+        (np.arange(10), np.ones(10), "from above zero"),
+        (np.ones(10), np.ones(10), "increase"),
+        (np.arange(1, 11), np.full(10, np.nan), "finite"),
+        (np.arange(1, 101), 1 / (2j * np.pi * np.arange(1, 101) * 1e-9), "no resonance"),
+    ],
+)
+def test_samples_that_show_no_resonance_are_refused(f, Z, says):
+    with pytest.raises(UsageError, match=says):
+        analyse(np.array(f, float), np.array(Z))

@@ -1,0 +1,194 @@
+"""The material library against published stress-charge constants; tensor algebra; errors."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.constants import epsilon_0
+
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.materials import material, names
+
+PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
+ASKED = [
+    "PZT-4",
+    "PZT-5A",
+    "PZT-5H",
+    "PZT-8",
+    "PIC255",
+    "THP51",
+    "AlN",
+    "quartz",
+    "brass",
+    "steel",
+    "stainless",
+    "aluminium",
+    "titanium",
+    "silicon",
+    "FR4",
+    "epoxy",
+]
+
+
+def full_stiffness(C):
+    """c_ijkl of a Voigt matrix."""
+    c = np.zeros((3, 3, 3, 3))
+    for (I, (i, j)), (J, (k, l)) in itertools.product(enumerate(PAIRS), repeat=2):
+        for a, b in {(i, j), (j, i)}:
+            for p, q in {(k, l), (l, k)}:
+                c[a, b, p, q] = C[I, J]
+    return c
+
+
+def full_coupling(e):
+    """e_ijk of a Voigt matrix."""
+    t = np.zeros((3, 3, 3))
+    for J, (j, k) in enumerate(PAIRS):
+        t[:, j, k] = t[:, k, j] = e[:, J]
+    return t
+
+
+def test_every_number_of_the_library_has_a_source():
+    assert set(ASKED) <= set(names())
+    for name in names():
+        sources = material(name).sources
+        assert {"density"} < set(sources)
+        assert all(any(c.isdigit() for c in s) for k, s in sources.items() if k == "density")
+        assert all(sources.values()), name
+
+
+@pytest.mark.parametrize(
+    ("name", "stiffness", "coupling"),
+    [  # B. A. Auld, Acoustic Fields and Waves in Solids, 1973, appendix 2 (stress-charge form)
+        ("PZT-4", (139, 77.8, 74.3, 115, 25.6, 30.6), (-5.2, 15.1, 12.7)),
+        ("PZT-5A", (121, 75.4, 75.2, 111, 21.1, 22.6), (-5.4, 15.8, 12.3)),
+        ("PZT-5H", (126, 79.5, 84.1, 117, 23.0, 23.5), (-6.5, 23.3, 17.0)),
+        ("PZT-8", (149, 81.1, 81.1, 132, 31.3, 32.9), (-4.0, 13.8, 10.3)),
+    ],
+)
+def test_strain_charge_data_convert_to_the_published_stress_charge_form(name, stiffness, coupling):
+    m = material(name)
+    C = m.C / 1e9
+    np.testing.assert_allclose(
+        [C[0, 0], C[0, 1], C[0, 2], C[2, 2], C[3, 3], C[5, 5]], stiffness, rtol=0.02
+    )
+    np.testing.assert_allclose([m.e[2, 0], m.e[2, 2], m.e[0, 4]], coupling, rtol=0.04)
+
+
+def test_permittivity_at_stress_and_strain_and_the_strain_coefficients():
+    m = material("PZT-5A")
+    np.testing.assert_allclose(np.diag(m.eps_T) / epsilon_0, [1730, 1730, 1700], rtol=1e-12)
+    np.testing.assert_allclose(np.diag(m.eps_S) / epsilon_0, [916, 916, 830], rtol=5e-3)
+    np.testing.assert_allclose(m.d[2] * 1e12, [-171, -171, 374, 0, 0, 0], atol=1e-9)
+    paper = material("THP51")
+    np.testing.assert_allclose(np.diag(paper.eps_S) / epsilon_0, [1934, 1934, 803.5], rtol=1e-4)
+
+
+def test_quartz_has_its_known_strain_coefficients():
+    d = material("quartz").d * 1e12  # Bechmann 1958: d11 = 2.31, d14 = 0.727 pC/N
+    assert d[0, 0] == pytest.approx(2.31, rel=3e-3)
+    assert d[0, 3] == pytest.approx(0.727, rel=3e-3)
+    assert d[1, 5] == pytest.approx(-2 * 2.31, rel=3e-3)
+    c = full_stiffness(material("quartz").C)
+    a = 2 * np.pi / 3  # trigonal: unchanged by a third of a turn about z
+    R = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    turned = np.einsum("ai,bj,ck,dl,ijkl", R, R, R, R, c, optimize=True)
+    np.testing.assert_allclose(turned, c, atol=2e-3 * 107e9)
+
+
+@pytest.mark.parametrize("name", ["PZT-5H", "quartz"])
+@pytest.mark.parametrize("direction", [(0, 0, -1), (1, 0, 0), (0, -2, 0), (0.3, -0.5, 0.7)])
+def test_poling_turns_every_tensor_by_its_indices(name, direction):
+    m, n = material(name), np.array(direction) / np.linalg.norm(direction)
+    turned = m.poled(direction)
+    axis, angle = np.cross([0, 0, 1], n), np.arccos(n[2])
+    axis = axis / np.linalg.norm(axis) if np.linalg.norm(axis) > 0 else np.array([1.0, 0, 0])
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    np.testing.assert_allclose(R @ [0, 0, 1], n, atol=1e-14)
+    c = np.einsum("ai,bj,ck,dl,ijkl", R, R, R, R, full_stiffness(m.C), optimize=True)
+    e = np.einsum("ai,bj,ck,ijk", R, R, R, full_coupling(m.e), optimize=True)
+    np.testing.assert_allclose(full_stiffness(turned.C), c, atol=1e-9 * np.abs(c).max())
+    np.testing.assert_allclose(full_coupling(turned.e), e, atol=1e-9 * np.abs(e).max())
+    np.testing.assert_allclose(turned.eps_S, R @ m.eps_S @ R.T, atol=1e-12 * m.eps_S.max())
+
+
+def test_isotropic_and_orthotropic_moduli():
+    brass = material("brass")
+    E, nu = 100.6e9, 0.35
+    lame, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+    assert brass.C[0, 1] == pytest.approx(lame)
+    assert brass.C[4, 4] == pytest.approx(mu)
+    board = material("FR4")
+    s = np.linalg.inv(board.C)
+    assert 1 / s[2, 2] == pytest.approx(8e9)
+    assert -s[0, 1] / s[0, 0] == pytest.approx(0.18)
+    assert board.C[4, 4] == pytest.approx(3.5e9)
+
+
+def test_a_table_of_the_scene_uses_the_words_of_the_library():
+    words = {
+        "density": "7750 kg/m3",
+        "symmetry": "hexagonal",
+        "stiffness": {"c11": "121 GPa", "c12": 75.4e9, "c13": 75.2e9, "c33": 111e9, "c44": 21.1e9},
+        "stress_coupling": {"e31": -5.4, "e33": "15.8 C/m2", "e15": 12.3},
+        "permittivity": {"eps11": 916, "eps33": 830},
+        "permittivity_at": "strain",
+    }
+    m = material(words, "disc.materials.CERAMIC")
+    assert m.name == "CERAMIC"
+    assert m.C[0, 0] == 121e9
+    assert m.C[5, 5] == pytest.approx((121e9 - 75.4e9) / 2)
+    assert m.e[1, 3] == 12.3
+    full = words | {"stiffness": m.C.tolist(), "stress_coupling": m.e.tolist()}
+    np.testing.assert_array_equal(material(full).C, m.C)
+
+
+STEEL = {"density": 7860, "youngs_modulus": 210e9, "poisson_ratio": 0.3}
+PZT = {
+    "density": 7750,
+    "symmetry": "hexagonal",
+    "stiffness": {"c11": 121e9, "c12": 75.4e9, "c13": 75.2e9, "c33": 111e9, "c44": 21.1e9},
+    "stress_coupling": {"e31": -5.4, "e33": 15.8, "e15": 12.3},
+    "permittivity": {"eps11": 916, "eps33": 830},
+    "permittivity_at": "strain",
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ("PZT-5B", "no such material"),
+        (STEEL | {"poisson_ratio": 0.51}, "not positive definite"),
+        (STEEL | {"poisson_ratio": -1}, "positive"),
+        (STEEL | {"youngs_modulus": 210}, "out of any material's range"),
+        (STEEL | {"youngs_modulus": "210 GHz"}, "wrong unit"),
+        (STEEL | {"youngs_modulus": [1e9, 2e9]}, "orthotropic"),
+        (STEEL | {"density": -1}, "greater than 0"),
+        (STEEL | {"colour": "grey"}, "Extra inputs"),
+        (STEEL | {"sources": {"colour": "me"}}, "names no such key"),
+        ({"density": 1000}, "exactly one of"),
+        (PZT | {"permittivity_at": "stress"}, "constant strain"),  # eps^S as eps^T
+        ({k: v for k, v in PZT.items() if k != "permittivity_at"}, "permittivity_at"),
+        (PZT | {"symmetry": "monoclinic"}, "Input should be"),
+        ({k: v for k, v in PZT.items() if k != "symmetry"}, "need a symmetry"),
+        (PZT | {"stiffness": {"c11": 121e9, "c12": 75e9}}, "wrong components"),
+        (PZT | {"stiffness": [[1e9, 0], [0, 1e9]]}, "wrong shape"),
+        (PZT | {"stiffness": (np.eye(6) * 1e11 + np.eye(6, k=1) * 1e10).tolist()}, "not symmetric"),
+        (PZT | {"permittivity": {"eps33": 830}}, "permittivity components"),
+        (PZT | {"conductor": True}, "not piezoelectric"),
+    ],
+)
+def test_impossible_materials_are_refused_with_a_reason(table, says):
+    if isinstance(table, dict) and table.get("permittivity_at") == "stress":
+        table = table | {"permittivity": {"eps11": 800, "eps33": 500}}
+    with pytest.raises(UsageError) as caught:
+        material(table, "disc.materials.A")
+    assert says in str(caught.value)
+
+
+def test_a_poling_direction_needs_a_length():
+    with pytest.raises(UsageError, match="no poling direction"):
+        material("PZT-4").poled((0, 0, 0))
+    with pytest.raises(UsageError, match="not a rotation"):
+        material("PZT-4").rotated(2 * np.eye(3))

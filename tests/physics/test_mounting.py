@@ -1,0 +1,93 @@
+"""What holds the bottom face of the chip: limits in closed form, and the values of the usual chip."""
+
+import numpy as np
+import pytest
+
+from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.core.errors import UsageError
+from kc2spice.fem.piezo.assembly import assemble_kick, bottom_face
+from kc2spice.fem.piezo.keys import Chip, ChipMesh
+from kc2spice.fem.piezo.mesh import kick_mesh
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.plan import plan
+
+MESH = ChipMesh(sectors=4, rings=2, outer_rings=4)
+
+
+def chip(mounting, layers=4):
+    return Chip(mounting=mounting, layers=layers, mesh=MESH)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_springs_cover_the_bottom_face_and_nothing_else(order):
+    mesh = kick_mesh(
+        chip(1.0).model_copy(update={"mesh": MESH.model_copy(update={"order": order})})
+    )
+    springs = bottom_face(mesh)
+    for axis in range(3):
+        shift = np.zeros(springs.shape[0])
+        shift[axis::3] = 1.0
+        assert shift @ springs @ shift == pytest.approx(1.5e-3**2, rel=1e-9)  # of the quarter
+    z = np.repeat(mesh.heights, len(mesh.plane))
+    assert abs(springs[np.repeat(z > 0, 3)]).max() < 1e-12 * abs(springs).max()
+
+
+def test_on_soft_springs_the_chip_swings_as_a_mass():
+    stiffness = 1e10
+    facts = piezo_stack(chip(stiffness)).facts
+    own = np.sqrt(stiffness * 9e-6 / (7700 * 3e-3**2 * 2e-3)) / (2 * np.pi)
+    assert facts["resonance_short_hz"] == pytest.approx(own, rel=2e-4)
+    # nothing clamps it: it lengthens by d33 a layer, as on a frictionless roller
+    roller = piezo_stack(chip("roller")).facts
+    stroke = "free_stroke_m_per_100v"
+    assert facts[stroke] == pytest.approx(roller[stroke], rel=1e-3)
+
+
+def test_on_stiff_springs_the_chip_is_glued():
+    stiff, glued = (piezo_stack(chip(each)).facts for each in (1e18, "glued"))
+    for name in ("free_stroke_m_per_100v", "capacitance_free_f", "resonance_short_hz"):
+        assert stiff[name] == pytest.approx(glued[name], rel=1e-4)
+
+
+def test_a_free_chip_moves_as_a_whole():
+    system = assemble_kick(chip("free"))
+    shift = np.zeros(system.M.shape[0])
+    mesh = kick_mesh(chip("free"))
+    x, y = np.abs(mesh.plane.T) < 1e-12
+    free = np.ones((len(mesh.heights), len(mesh.plane), 3), dtype=bool)
+    free[:, x, 0] = free[:, y, 1] = False
+    shift[np.flatnonzero(np.flatnonzero(free) % 3 == 2)] = 1.0
+    assert np.abs(system.K_uu @ shift).max() < 1e-6 * abs(system.K_uu).max()
+    assert shift @ system.M @ shift == pytest.approx(7700 * 1.5e-3**2 * 2e-3, rel=1e-9)
+
+
+def test_the_usual_chip_glued_down():
+    """Stroke and resonance as measured on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
+    facts = piezo_stack(Chip(mounting="glued")).facts
+    assert facts["free_stroke_m_per_100v"] == pytest.approx(1.983e-6, abs=0.5e-9)
+    assert facts["resonance_short_hz"] == pytest.approx(308e3, abs=0.5e3)
+
+
+@pytest.mark.parametrize(
+    ("mounting", "said"),
+    [("roller", "frictionless roller"), ("glued", "glued"), ("1e14 N/m3", "springs of 1e+14 N/m")],
+)
+def test_explain_says_what_holds_the_chip(mounting, said):
+    (kick, *_) = plan(load_scene("kick_and_catch", {"kick.mounting": mounting})).parts
+    assert said in kick.detail
+
+
+@pytest.mark.parametrize("mounting", ["nailed", 0.0, -1.0, "1 N/m"])
+def test_other_mountings_are_refused(mounting):
+    with pytest.raises(UsageError, match="no such mounting"):
+        load_scene("kick_and_catch", {"kick.mounting": mounting})
+
+
+def test_a_chip_that_nothing_holds_is_no_ground_for_a_sphere():
+    with pytest.raises(UsageError, match="nothing holds"):
+        load_scene("kick_and_catch", {"kick.mounting": "free"})
+
+
+def test_library_says_what_holds_the_chip():
+    scene = load_scene("kick_and_catch", {"kick.mounting": "glued"})
+    assert "glued" in scene.parts["kick"].type.headline(scene.parts["kick"])

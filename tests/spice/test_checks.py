@@ -1,0 +1,185 @@
+"""Physics checks pass on a good run and see runs that are wrong in silence."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from device import built, deck_of
+from scipy.integrate import solve_ivp
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.parts._modalstep import chip_response
+from kc2spice.scene.judge import require
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.judge import verdict
+
+BALANCES = {"sphere", "contact", "kick"}
+ALL = {
+    "table_left", "outer_ring", "penetration", "touches", "saturation",
+    "kick_drive drives as defined", "control_enable drives as defined",
+    "sphere starts at rest on kick", "field of catch between its positions",
+    *(f"energy of {part}" for part in BALANCES),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def waves(scene, model, table, tmp_path_factory):
+    return run_deck(deck_of(scene, model, table), tmp_path_factory.mktemp("checks"))
+
+
+def judged(waves, scene, table, model):
+    return verdict(waves, built(scene, model, table))
+
+
+def violated(waves, scene, table, model):
+    return [c.name for c in judged(waves, scene, table, model).checks if not c.passed]
+
+
+def changed(waves, **data):
+    return dataclasses.replace(waves, data=waves.data | data)
+
+
+def test_good_run_passes(waves, scene, table, model):
+    found = judged(waves, scene, table, model)
+    require(found.checks, "here")
+    value = {c.name: c.value for c in found.checks}
+    assert set(value) == ALL
+    assert all(c.passed for c in found.checks)
+    assert value["energy of sphere"] < 2e-5
+    assert value["energy of contact"] < 1e-4
+
+
+def test_balances_add_up(waves, scene, table, model):
+    """The sphere's balance against its height and speed, the chip's against its own signs."""
+    books = dict(judged(waves, scene, table, model).balances)
+    mass, y, v = scene.parts["sphere"].keys.mass, waves["sphere.y"], waves["sphere.v"]
+    work = books["sphere"].entries
+    assert work["work of the weight"] == pytest.approx(-mass * 9.81 * (y[-1] - y[0]), rel=1e-3)
+    assert work["kinetic"] == pytest.approx(mass * (v[-1] ** 2 - v[0] ** 2) / 2, abs=1e-15)
+    chip = books["kick"].entries
+    assert chip["damped"] > 0
+    taken = chip["electrical work"] + chip["work of the contact"]
+    assert taken == pytest.approx(chip["stored"] + chip["damped"], rel=0.05)
+
+
+def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, table, model):
+    """Thirty contacts of 100 ns in the pulse: few for a reltol of 1e-4, too many for 1e-3."""
+    t = waves["time"]
+    fine = np.union1d(t, np.arange(500e-6, 507e-6, 2e-9))
+    data = {k: np.interp(fine, t, v) for k, v in waves.data.items()}
+    comb = np.sin(2 * np.pi * (fine - 500.05e-6) / 0.2e-6) > 0
+    during = (fine > 500e-6) & (fine < 506.05e-6)
+    data["contact.force.R0"] = np.where(comb & during, 1e-3, 0.0)
+    data |= {f"contact.force.R{k}": 0.0 * fine for k in range(1, 6)}
+    for reltol, passed in ((1e-4, True), (1e-3, False)):
+        rattling = dataclasses.replace(waves, data=data, stats={**waves.stats, "reltol": reltol})
+        (check,) = (
+            c for c in judged(rattling, scene, table, model).checks if c.name == "touches"
+        )
+        assert check.value == pytest.approx(30, abs=1)
+        assert (check.passed, check.coarse) == (passed, True)
+
+
+def test_energy_from_nowhere_is_seen(waves, scene, table, model):
+    faster = waves["sphere.v"] + np.linspace(0, 0.05, waves["time"].size)
+    assert "energy of sphere" in violated(changed(waves, **{"sphere.v": faster}), scene, table, model)
+
+
+def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
+    """Contact that lets go later than it took hold does work; here by 100 nm."""
+    y = waves["sphere.y"]
+    moving = 1e-7 * (np.gradient(waves["kick.u.R0"] - y, waves["time"]) < 0)
+    found = violated(changed(waves, **{"sphere.y": y - moving}), scene, table, model)
+    assert "energy of contact" in found
+
+
+def test_a_current_that_does_not_fit_the_chip_is_seen(waves, scene, table, model):
+    more = changed(waves, **{"kick.current": 1.3 * waves["kick.current"]})
+    assert violated(more, scene, table, model) == ["energy of kick"]
+
+
+def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
+    wide = changed(waves, **{"contact.force.R5": np.full_like(waves["time"], 0.1)})
+    with pytest.raises(SimulationError, match="outer_ring"):
+        require(judged(wide, scene, table, model).checks, "here")
+
+
+def test_a_soft_penalty_is_seen(waves, varied, table, model):
+    """The same forces at a penalty of a thousandth mean a thousand times the penetration."""
+    soft = varied(**{"contact.penalty": 1e5})
+    assert "penetration" in violated(waves, soft, table, model)
+
+
+def test_a_controller_at_its_limit_is_seen(waves, varied, table, model):
+    weak = varied(**{"control.current_limit": 1e-6, "control.enable_at": 0.0})
+    always = changed(waves, **{"coil.upper.current": np.full_like(waves["time"], 1e-6)})
+    assert "saturation" in violated(always, weak, table, model)
+
+
+@pytest.mark.parametrize(("action", "fails"), [("fail", True), ("warn", False), ("off", False)])
+def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, model):
+    free = varied(**{"checks.energy": action})
+    bad = changed(waves, **{"kick.current": 2 * waves["kick.current"]})
+    checks = judged(bad, free, table, model).checks
+    assert any(c.fatal for c in checks) == fails
+    assert ("energy of kick" in {c.name for c in checks}) == (action != "off")
+
+
+def test_sphere_beyond_the_table_is_seen(varied, model, table, tmp_path):
+    keys = {"kick.drive.voltage": 100.0, "solver.stop": 6e-3}  # too much for the made-up device
+    hard = varied({"control": None}, **keys)
+    waves = run_deck(deck_of(hard, model, table), tmp_path)
+    found = judged(waves, hard, table, model)
+    assert [c.name for c in found.checks if c.fatal] == ["table_left"]
+    assert "energy of sphere" not in {c.name for c in found.checks}
+
+
+@pytest.mark.parametrize("kept", [1, 2, 3])
+def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, varied, table, model):
+    """The same waveforms, as a run without the outer rings would leave them: R1 closes in them."""
+    fewer = varied(**{"contact.rings": kept})
+    closed = [waves[f"contact.force.R{k}"].max() > 0 for k in range(6)]
+    assert closed == [True, True, False, False, False, False]
+    found = judged(waves, fewer, table, model).checks
+    (check,) = (c for c in found if c.name == "ring_left_out")
+    assert check.passed is not closed[kept]
+    if closed[kept]:
+        with pytest.raises(SimulationError, match=rf"more than {kept}, or to 'all'"):
+            require((check,), "here")
+
+
+def test_steps_too_coarse_for_the_contact_are_seen(varied, model, table, tmp_path):
+    """Tolerances at which ngspice ends without a word, with a wrong launch."""
+    coarse = varied(**{"solver.reltol": 0.1, "solver.max_step": 1e-4})
+    sloppy = deck_of(coarse, model, table).with_options({"trtol": "7"}, "sloppy")
+    found = judged(run_deck(sloppy, tmp_path), coarse, table, model)
+    assert any(c.fatal and c.coarse for c in found.checks)
+
+
+def test_the_chips_exact_response_is_that_of_an_integrator(model):
+    """Against Radau on the modes' own equations, uneven steps, loads linear between the points."""
+    rng = np.random.default_rng(2)
+    t = np.concatenate([[0.0], np.cumsum(10.0 ** rng.uniform(-9, -6.5, 40))])
+    load = np.cumsum(rng.normal(size=(41, 7)), axis=0) * np.array([1.0] * 6 + [20.0])
+    found = chip_response(model, t, load)
+    q = model.order
+    start = model.gain @ load[0] / model.omega**2
+
+    def slope(now, x):
+        drive = model.gain @ [np.interp(now, t, column) for column in load.T]
+        return np.concatenate([x[q:], drive - model.damp * x[q:] - model.omega**2 * x[:q]])
+
+    state, stored = np.concatenate([start, np.zeros(q)]), []
+    for k in range(t.size):
+        if k:
+            span = (t[k - 1], t[k])
+            piece = solve_ivp(slope, span, state, method="Radau", rtol=1e-9, atol=1e-14)
+            state = piece.y[:, -1]
+        np.testing.assert_allclose(
+            found.output[k], state[:q] @ model.gain + load[k] @ model.D, rtol=1e-5, atol=1e-11
+        )
+        stored.append(
+            (np.sum(state[q:] ** 2) + np.sum((model.omega * state[:q]) ** 2)) / 2
+            + load[k] @ model.D @ load[k] / 2
+        )
+    np.testing.assert_allclose(found.stored, stored, rtol=1e-5, atol=1e-10)

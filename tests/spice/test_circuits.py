@@ -1,0 +1,431 @@
+"""Scenes of plain parts through ``run``'s own path, against closed forms."""
+
+import numpy as np
+import pytest
+from device import chip
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.core.quantities import Resistance, Section
+from kc2spice.scene import parttype
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Terminal
+from kc2spice.scene.parttype import Build, PartType, Vector, part_types, register
+from kc2spice.spice.lint import lint
+from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.simulate import simulate
+
+R, L, C = 50.0, 1e-3, 1e-6
+OMEGA, ZETA = 1 / np.sqrt(L * C), R / 2 * np.sqrt(C / L)
+
+
+def run(tables, directory):
+    """Waveforms and metrics of a scene; no check may fail."""
+    scene = load_scene(tables)
+    build = build_models(scene, Clock(silent))
+    deck = make_deck(build)
+    lint(deck)
+    waves = simulate(build, deck, directory).waves
+    return waves, metrics(waves, build)
+
+
+def rlc(source, analysis, **more):
+    """Source, resistor, inductor and capacitor in series."""
+    return {
+        "supply": {"part": "source", **source, "pins": {"out": "ohm.a"}},
+        "ohm": {"part": "resistor", "resistance": R, "pins": {"b": "coil.a"}},
+        "coil": {"part": "inductor", "inductance": L, "pins": {"b": "cap.a"}},
+        "cap": {"part": "capacitor", "capacitance": C},
+        "analysis": analysis,
+        **more,
+    }
+
+
+def settled(t):
+    """Step response of the underdamped circuit's capacitor (textbook form)."""
+    w = OMEGA * np.sqrt(1 - ZETA**2)
+    decay = np.exp(-ZETA * OMEGA * t)
+    return 1 - decay * (np.cos(w * t) + ZETA * OMEGA / w * np.sin(w * t))
+
+
+# -------------------------------------------------------------------------------- analyses
+
+
+def test_transient_of_a_circuit_is_its_step_response(tmp_path):
+    edge, start = 1e-9, 20e-6
+    step = {"pulse": {"high": 5.0, "width": 1.0, "edge": edge, "start": start}}
+    analysis = {"type": "transient", "stop": 1e-3}
+    tables = rlc(step, analysis, solver={"reltol": 1e-5, "max_step": 1e-6})
+    waves, _ = run(tables, tmp_path)
+    t = waves["time"] - start - edge / 2
+    exact = np.where(t > 0, 5 * settled(np.maximum(t, 0)), 0.0)
+    np.testing.assert_allclose(waves["cap.v"], exact, atol=5e-4)
+    current = C * np.gradient(waves["cap.v"], waves["time"])
+    np.testing.assert_allclose(waves["supply.i"][5:], current[5:], atol=2e-3)
+    np.testing.assert_allclose(waves["ohm.v"], R * waves["ohm.i"], atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", ["log", "linear"])
+def test_ac_of_a_circuit_is_its_transfer_function(scale, tmp_path):
+    analysis = {"type": "ac", "start": 100.0, "stop": 1e5, "points": 61, "scale": scale}
+    waves, _ = run(rlc({"ac": 2.0}, analysis), tmp_path)
+    f = waves["frequency"]
+    spacing = np.diff(np.log(f) if scale == "log" else f)
+    np.testing.assert_allclose(spacing, spacing[0], rtol=1e-6)
+    assert (f[0], f[-1]) == (pytest.approx(100.0), pytest.approx(1e5, rel=0.02))
+    assert f.size >= 60
+    s = 2j * np.pi * f
+    np.testing.assert_allclose(waves["cap.v"], 2 / (1 + s * R * C + s**2 * L * C), rtol=1e-9)
+    np.testing.assert_allclose(waves["coil.i"], 2 * s * C / (1 + s * R * C + s**2 * L * C), rtol=1e-9)
+
+
+def test_a_result_that_is_no_response_is_not_given_for_one(tmp_path):
+    """ngspice answers for ``@b[i]`` in .ac with the operating point."""
+    tables = {
+        "ball": {"part": "sphere"},
+        "floor": {"part": "spring", "stiffness": 1e6, "pins": {"a": "weight.a"}},
+        "weight": {"part": "mass", "mass": 1e-3},
+        "touch": {"part": "contact", "a": "weight.a", "b": "ball"},
+        "analysis": {"type": "ac", "start": 10.0, "stop": 1e3},
+    }
+    waves, _ = run(tables, tmp_path)
+    assert "touch.force" not in waves
+    assert {"weight.x", "floor.force", "ball.v"} <= set(waves.data)
+
+
+def test_dc_sweeps_a_source(tmp_path):
+    analysis = {"type": "dc", "sweep": "supply.dc", "from": "-5 V", "to": "5 V", "points": 11}
+    tables = rlc({"dc": 1.0}, analysis) | {
+        "leak": {"part": "resistor", "resistance": 3 * R, "pins": {"a": "cap.a"}}
+    }
+    waves, _ = run(tables, tmp_path)
+    volts = np.linspace(-5, 5, 11)
+    np.testing.assert_allclose(waves["supply.v"], volts, atol=1e-12)
+    np.testing.assert_allclose(waves["cap.v"], 0.75 * volts, atol=1e-9)
+    np.testing.assert_allclose(waves["leak.i"], volts / (4 * R), atol=1e-12)
+
+
+def test_only_sources_are_swept_by_dc(tmp_path):
+    analysis = {"type": "dc", "sweep": "ohm.resistance", "from": 1.0, "to": 2.0, "points": 3}
+    with pytest.raises(UsageError, match="cannot be swept by dc"):
+        run(rlc({"dc": 1.0}, analysis), tmp_path)
+
+
+def test_op_is_the_resting_circuit(tmp_path):
+    tables = rlc({"dc": 8.0}, {"type": "op"}) | {
+        "leak": {"part": "resistor", "resistance": 3 * R, "pins": {"a": "cap.a"}}
+    }
+    waves, _ = run(tables, tmp_path)
+    assert waves["cap.v"] == pytest.approx(6.0, rel=1e-6)
+    assert waves["coil.i"] == pytest.approx(8 / (4 * R), rel=1e-6)
+
+
+# --------------------------------------------------------------------------------- mechanics
+
+MASS, SPRING, DAMPER = 2e-3, 8e3, 0.8  # 318 Hz, 10 % of critical damping
+
+
+def oscillator(source, analysis, **more):
+    return {
+        "weight": {"part": "mass", "mass": MASS, "pins": {"a": "push.out"}},
+        "coil": {"part": "spring", "stiffness": SPRING, "pins": {"a": "weight.a"}},
+        "oil": {"part": "damper", "damping": DAMPER, "pins": {"a": "weight.a"}},
+        "push": {"part": "source", "kind": "force", **source},
+        "analysis": analysis,
+        **more,
+    }
+
+
+def test_a_pushed_oscillator_rings_as_the_textbook_says(tmp_path):
+    w0, zeta = np.sqrt(SPRING / MASS), DAMPER / 2 / np.sqrt(SPRING * MASS)
+    step = {"pulse": {"high": "0.4 N", "width": 10.0, "edge": 1e-7, "start": 1e-4}}
+    tables = oscillator(step, {"stop": 20e-3}, solver={"reltol": 1e-5, "max_step": 1e-5})
+    waves, found = run(tables, tmp_path)
+    t = np.maximum(waves["time"] - 1e-4, 0.0)
+    w = w0 * np.sqrt(1 - zeta**2)
+    decay, static = np.exp(-zeta * w0 * t), 0.4 / SPRING
+    x = static * (1 - decay * (np.cos(w * t) + zeta * w0 / w * np.sin(w * t)))
+    v = static * decay * w0**2 / w * np.sin(w * t)
+    np.testing.assert_allclose(waves["weight.x"], x, atol=1e-3 * static)
+    np.testing.assert_allclose(waves["weight.v"], v, atol=1e-3 * static * w0)
+    np.testing.assert_allclose(waves["coil.force"], SPRING * waves["weight.x"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(waves["oil.force"], DAMPER * v, atol=2e-3 * DAMPER * static * w0)
+    peak = static * (1 + np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)))
+    assert found["weight_peak_m"] == pytest.approx(peak, rel=1e-3)
+
+
+def test_its_frequency_response_is_that_of_the_equation(tmp_path):
+    analysis = {"type": "ac", "start": 10.0, "stop": 3e3, "points": 40}
+    waves, _ = run(oscillator({"ac": "1 N"}, analysis), tmp_path)
+    s = 2j * np.pi * waves["frequency"]
+    exact = 1 / (MASS * s**2 + DAMPER * s + SPRING)
+    np.testing.assert_allclose(waves["weight.x"], exact, rtol=1e-5)
+    np.testing.assert_allclose(waves["weight.v"], s * exact, rtol=1e-5)
+
+
+def test_a_weight_hangs_on_its_spring(tmp_path):
+    tables = oscillator({"dc": 0.0}, {"type": "op"}, gravity=9.81)
+    tables["weight"]["weight"] = True
+    waves, _ = run(tables, tmp_path)
+    assert waves["weight.x"] == pytest.approx(-MASS * 9.81 / SPRING, rel=1e-6)
+
+
+def test_a_prescribed_displacement_is_followed_and_its_force_read(tmp_path):
+    shake = {"sine": {"amplitude": "2 um", "frequency": 100.0}}
+    tables = {
+        "shaker": {"part": "source", "kind": "displacement", **shake, "pins": {"out": "coil.a"}},
+        "coil": {"part": "spring", "stiffness": SPRING, "pins": {"b": "weight.a"}},
+        "weight": {"part": "mass", "mass": MASS},
+        "oil": {"part": "damper", "damping": DAMPER, "pins": {"a": "weight.a"}},
+        "analysis": {"type": "transient", "stop": 60e-3},
+        "solver": {"max_step": 1e-4, "reltol": 1e-5},
+    }
+    waves, _ = run(tables, tmp_path)
+    s = 2j * np.pi * 100.0
+    base = SPRING / (MASS * s**2 + DAMPER * s + SPRING)  # weight over shaker
+    late = waves["time"] > 40e-3
+    swing = 2e-6 * np.imag(base * np.exp(s * waves["time"]))
+    np.testing.assert_allclose(waves["weight.x"][late], swing[late], atol=5e-9)
+    held = SPRING * (waves["shaker.x"] - waves["weight.x"])
+    np.testing.assert_allclose(waves["shaker.force"], held, atol=1e-6)
+
+
+# ----------------------------------------------------------------------------------- sources
+
+
+def trapezoid(t, start, width, edge, low, high):
+    """By its definition: ``width`` at half height."""
+    up = np.clip((t - start) / edge, 0, 1)
+    down = np.clip((t - start - width) / edge, 0, 1)
+    return low + (high - low) * (up - down)
+
+
+SHAPES = {
+    "constant": ({"dc": "3 V"}, lambda t: 3.0 + 0 * t),
+    "a pulse": (
+        {"pulse": {"high": 5.0, "low": -1.0, "width": 20e-6, "edge": 2e-6, "start": 10e-6}},
+        lambda t: trapezoid(t, 10e-6, 20e-6, 2e-6, -1.0, 5.0),
+    ),
+    "a triangle": (
+        {"pulse": {"high": 5.0, "width": 10e-6, "edge": 10e-6, "start": 10e-6}},
+        lambda t: trapezoid(t, 10e-6, 10e-6, 10e-6, 0.0, 5.0),
+    ),
+    "three pulses": (
+        {"pulse": {"high": 1.0, "width": 5e-6, "edge": 1e-6, "start": 3e-6, "period": 15e-6,
+                   "count": 3}},
+        lambda t: sum(trapezoid(t, 3e-6 + k * 15e-6, 5e-6, 1e-6, 0.0, 1.0) for k in range(3)),
+    ),
+    "pulses without end": (
+        {"pulse": {"high": 1.0, "width": 5e-6, "edge": 1e-6, "start": 3e-6, "period": 15e-6}},
+        lambda t: sum(trapezoid(t, 3e-6 + k * 15e-6, 5e-6, 1e-6, 0.0, 1.0) for k in range(8)),
+    ),
+    "two triangles": (
+        {"pulse": {"high": 1.0, "width": 5e-6, "edge": 5e-6, "start": 3e-6, "period": 20e-6,
+                   "count": 2}},
+        lambda t: sum(trapezoid(t, 3e-6 + k * 20e-6, 5e-6, 5e-6, 0.0, 1.0) for k in range(2)),
+    ),
+    "triangles without end": (
+        {"pulse": {"high": 1.0, "width": 5e-6, "edge": 5e-6, "start": 3e-6, "period": 20e-6}},
+        lambda t: sum(trapezoid(t, 3e-6 + k * 20e-6, 5e-6, 5e-6, 0.0, 1.0) for k in range(5)),
+    ),
+    "triangles that touch": (
+        {"pulse": {"high": 1.0, "width": 5e-6, "edge": 5e-6, "period": 10e-6, "count": 4}},
+        lambda t: sum(trapezoid(t, k * 10e-6, 5e-6, 5e-6, 0.0, 1.0) for k in range(4)),
+    ),
+    "a sine": (
+        {"sine": {"amplitude": 2.0, "frequency": "50 kHz", "start": 13e-6}},
+        lambda t: np.where(t < 13e-6, 0.0, 2 * np.sin(2 * np.pi * 50e3 * (t - 13e-6))),
+    ),
+    "corners": (
+        {"pwl": [["0 us", 0.0], ["10 us", "2 V"], [40e-6, -1.0], [70e-6, -1.0]]},
+        lambda t: np.interp(t, [0, 10e-6, 40e-6, 70e-6], [0, 2, -1, -1]),
+    ),
+    "corners that begin late": (
+        {"pwl": [[20e-6, 1.0], [40e-6, -1.0]]},
+        lambda t: np.interp(t, [20e-6, 40e-6], [1, -1]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_source_does_what_its_keys_say(name, tmp_path):
+    keys, law = SHAPES[name]
+    tables = rlc(keys, {"stop": 100e-6}, solver={"max_step": 0.5e-6})
+    waves, _ = run(tables, tmp_path)
+    t = waves["time"]
+    np.testing.assert_allclose(waves["supply.v"], law(t), atol=1e-6)
+    np.testing.assert_allclose(load_scene(tables).parts["supply"].keys.waveform(tmp_path)(t), law(t),
+                               atol=1e-9)  # fmt: skip
+
+
+def test_a_source_follows_a_file(tmp_path):
+    (tmp_path / "drive.csv").write_text("time,volt\n0,0\n1e-5,2.5\n3e-5,-1\n")
+    (tmp_path / "a.toml").write_text(
+        'solver = { max_step = 1e-6 }\nanalysis = { stop = 5e-5 }\n'
+        '[supply]\npart = "source"\nfile = "drive.csv"\npins = { out = "ohm.a" }\n'
+        '[ohm]\npart = "resistor"\nresistance = 1.0\n'
+    )
+    build = build_models(load_scene(tmp_path / "a.toml"), Clock(silent))
+    waves = simulate(build, make_deck(build), tmp_path / "out").waves
+    exact = np.interp(waves["time"], [0, 1e-5, 3e-5], [0, 2.5, -1])
+    np.testing.assert_allclose(waves["supply.v"], exact, atol=1e-6)
+
+
+BAD = {
+    "edges longer than the pulse": ({"pulse": {"width": 1e-6, "edge": 2e-6}}, "edges are longer"),
+    "pulses that overlap": (
+        {"pulse": {"width": 5e-6, "edge": 1e-6, "period": 5.5e-6}}, "pulses overlap",
+    ),
+    "two shapes": ({"dc": 1.0, "sine": {"frequency": 1e3}}, "two shapes: dc and sine"),
+    "another unit": ({"dc": "3 mm"}, "wrong unit"),
+    "times that fall": ({"pwl": [[0.0, 1.0], [1e-6, 2.0], [0.5e-6, 0.0]]}, "must rise"),
+    "one corner": ({"pwl": [[0.0, 1.0]]}, "must rise"),
+    "a file that is not there": ({"file": "none.csv"}, "cannot be read"),
+    "a file elsewhere": ({"file": "../x.csv"}, "leads out of the scene's folder"),
+    "no kind": ({"kind": "volts", "dc": 1.0}, "no such choice"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_source_without_sense_is_refused(name):
+    keys, message = BAD[name]
+    with pytest.raises(UsageError, match=message) as caught:
+        load_scene(rlc(keys, {"stop": 1e-4}))
+    assert "supply" in str(caught.value)
+
+
+# ------------------------------------------------------------------------------------ probes
+
+
+def test_every_take_of_a_probe(tmp_path):
+    takes = ("max", "min", "final", "rms", "peak_to_peak")
+    probes = {take: {"of": "supply.v", "take": take} for take in takes}
+    probes |= {"rise": {"of": "cap.v", "take": "crossing", "level": 0.3}}
+    probes |= {"never": {"of": "cap.v", "take": "crossing", "level": 100.0}}
+    wave = {"sine": {"amplitude": 2.0, "frequency": 10e3}}
+    tables = rlc(wave, {"stop": 1e-4}, probes=probes, solver={"max_step": 2e-7})
+    waves, found = run(tables, tmp_path)
+    assert found["max"] == pytest.approx(2.0, rel=1e-4)
+    assert found["min"] == pytest.approx(-2.0, rel=1e-4)
+    assert found["final"] == pytest.approx(0.0, abs=1e-6)
+    assert found["rms"] == pytest.approx(2 / np.sqrt(2), rel=1e-4)
+    assert found["peak_to_peak"] == pytest.approx(4.0, rel=1e-4)
+    k = int(np.argmax(waves["cap.v"] >= 0.3))
+    assert waves["time"][k - 1] <= found["rise"] <= waves["time"][k]
+    assert found["never"] is None
+
+
+def test_probes_of_a_frequency_response_take_its_magnitude(tmp_path):
+    probes = {"peak": {"of": "cap.v", "take": "max"}}
+    analysis = {"type": "ac", "start": 1e3, "stop": 2e4, "points": 20_000}
+    tables = rlc({"ac": 1.0}, analysis, probes=probes)
+    tables["ohm"]["resistance"], zeta = R / 10, ZETA / 10
+    _, found = run(tables, tmp_path)
+    assert found["peak"] == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-5)
+
+
+def test_a_probe_of_nothing_names_what_there_is(tmp_path):
+    probes = {"top": {"of": "cap.volt", "take": "max"}}
+    with pytest.raises(UsageError, match=r"(?s)probes\.top\.of.*cap\.v"):
+        run(rlc({"dc": 1.0}, {"stop": 1e-4}, probes=probes), tmp_path)
+
+
+# ------------------------------------------------------------------ stacks, and other packages
+
+
+def test_two_stacks_of_different_size_on_one_half_bridge(tmp_path):
+    """Each with a mass and a spring on its top; the smaller one moves less and draws less."""
+    tables = {
+        "bridge": {"part": "half_bridge", "rail": 100.0, "pins": {"out": "large.anode"}},
+        "command": {
+            "part": "source", "pins": {"out": "bridge.command"},
+            "pulse": {"high": 100.0, "width": 20e-6, "edge": 1e-7, "start": 5e-6},
+        },
+        "large": {"part": "piezo_stack"},
+        "small": {
+            "part": "piezo_stack", "height": "1 mm", "layers": 17, "pins": {"anode": "bridge.out"}
+        },
+        "analysis": {"stop": 40e-6},
+    }  # fmt: skip
+    for name, mass in (("large", 5e-6), ("small", 2e-6)):
+        tables[f"{name}_weight"] = {"part": "mass", "mass": mass, "pins": {"a": f"{name}.R0"}}
+        tables[f"{name}_spring"] = {
+            "part": "spring", "stiffness": 1e5, "pins": {"a": f"{name}.R0"}
+        }  # fmt: skip
+    scene = load_scene(tables)
+    one = chip().linear().select(["R0", "anode"])
+    models = {"large": one, "small": _smaller(one)}
+    build = Build(scene, models, libraries(scene))
+    deck = make_deck(build)
+    lint(deck)
+    assert {"large.lib", "small.lib", "half_bridge.lib"} <= set(deck.files)
+    waves = simulate(build, deck, tmp_path).waves
+    found = metrics(waves, build)
+    assert found["large_weight_peak_m"] > 1.5 * found["small_weight_peak_m"] > 1e-7
+    np.testing.assert_allclose(waves["large.voltage"], waves["small.voltage"])
+    for name in ("large", "small"):
+        np.testing.assert_allclose(waves[f"{name}.u.R0"], waves[f"{name}_weight.x"])
+        force = 1e5 * waves[f"{name}_weight.x"]
+        np.testing.assert_allclose(waves[f"{name}_spring.force"], force, rtol=1e-6, atol=1e-9)
+
+
+def _smaller(model):
+    """Half the stroke and half the charge."""
+    gain = np.array(model.B)
+    gain[:, -1] /= 2
+    D = np.array(model.D)
+    D[-1, -1] /= 2
+    return type(model)(M=model.M, E=model.E, K=model.K, B=gain, D=D, ports=model.ports,
+                       certificate=model.certificate)  # fmt: skip
+
+
+class _Keys(Section):
+    """A Zener diode."""
+
+    knee: Resistance = 1.0
+    voltage: float = 5.0
+
+
+class Zener(PartType):
+    """A part type as another package would write it: its own law, results and metrics."""
+
+    name = "test_zener"
+    title = "shunt regulator"
+    schema = _Keys
+
+    def pins(self, part, scene):
+        return (Terminal("a", "V", "A", required=True), Terminal("b", "V", "A", "gnd"))
+
+    def cards(self, part, build):
+        a, b = build.net(part, "a"), build.net(part, "b")
+        over = f"max(0, V({a},{b})-{part.keys.voltage!r})"
+        return (f"B{part.name} {a} {b} I={over}/{part.keys.knee!r}",)
+
+    def vectors(self, part, build):
+        return {f"{part.name}.i": Vector(f"@b{part.name}[i]", 1.0, "A")}
+
+    def metrics(self, part, build, waves):
+        return {f"{part.name}_peak_a": float(waves[f"{part.name}.i"].max())}
+
+
+def test_a_part_type_of_another_package_runs_in_a_scene(monkeypatch, tmp_path):
+    part_types()
+    monkeypatch.setattr(parttype, "_types", dict(parttype._types))
+    register(Zener())
+    tables = {
+        "supply": {
+            "part": "source", "pins": {"out": "ohm.a"},
+            "sine": {"amplitude": 10.0, "frequency": 1e3},
+        },
+        "ohm": {"part": "resistor", "resistance": 100.0, "pins": {"b": "clamp.a"}},
+        "clamp": {"part": "test_zener", "knee": "0.5 Ohm"},
+        "analysis": {"stop": 1e-3},
+        "probes": {"limited": {"of": "ohm.v", "take": "max"}},
+    }  # fmt: skip
+    waves, found = run(tables, tmp_path)
+    peak = (10.0 - 5.0) / 100.5
+    assert found["clamp_peak_a"] == pytest.approx(peak, rel=1e-4)
+    assert found["limited"] == pytest.approx(100 * peak, rel=1e-4)
+    assert waves["clamp.i"].min() == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,63 @@
+"""The position sensor against closed forms: its pole, its offset, the statistics of its noise."""
+
+import numpy as np
+import pytest
+from device import deck_of
+
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
+
+BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
+
+
+def sensed(stop, **eye):
+    """A sensor that looks at a prescribed displacement: a step of 2 um at 10 us."""
+    return load_scene({
+        "name": "sensed",
+        "solver": {"stop": stop, "max_step": 1e-7, "reltol": 1e-6},
+        "move": {
+            "part": "source", "kind": "displacement",
+            "pulse": {"high": STEP, "start": 10e-6, "width": 1.0, "edge": 1e-9},
+        },
+        "eye": {"part": "sensor", "bandwidth": BANDWIDTH, "pins": {"of": "move.out"}, **eye},
+    })  # fmt: skip
+
+
+def test_a_step_is_read_with_one_pole_and_the_offset(tmp_path):
+    waves = run_deck(deck_of(sensed(60e-6, offset=OFFSET)), tmp_path)
+    t = waves["time"] - 10e-6 - 0.5e-9
+    exact = OFFSET + STEP * (1 - np.exp(-2 * np.pi * BANDWIDTH * np.maximum(t, 0.0)))
+    away = np.abs(t) > 2e-9
+    # trapezoidal rule at steps of a thirtieth of the time constant
+    assert np.abs(waves["eye.y"] - exact)[away].max() < 2e-4 * STEP
+    assert waves["eye.y"][0] == pytest.approx(OFFSET, rel=1e-9)
+
+
+def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
+    rms = 20e-9
+    waves = run_deck(deck_of(sensed(20e-3, noise=rms)), tmp_path)
+    step = 0.5 / BANDWIDTH
+    at = step * np.arange(100, round(20e-3 / step) - 2)
+    noise = np.interp(at, waves["time"], waves["eye.y"]) - STEP
+    count = noise.size
+    # standard errors of mean, rms and correlation of independent normal samples, four of each
+    assert abs(noise.mean()) < 4 * rms / np.sqrt(count)
+    assert noise.std() == pytest.approx(rms, rel=4 / np.sqrt(2 * count))
+    neighbours = np.mean(noise[1:] * noise[:-1]) / rms**2
+    assert abs(neighbours) < 4 / np.sqrt(count)
+
+
+def test_without_noise_there_is_none(tmp_path):
+    waves = run_deck(deck_of(sensed(0.5e-3)), tmp_path)
+    late = waves["time"] > 0.3e-3
+    assert np.ptp(waves["eye.y"][late]) < 1e-6 * STEP
+
+
+def test_noise_needs_time():
+    with pytest.raises(UsageError, match="noise is drawn in time"):
+        load_scene({
+            "name": "sensed", "analysis": {"type": "op"},
+            "move": {"part": "source", "kind": "displacement", "dc": STEP},
+            "eye": {"part": "sensor", "noise": 1e-9, "pins": {"of": "move.out"}},
+        })  # fmt: skip

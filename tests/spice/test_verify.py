@@ -1,0 +1,169 @@
+"""``verify`` on small scenes of any composition, and on decks that something is wrong with."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import mmwrite
+
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import write_deck
+from kc2spice.spice.read import read_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.verify import verify
+from kc2spice.workflow.verify.circuit import circuits, solve, without_law
+
+RLC = """
+name = "rlc"
+[amp]
+part = "source"
+pulse = { high = 10, width = "20 us", edge = "1 us", start = "2 us" }
+pins = { out = "r.a" }
+[r]
+part = "resistor"
+resistance = "50 Ohm"
+[l]
+part = "inductor"
+inductance = "1 mH"
+pins = { a = "r.b" }
+[c]
+part = "capacitor"
+capacitance = "10 nF"
+pins = { a = "l.b" }
+[solver]
+stop = "100 us"
+max_step = "1 us"
+[probes]
+top = { of = "c.v", take = "max" }
+"""
+
+KICKED = """
+name = "kicked"
+gravity = 0.0
+[beam]
+part = "matrices"
+file = "beam.M.mtx"
+sidecar = "beam.toml"
+rom = { tolerance = 1e-6, band = ["0 Hz", "100 kHz"] }
+[push]
+part = "source"
+kind = "force"
+pulse = { high = "0.2 N", width = "20 us", edge = "4 us", start = "5 us" }
+pins = { out = "beam.tip" }
+[contact]
+penalty = "1e6 N/m"
+a = "beam.tip"
+b = "ball.a"
+[ball]
+part = "mass"
+mass = "5 mg"
+[hold]
+part = "spring"
+stiffness = "2e3 N/m"
+pins = { a = "ball.a" }
+[solver]
+reltol = 1e-5
+stop = "150 us"
+max_step = "0.5 us"
+[gates]
+launch_velocity = 5e-4            # measured 1.7e-4 at this speed of 8 cm/s
+metrics = 5e-4                    # measured 2.5e-4: 3.6 ns of launch time between two steps
+"""
+
+
+@pytest.fixture
+def kicked(tmp_path: Path) -> Path:
+    """A chain of six masses that kicks a mass on a spring."""
+    n, k, m = 6, 4e6, 2e-6
+    K = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    K[-1, -1] = k
+    B = np.zeros((n, 1))
+    B[-1] = 1.0
+    matrices = {"M": m * np.eye(n), "K": K, "E": 1e-8 * K, "B": B, "C": B.T}
+    for letter, values in matrices.items():
+        mmwrite(tmp_path / f"beam.{letter}.mtx", values)
+    (tmp_path / "beam.toml").write_text(
+        '[[port]]\nname = "tip"\nkind = "mechanical"\ndirection = "both"\n'
+    )
+    path = tmp_path / "kicked.toml"
+    path.write_text(KICKED)
+    return path
+
+
+def failed(record: dict) -> list[str]:
+    return [check["name"] for check in record["checks"] if not check["passed"]]
+
+
+def test_a_circuit_of_plain_parts_is_verified(tmp_path: Path) -> None:
+    (tmp_path / "rlc.toml").write_text(RLC)
+    scene = load_scene(tmp_path / "rlc.toml")
+    record = verify([scene], tmp_path / "out")["rlc"]
+    assert record["passed"], failed(record)
+    assert record["left_out"] == []
+    assert {"ngspice_vs_rom"} == set(record["errors"])
+    assert (tmp_path / "out" / "verify.html").stat().st_size > 10_000
+
+
+def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
+    """A step into a series RLC: ``v = 1 - exp(-a t) (cos w t + a / w sin w t)``."""
+    text = RLC.replace("pulse = { high = 10, width = \"20 us\", edge = \"1 us\", start = \"2 us\" }",
+                       'pwl = [[0, 0], [1e-12, 10], [1, 10]]')  # fmt: skip
+    (tmp_path / "rlc.toml").write_text(text)
+    build = build_models(load_scene(tmp_path / "rlc.toml"), Clock(silent))
+    from kc2spice.core.waveforms import Waveforms
+
+    t = np.linspace(0.0, 1e-4, 301)
+    found = solve(build, Waveforms({"time": t}, {})).results
+    a, w0 = 50 / 2e-3, 1 / np.sqrt(1e-3 * 1e-8)
+    w, s = np.sqrt(w0**2 - a**2), found["time"]
+    exact = 10 * (1 - np.exp(-a * s) * (np.cos(w * s) + a / w * np.sin(w * s)))
+    assert np.abs(found["c.v"] - exact).max() < 5e-6
+
+
+def test_a_body_of_foreign_matrices_kicks_a_mass(kicked: Path, tmp_path: Path) -> None:
+    record = verify([load_scene(kicked)], tmp_path / "out")["kicked"]
+    assert record["passed"], failed(record)
+    assert record["errors"]["rom_vs_fom"] < 1e-6
+    names = [check["name"] for check in record["checks"]]
+    assert any(name.startswith("beam: netlist to ROM") for name in names)
+    assert any(name.startswith("every metric") for name in names)
+
+
+def test_scenes_without_a_law_say_so(tmp_path: Path) -> None:
+    scene = load_scene("half_bridge_kick")
+    build = build_models(scene, Clock(silent))
+    assert without_law(build) == ("kick_driver",)
+
+
+def test_circuits_that_share_nothing_are_apart(kicked: Path) -> None:
+    text = kicked.read_text() + '\n[own]\npart = "source"\ndc = 1\npins = { out = "load.a" }\n'
+    kicked.write_text(text + '[load]\npart = "resistor"\nresistance = "1 Ohm"\n')
+    found = circuits(build_models(load_scene(kicked), Clock(silent)))
+    assert sorted(len(each.laws) for each in found) == [2, 5]
+
+
+@pytest.mark.parametrize(
+    ("card", "factor"), [("Gu", 1.001), ("Gq1", 1.001), ("Cclamped|Gp1", 1.05)]
+)
+def test_a_changed_card_of_a_shipped_deck_is_seen(
+    kicked: Path, tmp_path: Path, card: str, factor: float
+) -> None:
+    scene = load_scene(kicked)
+    folder = tmp_path / "deck"
+    folder.mkdir()
+    main = write_deck(make_deck(build_models(scene, Clock(silent))), folder)
+    good = verify([scene], tmp_path / "good", deck=read_deck(main))["kicked"]
+    assert good["passed"], failed(good)
+    library = folder / "beam.lib"
+    text = library.read_text()
+    changed, count = re.subn(
+        rf"(?m)^((?:{card})\S* .* )(\S+)$",
+        lambda m: f"{m[1]}{float(m[2]) * factor!r}", text, count=1,
+    )  # fmt: skip
+    assert count == 1
+    library.write_text(changed)
+    record = verify([scene], tmp_path / "bad", deck=read_deck(main))["kicked"]
+    assert any("beam: netlist" in name for name in failed(record))

@@ -1,0 +1,239 @@
+"""The public face: what an import loads, what is found there, and that results are whole."""
+
+import inspect
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+
+ROOT = Path(__file__).parents[2]
+CONTRACT = (
+    "load_scene", "run", "build", "LinearModel", "Port", "read_model", "reduce", "subcircuit",
+    "read_lib", "deck", "simulate", "sweep", "register_part", "errors", "Result",
+)  # fmt: skip
+CIRCUIT = {
+    "name": "divider",
+    "drive": {"part": "source", "ac": "1 V", "dc": "1 V"},
+    "upper": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out"}},
+    "store": {"part": "capacitor", "capacitance": "1 uF", "pins": {"a": "upper.b"}},
+}
+PULSE = {
+    **CIRCUIT,
+    "drive": {
+        "part": "source",
+        "pulse": {"high": "1 V", "start": "1 ms", "width": "20 ms", "edge": "1 us"},
+    },
+    "analysis": {"type": "transient", "stop": "6 ms"},
+    "probes": {"top_v": {"of": "store.v", "take": "max"}},
+}
+
+
+def fresh(code):
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    return done.stdout.split()
+
+
+def test_import_loads_nothing_else():
+    loaded = fresh("import sys, kc2spice; print(*sys.modules)")
+    assert [name for name in loaded if name.startswith("kc2spice")] == ["kc2spice"]
+    heavy = {"numpy", "scipy", "pydantic", "gmsh", "PySpice", "matplotlib", "skfem", "typer"}
+    assert not heavy & set(loaded)
+
+
+def test_loading_a_scene_needs_no_plots_and_no_mesher():
+    loaded = fresh(
+        "import sys, kc2spice as kc; kc.load_scene('kick_and_catch'); print(*sys.modules)"
+    )
+    assert not {"gmsh", "PySpice", "matplotlib"} & set(loaded)
+
+
+def test_everything_promised_is_there_and_explains_itself():
+    assert set(CONTRACT) <= set(kc.__all__) <= set(dir(kc))
+    for name in kc.__all__:
+        assert inspect.getdoc(getattr(kc, name)), name
+    with pytest.raises(AttributeError, match="nothing_like_this"):
+        kc.nothing_like_this  # noqa: B018
+
+
+@pytest.mark.parametrize("name", [n for n in CONTRACT if n.islower() and n != "errors"])
+def test_functions_are_typed_and_say_what_they_raise(name):
+    function = getattr(kc, name)
+    signature = inspect.signature(function)
+    assert signature.return_annotation is not inspect.Signature.empty
+    assert all(p.annotation is not p.empty for p in signature.parameters.values())
+    assert "Raises" in inspect.getdoc(function)
+
+
+def test_transient_against_the_closed_form():
+    result = kc.run(PULSE)
+    late = result.time > 1.01e-3
+    wanted = 1 - np.exp(-(result.time[late] - 1.0005e-3) / 1e-3)
+    np.testing.assert_allclose(result.waves["store.v"][late], wanted, atol=2e-3)
+    assert result.units["store.v"] == "V"
+    assert result.metrics["top_v"] == pytest.approx(1 - np.exp(-5), rel=1e-3)
+    assert "top_v" in repr(result)
+    assert "<td>top_v</td>" in result._repr_html_()
+    with pytest.raises(kc.errors.UsageError, match="not over frequency"):
+        _ = result.frequency
+
+
+def test_ac_against_the_closed_form():
+    scene = kc.load_scene(
+        {**CIRCUIT, "analysis": {"type": "ac", "start": 10, "stop": 1e4, "points": 50}}
+    )
+    result = kc.simulate(scene)
+    wanted = 1 / (1 + 2j * np.pi * result.frequency * 1e-3)
+    np.testing.assert_allclose(result.waves["store.v"], wanted, rtol=1e-6)
+
+
+def test_saved_result_is_what_was_returned(tmp_path):
+    result = kc.run(PULSE, tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert record["metrics"] == pytest.approx(dict(result.metrics))
+    assert set(record["files"]) == {path.name for path in (tmp_path / "out").iterdir()}
+    with np.load(tmp_path / "out" / "waveforms.npz") as saved:
+        assert set(saved.files) == set(result.waves)
+        np.testing.assert_array_equal(saved["store.v"], result.waves["store.v"])
+
+
+def test_plots_show_waves_and_refuse_others(tmp_path):
+    result = kc.run(PULSE)
+    figure = result.plot("store.v", "upper.i")
+    assert [axes.get_ylabel() for axes in figure.axes] == ["in V", "in A"]
+    np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), result.waves["store.v"])
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    with pytest.raises(kc.errors.UsageError, match=r"store\.v"):
+        result.plot("store.w")
+
+
+def test_sweep_has_a_row_for_each_point_and_the_reason_of_a_failure(tmp_path):
+    table = kc.sweep(
+        PULSE, {"upper.resistance": [500, "1 kOhm"], "store.capacitance": [1e-6, 2e-6]}
+    )
+    assert table.columns == ("upper.resistance", "store.capacitance", "top_v", "status")
+    wanted = [1 - np.exp(-5e-3 / (r * c)) for r in (500, 1e3) for c in (1e-6, 2e-6)]
+    np.testing.assert_allclose(table["top_v"], wanted, rtol=1e-3)
+    assert table["status"] == ["ok"] * 4
+    lines = table.save(tmp_path / "t.csv").read_text().splitlines()
+    assert lines[0] == "upper.resistance,store.capacitance,top_v,status"
+    assert len(lines) == 5
+    assert table[1]["store.capacitance"] == 2e-6
+    assert repr(table).splitlines()[0].split() == list(table.columns)
+    with pytest.raises(kc.errors.UsageError, match="out of range"):
+        kc.sweep(PULSE, {"upper.resistance": [1.0, -1.0]})
+    with pytest.raises(kc.errors.UsageError, match="nothing to sweep"):
+        kc.sweep(PULSE, {"upper.resistance": []})
+
+
+def test_overrides_of_a_loaded_scene_keep_those_before():
+    scene = kc.load_scene(kc.load_scene(PULSE, {"upper.resistance": 7.0}), {"analysis.stop": 1e-3})
+    assert scene.parts["upper"].keys.resistance == 7.0
+    assert scene.stop == 1e-3
+    assert kc.load_scene(scene) is scene
+
+
+def test_own_controller_is_asked_at_its_instants():
+    controller = {"part": "controller", "inputs": ["top"], "units": {"top": "V"}, "period": 1e-3,
+                  "pins": {"top": "store.a"}}  # fmt: skip
+    tables = {**PULSE, "drive": controller, "probes": {}}
+    seen = []
+
+    def step(time, inputs):
+        seen.append((time, inputs["top"]))
+        return 1.0 if time >= 2e-3 else 0.0
+
+    result = kc.simulate(tables, functions={"drive": step})
+    times, tops = np.array(seen).T
+    np.testing.assert_allclose(times, 1e-3 * np.arange(7), atol=1e-12)
+    np.testing.assert_allclose(tops, 1 - np.exp(-(times - 2e-3).clip(0) / 1e-3), atol=5e-3)
+    wanted = 1 - np.exp(-(result.time - 2e-3).clip(0) / 1e-3)
+    np.testing.assert_allclose(result.waves["store.v"], wanted, atol=5e-3)
+    with pytest.raises(kc.errors.UsageError, match="no function"):
+        kc.run(tables)
+    with pytest.raises(kc.errors.UsageError, match="parts of a scene"):
+        kc.simulate(kc.deck(PULSE), functions={"drive": step})
+
+
+def test_edited_deck_gets_the_metrics_of_its_scene(tmp_path):
+    deck = kc.deck(PULSE)
+    path = tmp_path / deck.main
+    path.write_text(deck.files[deck.main].replace("Rupper upper_a", "Rupper upper_a"))
+    assert kc.run(PULSE, deck=path).metrics["top_v"] == pytest.approx(1 - np.exp(-5), rel=1e-3)
+    text = deck.files[deck.main]
+    card = next(line for line in text.splitlines() if line.startswith("Rupper"))
+    path.write_text(text.replace(card, card.rsplit(" ", 1)[0] + " 2k"))
+    done = kc.run(PULSE, tmp_path / "out", deck=path)
+    assert done.metrics["top_v"] == pytest.approx(1 - np.exp(-2.5), rel=1e-3)
+    assert " 2k" in (tmp_path / "out" / deck.main).read_text()
+
+
+def edited(tmp_path, change):
+    deck = kc.deck(PULSE)
+    path = tmp_path / deck.main
+    path.write_text(change(deck.files[deck.main]))
+    return path
+
+
+def test_edited_drive_is_a_warning(tmp_path):
+    path = edited(tmp_path, lambda text: text.replace("PULSE(0.0 1.0", "PULSE(0.0 3.0"))
+    with pytest.warns(UserWarning, match="drives as defined"):
+        result = kc.run(PULSE, deck=path)
+    assert result.metrics["top_v"] == pytest.approx(3 * (1 - np.exp(-5)), rel=1e-3)
+
+
+def test_edited_deck_may_stop_elsewhere(tmp_path):
+    def shorter(text):
+        card = next(line for line in text.splitlines() if line.startswith(".tran"))
+        return text.replace(card, ".tran 1u 2m 0 10u")
+
+    assert kc.run(PULSE, deck=edited(tmp_path, shorter)).time[-1] == pytest.approx(2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace(".save v(store_a)\n", "").replace(".save v(upper_b)\n", ""),
+         "does not save"),
+        (lambda text: text.replace(".tran", ".op\n*"), "not the scene's analysis"),
+        (lambda text: text.replace(".end", ".control\nshell ls\n.endc\n.end"), "control"),
+    ],
+)  # fmt: skip
+def test_edited_deck_is_refused_with_the_reason(tmp_path, change, said):
+    with pytest.raises(kc.errors.UsageError, match=said):
+        kc.run(PULSE, deck=edited(tmp_path, change))
+
+
+def test_command_line_takes_an_edited_deck(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "kc2spice", "run", "impact", "--deck", "absent.cir", "--json"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "absent.cir" in done.stderr
+
+
+def test_models_are_full_and_named_after_their_parts():
+    models = kc.build("buzzer_7bb_20_6")
+    assert list(models) == ["disc"]
+    assert models["disc"].certificate is None
+    assert "disc" in repr(models["disc"])
+
+
+def test_libraries_written_are_read_back(tmp_path):
+    k = np.diag([4e6, 9e6])
+    model = kc.LinearModel(M=np.eye(2), K=k, B=np.ones((2, 1)), rayleigh=(0.0, 1e-6),
+                           ports=[kc.Port("tip", "mechanical")])  # fmt: skip
+    part = kc.subcircuit(kc.reduce(model, order=2, band=(0, 1e3)), "pair")
+    assert kc.read_lib(part.write(tmp_path))[0].pins == part.pins
+    assert (tmp_path / "pair.lib").read_text() == part.text
+    assert "tip[um/N]" in repr(part)

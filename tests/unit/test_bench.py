@@ -1,0 +1,138 @@
+"""``bench SCENE``: choice of settings on a made-up simulator whose errors and times are known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kc2spice.cli.main import app
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.bench import plane
+from kc2spice.workflow.bench.axes import axes, overrides, own_place, reference_settings, settings
+from kc2spice.workflow.bench.evaluate import Run, chosen, errors
+
+
+def simulator(scene, *, trust=False):
+    """Errors of tolerance and order have opposite signs; time grows as either gets finer."""
+    reltol, order = scene.solver.reltol, scene.rom.order
+    value = 1.0 + reltol - 3e-3 / order
+    cost = 1e-2 * order / reltol**0.5
+    rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
+    return Run({"speed": np.asarray(value), **rest}, cost, transient=True)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("bench") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plane, "evaluate", simulator)
+        record = plane.bench(
+            lambda more: load_scene("impact", ["bench.metric=[]", *more]), out, error=1e-4,
+            repeats=2,
+        )  # fmt: skip
+    return record, out
+
+
+@pytest.fixture
+def record(made):
+    return made[0]
+
+
+def test_record_has_the_contracts_shape(made):
+    record, out = made
+    assert {"points", "recommended", "reference"} <= set(record)
+    for point in record["points"]:
+        assert {"label", "settings", "error", "time_s", "front"} <= set(point)
+    stored = json.loads((out / "bench.json").read_text(encoding="utf-8"))
+    assert stored["points"] == record["points"]
+    for name in ("bench.html", "bench.png"):
+        assert (out / name).stat().st_size > 5_000
+
+
+def test_what_does_not_converge_is_left_out_and_said(record):
+    assert record["metrics"] == ["speed"]
+    assert "noise" in record["left_out"]
+
+
+def test_errors_are_against_the_finest_setting(record):
+    finest = record["reference"]["settings"]
+    exact = 1.0 + finest["solver.reltol"] - 3e-3 / finest["rom.order"]
+    for point in record["points"]:
+        reltol = point["settings"].get("solver.reltol", 1e-4)
+        order = point["settings"].get("rom.order", 30)
+        assert point["error"] == pytest.approx(abs(1 + reltol - 3e-3 / order - exact) / exact)
+
+
+def test_front_is_what_no_other_point_beats(record):
+    for point in record["points"]:
+        beaten = any(
+            p["error"] <= point["error"] and p["time_s"] <= point["time_s"]
+            and (p["error"], p["time_s"]) != (point["error"], point["time_s"])
+            for p in record["points"]
+        )  # fmt: skip
+        assert point["front"] is not beaten
+
+
+def test_recommendation_does_not_rely_on_errors_that_cancel(record):
+    """reltol 1e-4 and order 30 are each off by 1e-4 and together by nothing."""
+    own = next(point for point in record["points"] if point["own"])
+    best = record["recommended"]
+    assert own["error"] < 3e-5 < 1e-4 < own["bound"]
+    reltol = best["settings"].get("solver.reltol", 1e-4)
+    order = best["settings"].get("rom.order", 30)
+    assert reltol + 3e-3 / order <= 1.1e-4 + 2.5e-5
+    feasible = [p for p in record["points"] if max(p["error"], p["bound"]) <= 1e-4]
+    assert best["time_s"] <= 1.05 * min(p["time_s"] for p in feasible)
+    assert best["set"][::2] == ["--set"] * len(best["settings"])
+
+
+def test_settings_load_again_as_they_are_printed():
+    scene = load_scene("kick_and_catch")
+    found = axes(scene, transient=True)
+    assert {
+        "solver.reltol", "solver.chgtol", "solver.trtol", "solver.max_step", "catch.points", "rom",
+    } == {axis.name for axis in found}  # fmt: skip
+    assert settings(found, own_place(found)) == {}
+    for values in reference_settings(found):
+        again = load_scene("kick_and_catch", overrides(values))
+        assert again.solver.reltol == values["solver.reltol"] < scene.solver.reltol
+        assert again.rom.order == values["rom.order"] > 30
+        points = [s.parts["catch"].keys.points for s in (again, scene)]
+        assert points[0] == values["catch.points"] > points[1]
+
+
+def test_a_scene_has_the_axes_of_its_parts():
+    assert [axis.name for axis in axes(load_scene("em_force"), transient=False)] == [
+        "solver.reltol", "catch.points",
+    ]  # fmt: skip
+    assert "catch.points" not in {axis.name for axis in axes(load_scene("impact"), transient=True)}
+
+
+def test_another_outcome_is_no_result():
+    yes, no = (Run({"caught": np.asarray(c)}, 1.0, True) for c in (True, False))
+    with pytest.raises(SimulationError, match="caught"):
+        errors(no, yes, [])
+    missing = Run({"v": np.asarray(np.nan)}, 1.0, True)
+    with pytest.raises(SimulationError, match="no v"):
+        errors(missing, Run({"v": np.asarray(1.0)}, 1.0, True), ["v"])
+
+
+def test_curves_count_by_their_largest_value():
+    exact = Run({"f": np.array([1.0, 10.0])}, 1.0, False)
+    off = Run({"f": np.array([1.5, 10.0])}, 1.0, False)
+    assert errors(off, exact, ["f"]) == {"f": pytest.approx(0.05)}
+    assert chosen(exact, ()) == ("f",)
+    with pytest.raises(UsageError, match="no such metric"):
+        chosen(exact, ["g"])
+
+
+def test_nothing_within_the_error_is_exit_code_4(monkeypatch, tmp_path):
+    monkeypatch.setattr(plane, "evaluate", simulator)
+    called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
+    result = CliRunner().invoke(app, [*called, "--json", "--quiet", "--out", str(tmp_path / "o")])
+    assert result.exit_code == 4
+    assert json.loads(result.stdout)["recommended"] is None

@@ -1,0 +1,284 @@
+"""The grammar of scenes: parts, pins, joins, probes; each mistake is named with line and key."""
+
+import math
+import re
+
+import pytest
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Resistance, Section
+from kc2spice.scene import parttype
+from kc2spice.scene.compose import drawing
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Terminal
+from kc2spice.scene.parttype import PartType, part_types, register
+
+DIVIDER = """\
+[supply]
+part = "source"
+dc = 10.0
+pins = { out = "upper.a" }
+
+[upper]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { b = "lower.a" }
+
+[lower]
+part = "resistor"
+resistance = 3e3
+
+[analysis]
+type = "op"
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    """Writes a scene and returns its path."""
+
+    def write(text):
+        path = tmp_path / "my.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_joined_pins_share_a_net(scene_file):
+    scene = load_scene(scene_file(DIVIDER))
+    assert scene.net("supply", "out") == scene.net("upper", "a")
+    assert scene.net("upper", "b") == scene.net("lower", "a") != scene.net("upper", "a")
+    assert scene.net("lower", "b") == scene.net("supply", "ret") == "0"
+    assert drawing(scene) == (
+        "supply.out -- upper.a",
+        "gnd: supply.ret, lower.b",
+        "upper.b -- lower.a",
+    )
+
+
+def test_joins_hold_in_both_directions_and_over_others():
+    """a to b and c to b is one net of three, whoever says so."""
+    tables = {
+        "a": {"part": "resistor", "resistance": 1.0, "pins": {"a": "b.a"}},
+        "b": {"part": "resistor", "resistance": 1.0},
+        "c": {"part": "resistor", "resistance": 1.0, "pins": {"a": "b.a"}},
+    }
+    scene = load_scene(tables | {"analysis": {"type": "op"}})
+    assert set(scene.joined("b", "a")) == {("a", "a"), ("c", "a")}
+
+
+def test_a_pin_that_is_named_leaves_its_default():
+    """Else the resistor in front would be shorted to ground without a word."""
+    tables = {
+        "v": {"part": "source", "dc": 1.0},
+        "one": {"part": "resistor", "resistance": 1.0, "pins": {"a": "v.out"}},
+        "two": {"part": "resistor", "resistance": 1.0, "pins": {"a": "one.b"}},
+    }
+    scene = load_scene(tables | {"analysis": {"type": "op"}})
+    assert scene.net("one", "b") == scene.net("two", "a") != "0"
+    assert scene.net("two", "b") == "0"
+
+
+def _changed(old, new):
+    assert old in DIVIDER
+    return DIVIDER.replace(old, new)
+
+
+MASS = '\n[weight]\npart = "mass"\nmass = 1e-3\n'
+SECOND = '\n[second]\npart = "source"\ndc = 9.0\n'
+# Text of the file, the line and the key that the message names, and what else it says.
+MISTAKES = {
+    "unknown part type": (
+        _changed('"resistor"\nresistance = 3e3', '"resitor"\nresistance = 3e3'),
+        12, "lower.part", ["unknown part type", "'resitor'", "did you mean 'resistor'"],
+    ),
+    "no part type": (
+        _changed('part = "source"\n', ""), 1, "supply", ["says no part type", "part = one of"],
+    ),
+    "unknown key": (
+        _changed("resistance = 3e3", "resistence = 3e3"),
+        13, "lower.resistence", ["unknown key", "did you mean 'resistance'"],
+    ),
+    "a key without which a part is none": (
+        _changed("resistance = 3e3\n", ""), 11, "lower.resistance", ["lower.resistance is missing"],
+    ),
+    "a required pin that is not joined": (
+        _changed('pins = { out = "upper.a" }\n', ""),
+        1, "supply.pins.out", ["pin out of supply is not joined", "upper.a", "pins = { out ="],
+    ),
+    "no such pin": (
+        _changed("{ b = ", "{ bb = "), 9, "upper.pins.bb",
+        ["resistor has no such pin", "one of a, b"],
+    ),
+    "no such part to join": (
+        _changed('"lower.a"', '"lowr.a"'),
+        9, "upper.pins.b", ["no such pin to join", "'lowr.a'", "did you mean 'lower'"],
+    ),
+    "no such pin of the other part": (
+        _changed('"lower.a"', '"lower.c"'),
+        9, "upper.pins.b", ["no such pin to join", "a pin of lower: a, b"],
+    ),
+    "a part without its pin": (
+        _changed('"lower.a"', '"lower"'),
+        9, "upper.pins.b", ["no such pin to join", "lower.a, lower.b"],
+    ),
+    "pins of different kinds": (
+        DIVIDER + MASS + 'pins = { a = "upper.b" }\n',
+        21, "weight.pins.a", ["different kinds", "weight.a is um/N", "upper.b is V/A"],
+    ),
+    "two ideal sources in parallel": (
+        DIVIDER + SECOND + 'pins = { out = "upper.a" }\n',
+        18, "second", ["loop of ideal sources", "second.out and second.ret"],
+    ),
+    "a loop of three ideal sources": (
+        DIVIDER + SECOND + 'pins = { out = "lower.a", ret = "supply.out" }\n'
+        + SECOND.replace("second", "third") + 'pins = { out = "lower.a" }\n',
+        23, "third", ["loop of ideal sources"],
+    ),
+    "a source on itself": (
+        '[supply]\npart = "source"\ndc = 1.0\npins = { out = "gnd" }\n',
+        1, "supply", ["loop of ideal sources"],
+    ),
+    "a circuit without ground": (
+        _changed("resistance = 3e3", 'resistance = 3e3\npins = { b = "supply.ret" }'),
+        1, "supply", ["nothing of this circuit is on ground", "supply.out, supply.ret, upper.a"],
+    ),
+    "names that differ in case only": (
+        DIVIDER + '\n[Lower]\npart = "resistor"\nresistance = 1.0\npins = { a = "lower.a" }\n',
+        18, "Lower", ["differ in case only", "lower and Lower"],
+    ),
+    "a name that another part brings along": (
+        '[kick]\n[kick_drive]\npart = "resistor"\nresistance = 1.0\npins = { a = "kick.anode" }\n',
+        2, "kick_drive", ["this name is taken", "kick brings a part of this one along"],
+    ),
+    "a part called ground": (
+        DIVIDER + '\n[gnd]\npart = "resistor"\n', 18, "gnd", ["not a name for a part"],
+    ),
+    "pins that are no table": (
+        _changed('pins = { b = "lower.a" }', "pins = 3"),
+        9, "upper.pins", ["no table of names", "PIN ="],
+    ),
+    "a dc sweep of nothing": (
+        _changed('type = "op"', 'type = "dc"\nsweep = "suply.dc"\nto = 1.0'),
+        17, "analysis.sweep", ["dc sweeps a key of a part", "'suply.dc'", "supply"],
+    ),
+    "an ac range upside down": (
+        _changed('type = "op"', 'type = "ac"\nstart = 100.0\nstop = 10.0'),
+        18, "analysis.stop", ["empty frequency range"],
+    ),
+    "a level without a crossing": (
+        DIVIDER + '\n[probes]\ntop = { of = "lower.v", level = 1.0 }\n',
+        19, "probes.top", ["level goes with crossing"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named_with_file_line_and_key(name, scene_file):
+    text, line, key, words = MISTAKES[name]
+    with pytest.raises(UsageError) as caught:
+        load_scene(scene_file(text))
+    said = str(caught.value)
+    assert re.search(rf"my\.toml, line {line}, key {re.escape(key)}\b", said), said
+    for word in words:
+        assert word in said
+
+
+def test_two_outputs_on_one_net_are_refused(scene_file):
+    """Two bodies that say where they are cannot be joined as one signal."""
+    text = (
+        '[one]\npart = "sphere"\n[two]\npart = "sphere"\npins = { y = "one.y" }\n'
+    )  # fmt: skip
+    with pytest.raises(UsageError, match=r"line 5, key two\.pins\.y: two outputs set one net"):
+        load_scene(scene_file(text))
+    grounded = '[one]\npart = "sphere"\npins = { y = "gnd" }\n'
+    with pytest.raises(UsageError, match="two outputs set one net"):
+        load_scene(scene_file(grounded))
+
+
+def test_a_signal_listens_to_two_pins_only_if_these_fit_each_other():
+    ball = {"part": "sphere"}
+    wrong = {"part": "mass", "mass": 1e-3, "pins": {"a": "ball.v"}}
+    with pytest.raises(UsageError, match="different kinds") as caught:
+        load_scene({"ball": ball, "weight": wrong})
+    assert "weight.a is um/N, ball.v is m/s/N" in str(caught.value)
+
+
+def test_several_parts_of_one_type_are_ordinary():
+    tables = {
+        f"r{k}": {"part": "resistor", "resistance": 1.0 + k, "pins": {"a": f"r{max(k - 1, 0)}.b"}}
+        for k in range(1, 5)
+    }
+    tables["r0"] = {"part": "resistor", "resistance": 1.0, "pins": {"a": "v.out"}}
+    tables["v"] = {"part": "source", "dc": 1.0}
+    scene = load_scene(tables | {"analysis": {"type": "op"}})
+    assert [part.keys.resistance for part in scene.of("resistor")] == [2.0, 3.0, 4.0, 5.0, 1.0]
+    assert scene.only("resistor") is None
+    assert scene.only("source").name == "v"
+    assert len(set(scene.nets.values())) == 6
+
+
+class _Keys(Section):
+    """Two equal resistors in series."""
+
+    each: Resistance = 50.0
+
+
+class Tee(PartType):
+    """A part type as another package would write it."""
+
+    name = "test_tee"
+    title = "two resistors with a tap"
+    schema = _Keys
+
+    def pins(self, part, scene):
+        return (
+            Terminal("a", "V", "A", required=True), Terminal("tap", "V", "A"),
+            Terminal("b", "V", "A", "gnd"),
+        )  # fmt: skip
+
+    def cards(self, part, build):
+        a, tap, b = (build.net(part, pin) for pin in ("a", "tap", "b"))
+        return (
+            f"R{part.name}1 {a} {tap} {part.keys.each!r}",
+            f"R{part.name}2 {tap} {b} {part.keys.each!r}",
+        )
+
+
+@pytest.fixture
+def tee(monkeypatch):
+    part_types()  # all that the package has, before one is added
+    monkeypatch.setattr(parttype, "_types", dict(parttype._types))
+    return register(Tee())
+
+
+def test_a_registered_part_type_is_one_among_all(tee, scene_file):
+    assert part_types()["test_tee"] is tee
+    text = DIVIDER.replace(
+        'part = "resistor"\nresistance = 3e3', 'part = "test_tee"\neach = "5 Ohm"'
+    )
+    scene = load_scene(scene_file(text))
+    assert scene.parts["lower"].keys.each == 5.0
+    with pytest.raises(UsageError, match="did you mean 'test_tee'"):
+        load_scene(scene_file(text.replace("test_tee", "test_te")))
+
+
+def test_a_part_type_without_name_or_schema_is_refused():
+    with pytest.raises(UsageError, match="needs a name and a schema"):
+        register(PartType())
+
+
+@pytest.mark.parametrize("take", ["max", "min", "final", "rms", "peak_to_peak"])
+def test_a_probe_is_a_metric_of_every_take(take):
+    tables = {"v": {"part": "source", "dc": 1.0, "pins": {"out": "r.a"}}}
+    tables |= {"r": {"part": "resistor", "resistance": 1.0}}
+    scene = load_scene(tables | {"probes": {"top": {"of": "r.v", "take": take}}})
+    assert scene.probes["top"].take == take
+
+
+def test_a_take_that_does_not_exist_is_refused():
+    with pytest.raises(UsageError, match="did you mean 'max'") as caught:
+        load_scene({"sphere": {}, "probes": {"top": {"of": "sphere.y", "take": "maxx"}}})
+    assert "probes.top.take" in str(caught.value)
+    assert math.isfinite(len(str(caught.value)))

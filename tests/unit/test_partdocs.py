@@ -1,0 +1,50 @@
+"""The reference of part types: every type is there with its pins and keys, from live scenes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kc2spice.core.toml import parse_toml
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.partdocs import part_docs
+from kc2spice.scene.parttype import part_types
+
+ROOT = Path(__file__).parents[2]
+BY_FILE = {"body", "matrices"}  # their pins stand in files of the user
+NO_PINS = {"port_loads", "throw"}
+
+
+@pytest.fixture(scope="module")
+def docs():
+    return {doc.name: doc for doc in part_docs()}
+
+
+def test_every_type_is_there_with_pins_and_keys(docs):
+    assert set(docs) >= set(part_types())
+    for name, doc in docs.items():
+        assert doc.title, name
+        assert doc.doc, name
+        assert bool(doc.pins) is (name not in BY_FILE | NO_PINS), name
+    assert [key.unit for key in docs["resistor"].keys] == ["Ohm"]
+    assert {pin.name for pin in docs["piezo_stack"].pins} >= {"anode", "cathode", "R0", "R5"}
+
+
+def test_examples_are_scenes_that_load():
+    for name, kind in part_types().items():
+        if kind.example:
+            scene = load_scene({"name": "example", **parse_toml(kind.example)})
+            assert scene.of(name), name
+
+
+def test_command_line_lists_them(docs):
+    done = subprocess.run(
+        [sys.executable, "-m", "kc2spice", "scenes", "--parts", "--json"],
+        capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    listed = {entry["name"]: entry for entry in json.loads(done.stdout)}
+    assert list(listed) == list(docs)
+    assert [pin["name"] for pin in listed["spring"]["pins"]] == ["a", "b"]

@@ -1,0 +1,828 @@
+"""Readers of other tools' matrices: every format, every port selection, every refusal."""
+
+import io
+import subprocess
+import sys
+import time
+import types
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import io as scipy_io
+from scipy import sparse
+
+from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers.sidecar import read_sidecar
+from kc2spice.core.errors import MissingToolError, UsageError
+
+DATA = Path(__file__).parents[1] / "data" / "matrices"
+N = 6
+KINDS = (1, 2)  # three nodes with ux, uy
+NODES = (7, 20, 300)
+TIP = '[[ports]]\nname = "tip"\nkind = "mechanical"\nnode = 300\ndof = "uy"\n'
+
+
+def chain():
+    """Stiffness and mass of a small coupled chain, positive definite, every entry different."""
+    rng = np.random.default_rng(4)
+    half = rng.normal(size=(N, N))
+    return half @ half.T + N * np.eye(N), np.diag(np.arange(1.0, N + 1)) + 0.1
+
+
+K, M = chain()
+ROWS = [(node, kind) for node in NODES for kind in KINDS]
+
+
+def write_market(path, matrix, symmetric=False):
+    scipy_io.mmwrite(
+        str(path), sparse.coo_array(np.atleast_2d(matrix)),
+        symmetry="symmetric" if symmetric else "general",
+    )  # fmt: skip
+    written = path if path.exists() else path.with_name(path.name + ".mtx")
+    if written != path:
+        written.rename(path)
+
+
+def write_family(tmp_path, pattern="m.{}", **matrices):
+    for letter, matrix in matrices.items():
+        write_market(tmp_path / pattern.format(letter), matrix)
+    return tmp_path / "m"
+
+
+def write_boeing(path, matrix, title, kind="RSA", value="(d25.15)", width=25, per_line=1):
+    """Harwell-Boeing as Ansys writes it: one number a line, D exponents, lower triangle."""
+    stored = sparse.csc_array(np.tril(matrix) if kind == "RSA" else matrix)
+    pointer, row, data = stored.indptr + 1, stored.indices + 1, stored.data
+    numbers = [f"{x:{width}.15E}".replace("E", "D") for x in data]
+    lines = ["".join(numbers[i : i + per_line]) for i in range(0, len(numbers), per_line)]
+    n = len(matrix)
+    head = [
+        f"{title:<72}{'':8}",
+        f"{len(pointer) + len(row) + len(lines) + n:14d}{len(pointer):14d}{len(row):14d}"
+        f"{len(lines):14d}{n:14d}",
+        f"{kind:<14}{n:14d}{n:14d}{len(row):14d}{0:14d}",
+        f"{'(I14)':<16}{'(I14)':<16}{value:<20}{value:<20}",
+        f"F{'':13}{1:14d}{n:14d}",
+    ]
+    body = [f"{k:14d}" for k in (*pointer, *row)] + lines + [f"{0.0:25.15E}"] * n
+    path.write_text("\n".join(head + body) + "\n")
+
+
+def write_mapping(path, rows):
+    names = {1: "UX", 2: "UY"}
+    lines = [f"{i:14d}{node:14d}    {names[kind]:<4}" for i, (node, kind) in enumerate(rows, 1)]
+    path.write_text("\n".join(["    Matrix Eqn          Node    DOF     ", *lines]) + "\n")
+
+
+def write_abaqus(path, matrix, rows=ROWS):
+    """MATRIX INPUT: one triangle, columns outside, as Abaqus orders it."""
+    lines = [
+        f"{rows[i][0]},{rows[i][1]}, {rows[j][0]},{rows[j][1]}, {matrix[i, j]: .15e}"
+        for j in range(len(matrix))
+        for i in range(j, len(matrix))
+        if matrix[i, j]
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def same(model, K=K, M=M):
+    np.testing.assert_allclose(model.K.toarray(), K, rtol=1e-14, atol=1e-13)
+    np.testing.assert_allclose(model.M.toarray(), M, rtol=1e-14, atol=1e-13)
+
+
+def sidecar(tmp_path, text, name="m.toml"):
+    (tmp_path / name).write_text(text)
+    return tmp_path / name
+
+
+def refused(path, *words, side=None, error=UsageError):
+    with pytest.raises(error) as caught:
+        read_model(path, side)
+    message = str(caught.value)
+    for word in words:
+        assert word in message, message
+    assert caught.value.where
+    return caught.value
+
+
+# ---------------------------------------------------------------------------- formats
+
+
+@pytest.mark.parametrize("pattern", ["m.{}", "m.{}.mtx", "m_{}.mtx", "m.{}.txt"])
+@pytest.mark.parametrize("opened", ["m", None])
+def test_matrix_market_families(tmp_path, pattern, opened):
+    write_family(tmp_path, pattern, K=K, M=M, B=np.ones((N, 1)))
+    model = read_model(tmp_path / (opened or pattern.format("K")))
+    same(model)
+    assert model.name == "m"
+    assert [p.name for p in model.ports] == ["u1", "y1"]
+    assert np.array_equal(model.C, model.B.T)
+
+
+def test_byte_order_marks_and_blanks_in_names(tmp_path):
+    place = tmp_path / "my models"
+    place.mkdir()
+    for letter, matrix in {"K": K, "M": M}.items():
+        write_market(place / f"my beam.{letter}", matrix)
+        text = (place / f"my beam.{letter}").read_bytes()
+        (place / f"my beam.{letter}").write_bytes(b"\xef\xbb\xbf" + text)
+    text = (
+        '[[ports]]\nname="x"\nkind="input"\ncolumn=1\n[[ports]]\nname="y"\nkind="output"\nrow=1\n'
+    )
+    (place / "my beam.toml").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    write_market(place / "my beam.B", np.ones((N, 1)))
+    same(read_model(place / "my beam"))
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_numpy_archives_dense_and_in_parts(tmp_path, save):
+    coo = sparse.coo_array(K)
+    parts = {"K.data": coo.data, "K.row": coo.row, "K.col": coo.col, "K.shape": coo.shape}
+    nodes, dofs = np.array(ROWS).T
+    save(tmp_path / "m.npz", M=M, nodes=nodes, dofs=dofs, **parts)
+    model = read_model(tmp_path / "m.npz", sidecar(tmp_path, TIP))
+    same(model)
+    assert np.array_equal(np.flatnonzero(model.B), [5])
+
+
+def test_mat_files_with_matrices(tmp_path):
+    nodes, dofs = np.array(ROWS).T.astype(float)
+    scipy_io.savemat(tmp_path / "m.mat", {"K": sparse.csc_array(K), "M": M, "nodes": nodes,
+                                          "dofs": dofs, "note": "text"})  # fmt: skip
+    same(read_model(tmp_path / "m.mat", sidecar(tmp_path, TIP)))
+
+
+def test_comsol_second_order_struct(tmp_path):
+    """E u'' + D u' + K u = L: what COMSOL calls E is the mass, and D the damping."""
+    load = np.arange(1.0, N + 1)[:, None]
+    fields = {"K": 2 * K, "Kc": sparse.csc_array(K + 0j), "Ec": sparse.csc_array(M),
+              "Dc": sparse.csc_array(0.1 * K), "Lc": load, "N": np.ones((1, N))}  # fmt: skip
+    scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
+    model = read_model(tmp_path / "m.mat")
+    same(model)
+    np.testing.assert_allclose(model.E.toarray(), 0.1 * K)
+    np.testing.assert_array_equal(model.B, load)
+
+
+def test_comsol_heat_struct_is_first_order(tmp_path):
+    fields = {"K": K, "D": sparse.csc_array(M), "E": sparse.csc_array((N, N)), "L": np.ones((N, 1))}
+    scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
+    model = read_model(tmp_path / "m.mat")
+    np.testing.assert_allclose(model.A.toarray(), -K)
+    np.testing.assert_allclose(model.E.toarray(), M)
+
+
+def test_comsol_state_space_struct(tmp_path):
+    fields = {"MA": -K, "MB": np.ones((N, 1)), "Mc": M, "C": np.eye(N)[:2], "D": np.zeros((2, 1))}
+    scipy_io.savemat(tmp_path / "m.mat", {"S": fields})
+    model = read_model(tmp_path / "m.mat")
+    np.testing.assert_allclose(model.A.toarray(), -K)
+    assert [p.kind for p in model.ports] == ["input", "output", "output"]
+
+
+def test_comsol_constraints_that_are_not_eliminated_are_refused(tmp_path):
+    fields = {"K": K, "E": M, "N": np.ones((1, N))}
+    scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
+    refused(tmp_path / "m.mat", "Kc")
+
+
+@pytest.mark.parametrize("kind", ["RSA", "RUA"])
+@pytest.mark.parametrize("per_line", [1, 3])
+def test_harwell_boeing_with_mapping(tmp_path, kind, per_line):
+    """Three touching fields of 25 on a line, one a line as Ansys does; half or whole."""
+    value = f"({per_line if per_line > 1 else ''}d25.15)"
+    order = [4, 0, 2, 5, 1, 3]  # a solver's numbering, not the nodes'
+    for letter, matrix in {"K": K, "M": M}.items():
+        shuffled = matrix[np.ix_(order, order)]
+        write_boeing(tmp_path / f"m_{letter}.matrix", shuffled, "Stiffness", kind, value,
+                     per_line=per_line)  # fmt: skip
+    write_mapping(tmp_path / "m_K.mapping", [ROWS[i] for i in order])
+    model = read_model(tmp_path / "m_K.matrix", sidecar(tmp_path, TIP))
+    same(model, K[np.ix_(order, order)], M[np.ix_(order, order)])
+    assert np.flatnonzero(model.B).tolist() == [order.index(5)]
+
+
+def test_abaqus_matrix_input(tmp_path):
+    for word, matrix in {"STIF": K, "MASS": M, "DMPV": 0.01 * K}.items():
+        write_abaqus(tmp_path / f"job_{word}2.mtx", matrix)
+    model = read_model(tmp_path / "job_MASS2.mtx", sidecar(tmp_path, TIP))
+    same(model)
+    np.testing.assert_allclose(model.E.toarray(), 0.01 * K, rtol=1e-14)
+
+
+def test_abaqus_lumped_mass_misses_rows_and_the_union_counts(tmp_path):
+    """Node numbers have gaps, and a massless freedom appears in the stiffness alone."""
+    light = M * (np.arange(N) != 2) * (np.arange(N) != 2)[:, None]
+    write_abaqus(tmp_path / "job_STIF1.mtx", K)
+    write_abaqus(tmp_path / "job_MASS1.mtx", light)
+    same(read_model(tmp_path / "job_STIF1.mtx", sidecar(tmp_path, TIP)), M=light)
+
+
+def test_abaqus_coordinate_and_its_held_freedoms(tmp_path):
+    held = K.copy()
+    held[0, 0] = 1e36
+    for word, matrix in {"STIF": held, "MASS": M}.items():
+        lines = [f"{i + 1} {j + 1}  {matrix[i, j]: .15e}" for i in range(N) for j in range(N)]
+        (tmp_path / f"job_{word}1.mtx").write_text("\n".join(lines))
+    (tmp_path / "rows.csv").write_text("\n".join(f"{n},{k}" for n, k in ROWS))
+    side = sidecar(tmp_path, 'dofs = "rows.csv"\n' + TIP)
+    same(read_model(tmp_path / "job_STIF1.mtx", side), K[1:, 1:], M[1:, 1:])
+
+
+def test_calculix_rows_keep_node_numbers_as_text(tmp_path):
+    """Node 12.3 is not a decimal number, and 2.10 would not be 2.1."""
+    upper = [(i, j) for j in range(N) for i in range(j + 1)]
+    for suffix, matrix in {"sti": K, "mas": M}.items():
+        lines = [f"{i + 1} {j + 1}  {matrix[i, j]:.13e}" for i, j in upper]
+        (tmp_path / f"m.{suffix}").write_text("\n".join(lines))
+    (tmp_path / "m.dof").write_text("\n".join(f"{n}.{k}" for n, k in ROWS))
+    model = read_model(tmp_path / "m.mas", sidecar(tmp_path, TIP))
+    np.testing.assert_allclose(model.K.toarray(), K, rtol=1e-12)
+    assert np.flatnonzero(model.B).tolist() == [5]
+
+
+def test_dmig_agrees_with_another_reader(tmp_path):
+    from pyyeti.nastran import bulk
+
+    frame = bulk.rddmig(str(DATA / "wing.pch"))["kaax"]
+    model = read_model(
+        DATA / "wing.pch", sidecar(tmp_path, TIP.replace("300", "5").replace("uy", "uz"))
+    )
+    np.testing.assert_array_equal(model.K.toarray(), frame.to_numpy())
+
+
+def test_dmig_in_small_and_free_fields(tmp_path):
+    (tmp_path / "m.pch").write_text(
+        "$ a comment\nBEGIN BULK\n"
+        "DMIG    KAA     0       6       2       0                       2\n"
+        "DMIG    KAA     1       3               1       3       5.+1\n"
+        "DMIG    KAA     2       0               1       3       -2.5    \n"
+        "                                        \n"
+        "DMIG,KAA,2,0,,2,0,4.0D0\n"
+        "GRID,1,,0.,0.,0.\n"
+        "DMIG,MAA,0,6,2,0,,,2\n"
+        "DMIG,MAA,1,3,,1,3,1.0\n"
+        "DMIG,MAA,2,0,,2,0,2.0\n"
+    )
+    side = sidecar(tmp_path, TIP.replace("300", "1").replace("uy", "uz"))
+    model = read_model(tmp_path / "m.pch", side)
+    same(model, np.array([[50.0, -2.5], [-2.5, 4.0]]), np.diag([1.0, 2.0]))
+
+
+def test_dmig_refuses_two_stiffnesses_unless_told(tmp_path):
+    text = (DATA / "wing.pch").read_text()
+    (tmp_path / "m.pch").write_text(text + text.replace("KAAX", "KGGX"))
+    port = TIP.replace("300", "5").replace("uy", "uz")
+    refused(tmp_path / "m.pch", "KAAX", "KGGX", "matrices", side=sidecar(tmp_path, port))
+    chosen = 'matrices = { K = "KAAX", M = "MAAX" }\n' + port
+    assert read_model(tmp_path / "m.pch", sidecar(tmp_path, chosen)).order == 10
+
+
+@pytest.mark.parametrize("package", ["pyyeti", "ansys-mapdl-reader"])
+def test_missing_packages_name_the_command(tmp_path, monkeypatch, package):
+    suffix, module, extra = {
+        "pyyeti": (".op4", "pyyeti.nastran", "nastran"),
+        "ansys-mapdl-reader": (".full", "ansys.mapdl.reader.full", "ansys"),
+    }[package]
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / f"m{suffix}").write_bytes(b"x")
+    error = refused(tmp_path / f"m{suffix}", package, f"kc2spice[{extra}]", error=MissingToolError)
+    assert error.exit_code == 3
+
+
+def test_ansys_full_drops_what_ansys_constrains(tmp_path, monkeypatch):
+    """The package's own interface: upper triangles, freedoms from 0, a table of constraints."""
+
+    class FullFile:
+        def __init__(self, path):
+            assert Path(path).is_file()
+            self.const = np.array([[7, 0]])
+
+        def load_km(self):
+            cut = np.where((np.arange(N) == 0) | (np.arange(N)[:, None] == 0), 0.0, 1.0)
+            place = np.array([(n, k - 1) for n, k in ROWS])
+            return place, sparse.csc_array(np.triu(K * cut)), sparse.csc_array(np.triu(M * cut))
+
+    module = types.ModuleType("ansys.mapdl.reader.full")
+    module.FullFile = FullFile
+    for name in ("ansys", "ansys.mapdl", "ansys.mapdl.reader"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, "ansys.mapdl.reader.full", module)
+    (tmp_path / "m.full").write_bytes(b"x")
+    same(read_model(tmp_path / "m.full", sidecar(tmp_path, TIP)), K[1:, 1:], M[1:, 1:])
+
+
+def test_first_order_and_heat(tmp_path):
+    base = write_family(tmp_path, A=-K, B=np.ones((N, 1)), C=np.ones((2, N)), D=np.ones((2, 1)))
+    model = read_model(base)
+    np.testing.assert_allclose(model.A.toarray(), -K)
+    np.testing.assert_array_equal(model.E.toarray(), np.eye(N))
+    heat = tmp_path / "heat"
+    heat.mkdir()
+    model = read_model(write_family(heat, E=M, K=K, B=np.ones((N, 1))))
+    np.testing.assert_allclose(model.A.toarray(), -K)
+    np.testing.assert_allclose(model.transfer(np.array([0.0]))[0], [[np.linalg.inv(K).sum()]])
+
+
+# ---------------------------------------------------------------------------- ports
+
+
+@pytest.fixture
+def labelled(tmp_path):
+    """A model with named rows; returns a reader that takes the text of its sidecar."""
+    nodes, dofs = np.array(ROWS).T
+    np.savez(tmp_path / "m.npz", K=K, M=M, nodes=nodes, dofs=dofs)
+    (tmp_path / "mesh.inp").write_text(
+        "*NODE\n7, 0, 0, 0\n20, 10., 0, 0\n300, 20, 1.5, 0\n*NSET, NSET=Ends\n7, 300\n"
+    )
+    return lambda text: read_model(tmp_path / "m.npz", sidecar(tmp_path, text))
+
+
+def test_port_over_a_node_set_is_the_mean_along_the_axis(labelled):
+    model = labelled(
+        'mesh="mesh.inp"\n[[ports]]\nname="p"\nkind="mechanical"\nnodeset="ENDS"\naxis=[3,4,0]\n'
+        'pins=["a"]\n'
+    )  # fmt: skip
+    np.testing.assert_allclose(model.B[:, 0], [0.3, 0.4, 0, 0, 0.3, 0.4])
+    assert np.array_equal(model.B, model.C.T)
+    assert (model.ports[0].across, model.ports[0].flow, model.ports[0].pins) == ("um", "N", ("a",))
+
+
+@pytest.mark.parametrize("at", ["[20, 1.5, 0]", "[20.0000001, 1.5, 0]"])
+def test_port_at_a_coordinate(labelled, at):
+    model = labelled(f'mesh="mesh.inp"\n[[ports]]\nname="p"\nkind="mechanical"\nat={at}\ndof=1\n')
+    assert np.flatnonzero(model.B).tolist() == [4]
+
+
+CDB = """/PREP7
+NBLOCK,6,SOLID,     300,       3
+(3i9,6e21.13e3)
+        7        0        0 0.0000000000000E+000 0.0000000000000E+000 0.0000000000000E+000
+       20        0        0 1.0000000000000E+001
+      300        0        0 2.0000000000000E+001 1.5000000000000E+000 0.0000000000000E+000
+N,R5.3,LOC,       -1,
+CMBLOCK,ENDS    ,NODE,       3  ! users node component definition
+(8i10)
+         7        -8       300
+"""
+BULK = (
+    "$ nodes\n"
+    "GRID    7               0.      0.      0.\n"
+    "GRID,20,,10.,0.,0.\n"
+    f"{'GRID*':8}{300:16d}{'':16}{'2.000000000D+01':>16}{'1.500000000D+00':>16}\n"
+    f"{'*':8}{'0.000000000D+00':>16}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("n.cdb", CDB),
+        ("n.bdf", BULK),
+        ("n.csv", "node,x,y,z\n7,0,0,0\n20,10,0,0\n300,20,1.5,0\n"),
+        (
+            "n.inp",
+            "** c\n*Node\n7,0,0,0\n20,10.\n300,20,1.5,0\n*Nset,nset=ends,generate\n7,300,293\n",
+        ),
+    ],
+)
+def test_every_mesh_format_finds_the_nodes(labelled, tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    at = '[[ports]]\nname="p"\nkind="mechanical"\nat=[20, 1.5, 0]\ndof=1\n'
+    model = labelled(f'mesh="{name}"\n' + at)
+    assert np.flatnonzero(model.B).tolist() == [4]
+    if name in ("n.cdb", "n.inp"):
+        by_set = at.replace("at=[20, 1.5, 0]", 'nodeset="ENDS"')
+        model = labelled(f'mesh="{name}"\n' + by_set)
+        assert np.flatnonzero(model.B).tolist() == [0, 4]
+        np.testing.assert_allclose(model.B.max(), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("n.inp", "*Instance, name=a\n*Node\n7,0,0,0\n*Instance, name=b\n", "INSTANCE"),
+        ("n.inp", "*Instance, name=a\n1., 0., 0.\n*Node\n7,0,0,0\n", "moved"),
+        ("n.bdf", "GRID    7       3       0.      0.      0.\n", "coordinate system 3"),
+        ("n.csv", "7,0,0,0\nx\n", "line"),
+        ("n.inp", "", "no node"),
+        ("n.doc", "x", ".doc"),
+    ],
+)
+def test_meshes_that_cannot_be_trusted(labelled, tmp_path, name, text, word):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UsageError, match=word):
+        labelled(f'mesh="{name}"\n[[ports]]\nname="p"\nkind="mechanical"\nat=[0,0,0]\ndof=1\n')
+
+
+def test_fixed_freedoms_leave_the_model(labelled):
+    model = labelled('[[fixed]]\nnode=7\n[[fixed]]\nnodes=[20]\ndof="uy"\n' + TIP + 'unit="um"\n')
+    keep = [2, 4, 5]
+    same(model, K[np.ix_(keep, keep)], M[np.ix_(keep, keep)])
+
+
+def test_base_acceleration_moves_the_frame(labelled):
+    model = labelled(TIP + '[[ports]]\nname="base"\nkind="acceleration"\naxis="y"\n')
+    along = np.tile([0.0, 1.0], 3)
+    np.testing.assert_allclose(model.B[:, 1], -M @ along)
+    assert model.ports[1].across == "m/s2"
+
+
+def test_units_of_millimetres_are_converted(labelled):
+    """K in N/mm is 1000 times as many N/m; t mm s: a mass of 1 t is 1000 kg."""
+    model = labelled('length="mm"\n' + TIP)
+    same(model, 1e3 * K, 1e3 * M)
+    assert model.B.max() == 1
+
+
+def test_rotations_are_converted_by_work(tmp_path):
+    """N mm per radian is a thousandth of N m per radian, N per radian stays."""
+    np.savez(tmp_path / "m.npz", K=K, M=M, nodes=[1, 1, 1, 2, 2, 2], dofs=[1, 2, 6, 1, 2, 6])
+    side = sidecar(
+        tmp_path, 'length="mm"\n[[ports]]\nname="r"\nkind="rotational"\nnode=2\ndof="rz"\n'
+    )
+    model = read_model(tmp_path / "m.npz", side)
+    factor = np.array([[1e3, 1e3, 1.0], [1e3, 1e3, 1.0], [1.0, 1.0, 1e-3]])
+    np.testing.assert_allclose(model.K.toarray(), K * np.tile(factor, (2, 2)))
+
+
+def test_columns_rows_scales_and_feedthrough(tmp_path):
+    B, C = np.arange(12.0).reshape(N, 2), np.arange(18.0).reshape(3, N)
+    D = np.arange(6.0).reshape(3, 2)
+    base = write_family(tmp_path, K=K, M=M, B=B, C=C, D=D)
+    side = sidecar(
+        tmp_path,
+        'band=[0, 1e3]\n[[ports]]\nname="i"\nkind="input"\ncolumn=2\nscale=10\nunit="kN"\n'
+        '[[ports]]\nname="o"\nkind="output"\nrow=3\nscale=1e-6\nunit="um"\n',
+    )
+    model = read_model(base, side)
+    np.testing.assert_allclose(model.B[:, 0], 10 * B[:, 1])
+    np.testing.assert_allclose(model.C[0], C[2] / 1e-6)
+    np.testing.assert_allclose(model.D, [[D[2, 1] * 10 / 1e-6]])
+    assert model.band == (0.0, 1e3)
+
+
+def test_ports_with_directions_take_columns_and_rows_in_order(tmp_path):
+    B, C = np.arange(12.0).reshape(N, 2), np.arange(18.0).reshape(3, N)
+    base = write_family(tmp_path, K=K, M=M, B=B, C=C)
+    names = (("a", "in"), ("b", "out"), ("c", "in"), ("d", "out"))
+    text = "".join(f'[[port]]\nname="{n}"\ndirection="{d}"\n' for n, d in names)
+    model = read_model(base, sidecar(tmp_path, text))
+    np.testing.assert_array_equal(model.B, B)
+    np.testing.assert_array_equal(model.C, C[:2])
+    assert [p.kind for p in model.ports] == ["input", "output", "input", "output"]
+
+
+def test_damping_by_ratio(labelled):
+    model = labelled("damping = { ratio = 0.02, at = 100 }\n" + TIP)
+    assert model.rayleigh == pytest.approx((0.0, 2 * 0.02 / (2 * np.pi * 100)))
+
+
+def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
+    """One spring-mass with coupling e and two potentials in series: by hand.
+
+    k x + e p + 0 V = f;  e x - 2c p + c V = 0;  Q = c (V - p).
+    """
+    k, m, e, c = 4.0, 1.0, 0.3, 0.5
+    stiffness = np.array([[k, e, 0.0], [e, -2 * c, c], [0.0, c, -c]])
+    np.savez(tmp_path / "m.npz", K=stiffness, M=np.diag([m, 0, 0]), nodes=[1, 1, 2], dofs=[1, 9, 9])
+    side = sidecar(
+        tmp_path,
+        '[[ports]]\nname="drive"\nkind="electrical"\nnode=2\n'
+        '[[ports]]\nname="x"\nkind="mechanical"\nnode=1\ndof="ux"\n',
+    )
+    model = read_model(tmp_path / "m.npz", side)
+    static = model.transfer(np.array([0.0]))[0].real
+    inner = np.linalg.solve(stiffness[:2, :2], np.array([[0.0, 1.0], [-c, 0.0]]))
+    x, p = inner[:, 0]
+    np.testing.assert_allclose(
+        static, [[c * (1 - p), -c * inner[1, 1]], [x, inner[0, 1]]], rtol=1e-12
+    )
+    assert static[0, 1] == pytest.approx(static[1, 0])
+
+
+# ---------------------------------------------------------------------------- refusals
+
+
+def test_half_stored_general_matrices(tmp_path):
+    base = write_family(tmp_path, K=np.tril(K), M=np.diag(np.diag(M)), B=np.ones((N, 1)))
+    refused(base, "one triangle", "matrix K", "symmetric = true")
+    port = '[[ports]]\nname="p"\nkind="mechanical"\ncolumn=1\n'
+    same(read_model(base, sidecar(tmp_path, "symmetric = true\n" + port)), M=np.diag(np.diag(M)))
+    taken = read_model(base, sidecar(tmp_path, "symmetric = false\n" + port))
+    np.testing.assert_allclose(taken.K.toarray(), np.tril(K))
+
+
+@pytest.mark.parametrize(
+    ("matrices", "words"),
+    [
+        ({"K": 0 * K, "M": M}, ("matrix K is zero",)),
+        ({"K": K, "M": 0 * M}, ("matrix M is zero", "leave M out")),
+        ({"A": 0 * K}, ("matrix A is zero",)),
+        ({"K": K}, ("complete", "M")),
+        ({"K": K, "M": M, "A": K}, ("complete",)),
+        ({"K": K, "M": M[:3, :3]}, ("matrix M", "3 x 3", "6 x 6")),
+        ({"K": np.pad(K, 1), "M": np.pad(M, 1), "B": np.ones((N + 2, 1))}, ("empty", "row 1")),
+    ],
+)
+def test_models_that_are_none(tmp_path, matrices, words):
+    refused(write_family(tmp_path, **{"B": np.ones((N, 1))} | matrices), *words)
+
+
+def test_names_that_no_file_has(tmp_path):
+    for name in ("a\0b", "none", "x" * 5000, "."):
+        assert refused(tmp_path / name).exit_code == 2
+    write_family(tmp_path, K=K, M=M)
+    with pytest.raises(UsageError):
+        read_model(tmp_path / "m", tmp_path / "a\0b.toml")
+
+
+MARKET = "%%MatrixMarket matrix coordinate real general\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ("K",)),
+        (MARKET, ("sizes",)),
+        (MARKET + "6 6 2\n1 1 1.0\n", ("m.K",)),
+        (MARKET + "6 6 999999999999\n1 1 1.0\n", ("entries",)),
+        (MARKET + "999999999 999999999 1\n1 1 1.0\n", ("rows",)),
+        (MARKET + "6 6 1\n7 1 1.0\n", ("index",)),
+        (MARKET + "6 6 1\n0 1 1.0\n", ("index",)),
+        (MARKET + "6 6 1\n1.5 1 1.0\n", ("index",)),
+        (MARKET + "6 6 1\n1 1 nan\n", ("NaN",)),
+        (MARKET + "6 6 1\n1 1 inf\n", ("infinity",)),
+        (MARKET + "6 6 1\n1 1 word\n", ("number",)),
+        (MARKET + "6 6 -1\n", ("sizes",)),
+        (MARKET.replace("real", "complex") + "6 6 1\n1 1 1 0\n", ("complex",)),
+        (MARKET.replace("general", "symmetric") + "6 6 1\n1 2 1.0\n", ("lower triangle",)),
+        ("\0" * 1000, ("K",)),
+    ],
+)
+def test_damaged_matrix_market_files(tmp_path, text, words):
+    base = write_family(tmp_path, M=M, B=np.ones((N, 1)))
+    (tmp_path / "m.K").write_text(text)
+    refused(base, *words)
+
+
+@pytest.mark.parametrize("line", range(4))
+def test_damaged_harwell_boeing_files(tmp_path, line):
+    write_boeing(tmp_path / "m.K", K, "Stiffness")
+    write_family(tmp_path, M=M, B=np.ones((N, 1)))
+    lines = (tmp_path / "m.K").read_text().splitlines()
+    for damage in ([*lines[: line + 1]], [*lines[:line], "RSA 9 9 9e9 x", *lines[line + 1 :]],
+                   [*lines[:line], "-1 " * 9, *lines[line + 1 :]], lines[:-20]):  # fmt: skip
+        (tmp_path / "m.K").write_text("\n".join(damage))
+        if line or damage == lines[:1]:  # the title says nothing
+            refused(tmp_path / "m")
+
+
+def test_harwell_boeing_pointers_and_mapping_are_checked(tmp_path):
+    write_boeing(tmp_path / "m.K", K, "Stiffness")
+    write_family(tmp_path, M=M)
+    side = sidecar(tmp_path, TIP)
+    write_mapping(tmp_path / "m.mapping", ROWS[:-1])
+    refused(tmp_path / "m", "mapping", "5 equations", side=side)
+    write_mapping(tmp_path / "m.mapping", ROWS)
+    read_model(tmp_path / "m", side)
+    text = (tmp_path / "m.mapping").read_text()
+    (tmp_path / "m.mapping").write_text(text.replace("UX", "ZZ"))
+    refused(tmp_path / "m", "freedom zz", side=side)
+    lines = (tmp_path / "m.K").read_text().splitlines()
+    lines[6] = f"{99:14d}"
+    (tmp_path / "m.K").write_text("\n".join(lines))
+    refused(tmp_path / "m", "pointers", side=side)
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.01, 0.3, 0.7, 0.97])
+@pytest.mark.parametrize("name", ["beam.sti", "beam.mas", "beam.dof", "wing.pch", "inboard.op4"])
+def test_truncated_files_are_refused(tmp_path, name, keep):
+    for other in DATA.iterdir():
+        (tmp_path / other.name).write_bytes(other.read_bytes())
+    whole = (DATA / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: int(keep * len(whole))])
+    side = sidecar(tmp_path, '[[ports]]\nname="p"\nkind="mechanical"\nnode=5\ndof="uz"\n')
+    with pytest.raises(UsageError):
+        read_model(tmp_path / name, side)
+
+
+@pytest.mark.parametrize("name", ["job_STIF1.mtx", "m.sti"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1,1,1,1",
+        "a,b,c,d,e",
+        "1,1,1,99,1.0",
+        "1 1 nan",
+        "1 1 1\n2",
+        "1 999999999999 1.0",
+        "-1 1 1",
+    ],
+)
+def test_damaged_abaqus_and_calculix_files(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    (tmp_path / "m.mas").write_text("1 1 1.0")
+    (tmp_path / "m.dof").write_text("300.2")
+    (tmp_path / "job_MASS1.mtx").write_text("300,2,300,2,1.0" if "," in text else "1 1 1.0")
+    refused(tmp_path / name, side=sidecar(tmp_path, TIP))
+
+
+def deflated(tmp_path, shape, name="K"):
+    """An archive whose array of zeros is declared, and mostly not there."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": shape}
+    )
+    path = tmp_path / "m.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open(f"{name}.npy", "w", force_zip64=True) as stream,
+    ):
+        stream.write(header.getvalue())
+        for _ in range(150):
+            stream.write(b"\0" * 2**20)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("shape", "name"), [((9000, 8000), "K"), ((10**9, 2), "K"), ((10**9,), "K.data")]
+)
+def test_archives_are_refused_by_declared_size(tmp_path, shape, name):
+    """Zeros deflate a thousandfold: what is declared must be refused before it is unpacked."""
+    path = deflated(tmp_path, shape, name)
+    assert path.stat().st_size < 2e6
+    program = (
+        "import resource, sys; from kc2spice.bodies.readers import read_model\n"
+        "from kc2spice.core.errors import UsageError\n"
+        "import resource; before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try: read_model(sys.argv[1])\n"
+        "except UsageError as error: print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    *said, grown = ran.stdout.splitlines()
+    assert "at most" in "\n".join(said)
+    assert int(grown) < 50_000  # KiB
+
+
+def test_archives_with_objects_are_refused(tmp_path):
+    np.savez(tmp_path / "m.npz", K=np.array([[{}]], dtype=object), M=M)
+    refused(tmp_path / "m.npz", "object")
+
+
+def test_parsing_is_linear_in_length(tmp_path):
+    """Blanks, brackets and long lines cost what they are long."""
+    base = write_family(tmp_path, M=M, B=np.ones((N, 1)))
+    for text in (MARKET + " " * 3_000_000 + "6 6 1\n1 1 x", MARKET + "[ " * 1_000_000,
+                 "DMIG " + " " * 3_000_000, MARKET + "%\n" * 1_000_000):  # fmt: skip
+        (tmp_path / "m.K").write_text(text)
+        start = time.perf_counter()
+        refused(base)
+        assert time.perf_counter() - start < 3
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = [", ("m.toml", "TOML")),
+        ("ports = 3", ("ports",)),
+        ("colour = 1\n" + TIP, ("colour", "band")),
+        (TIP + "colour = 1\n", ("ports 1", "colour", "axis")),
+        (TIP.replace('"tip"', "3"), ("ports 1: name",)),
+        (TIP.replace('"tip"', '"a\\nb"'), ("ports 1: name",)),
+        (TIP.replace("mechanical", "magic"), ("kind", "magic", "mechanical")),
+        (TIP.replace("uy", "uq"), ("dof", "uq", "ux")),
+        (TIP.replace("uy", "rz"), ("mechanical", "rz")),
+        (TIP.replace("uy", "uz"), ("uz", "ux, uy")),
+        (TIP.replace("300", "301"), ("node 301", "7 to 300")),
+        (TIP.replace("300", '"a"'), ("node",)),
+        (TIP + "column = 1\n", ("column",)),
+        (TIP + 'axis = "y"\n', ("dof and axis",)),
+        (TIP.replace('dof = "uy"', ""), ("neither dof nor axis",)),
+        (TIP + 'nodeset = "ENDS"\n', ("node, nodeset",)),
+        (TIP.replace("node = 300", 'nodeset = "ENDS"'), ("mesh",)),
+        ('mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "NONE"'), ("NONE", "ENDS")),
+        ('mesh="mesh.inp"\n' + TIP.replace("node = 300", "at = [20, 1, 0]"), ("node 300", "0.5")),
+        ('mesh="none.inp"\n' + TIP.replace("node = 300", "at = [0, 0, 0]"), ("none.inp",)),
+        ('mesh="../mesh.inp"\n' + TIP, ("mesh", "relative")),
+        ('mesh="/etc/passwd"\n' + TIP, ("mesh", "relative")),
+        ("band = [3, 2]\n" + TIP, ("band",)),
+        ("band = [0, inf]\n" + TIP, ("band",)),
+        ('length = "ell"\n' + TIP, ("length", "mm")),
+        ("symmetric = 1\n" + TIP, ("symmetric", "true")),
+        ("damping = { ratio = 1 }\n" + TIP, ("damping", "at")),
+        ("damping = { beta = -1 }\n" + TIP, ("damping",)),
+        (TIP + TIP, ("one name",)),
+        (TIP + "scale = 2\n", ("scale",)),
+        (TIP + 'unit = "a b"\n', ("unit",)),
+        ("[[fixed]]\nnode = 300\n" + TIP, ("fixed freedoms",)),
+        ("[[fixed]]\nnode = 301\n" + TIP, ("fixed 1", "301")),
+        ("[[fixed]]\ndof = 1\n" + TIP, ("fixed 1", "where")),
+        ("[[fixed]]\nnodes = [7, 20, 300]\n" + TIP, ("fixed",)),
+        ('[[ports]]\nname="e"\nkind="electrical"\nnode=7\n', ("volt",)),
+        ('[[ports]]\nname="a"\nkind="acceleration"\n', ("axis",)),
+        ('[[ports]]\nname="i"\nkind="input"\nnode=7\ndof=1\n', ("output",)),
+        ('[[ports]]\nname="i"\nkind="input"\ncolumn=3\n', ("column", "B")),
+        ('dofs = "mesh.inp"\n' + TIP, ("mesh.inp", "node,dof")),
+    ],
+)
+def test_sidecars_that_are_wrong(labelled, text, words):
+    with pytest.raises(UsageError) as caught:
+        labelled(text)
+    for word in words:
+        assert word in str(caught.value), str(caught.value)
+
+
+def test_sidecar_documents_every_key():
+    from kc2spice.bodies.readers import sidecar as module
+
+    for key in module._TOP | module._PORT | module._FIXED:
+        assert key in (module.__doc__ or ""), key
+
+
+def test_documented_sidecar_is_read(tmp_path):
+    """The example in the docstring is one that the reader accepts, alternatives taken out."""
+    from kc2spice.bodies.readers import sidecar as module
+
+    block = (module.__doc__ or "").split("::\n", 1)[1].split("A mechanical port at")[0]
+    alternatives = ("damping = { ratio", "axis =", "within =", "scale =")
+    lines = [line[4:] for line in block.splitlines()]
+    text = "\n".join(line for line in lines if not line.startswith(alternatives))
+    read = read_sidecar(sidecar(tmp_path, text))
+    assert [port.name for port in read.ports] == ["tip", "force"]
+    assert read.length == 1e-3
+    assert read.fixed[0].dofs == (1, 2, 3)
+
+
+def family_of(name, place):
+    """The files of one model of each format in ``place``; returns what to open and its port."""
+    port = TIP
+    if name in ("beam.sti", "beam.dof", "wing.pch", "inboard.op4"):
+        for other in DATA.iterdir():
+            (place / other.name).write_bytes(other.read_bytes())
+        port = TIP.replace("300", "5").replace("uy", "uz")
+    if name == "inboard.op4":
+        (place / "rows.csv").write_text("".join(f"{k},3\n" for k in range(1, 33)))
+        port = 'dofs = "rows.csv"\n' + port
+    nodes, dofs = np.array(ROWS).T
+    if name == "m.npz":
+        np.savez(place / name, K=K, M=M, nodes=nodes, dofs=dofs)
+    elif name == "m.K":
+        write_boeing(place / name, K, "Stiffness")
+        write_boeing(place / "m.M", M, "Mass")
+        write_mapping(place / "m.mapping", ROWS)
+    elif name == "m_K.mtx":
+        write_family(place, "m_{}.mtx", K=K, M=M, B=np.ones((N, 1)))
+        port = '[[ports]]\nname="a"\nkind="mechanical"\ncolumn=1\n'
+    elif name == "job_STIF1.mtx":
+        write_abaqus(place / name, K)
+        write_abaqus(place / "job_MASS1.mtx", M)
+    elif name == "mesh.inp":
+        np.savez(place / "m.npz", K=K, M=M, nodes=nodes, dofs=dofs)
+        (place / name).write_text(
+            "*NODE\n7,0,0,0\n20,1,0,0\n300,2,0,0\n*NSET,NSET=A,GENERATE\n7,20,13\n"
+        )
+        port = 'mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "A"')
+        return place / "m.npz", port
+    return place / name, port
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["beam.sti", "beam.dof", "wing.pch", "inboard.op4", "m.npz", "m.K", "m_K.mtx", "job_STIF1.mtx",
+     "mesh.inp"],
+)  # fmt: skip
+def test_random_damage_ends_in_a_model_or_one_clear_error(tmp_path, name):
+    """Bytes replaced, repeated and cut out, sixty times: never another exception."""
+    path, port = family_of(name, tmp_path)
+    side = sidecar(tmp_path, port, "side.toml")
+    read_model(path, side)
+    target = tmp_path / name
+    whole = target.read_bytes()
+    rng = np.random.default_rng(7)
+    outcomes = set()
+    for _ in range(60):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            at = int(rng.integers(len(data)))
+            kind = rng.integers(3)
+            if kind == 0:
+                data[at] = int(rng.choice([0, 9, 10, 32, 45, 46, 48, 57, 69, 255]))
+            elif kind == 1:
+                data[at:at] = data[at : at + int(rng.integers(1, 40))]
+            else:
+                del data[at : at + int(rng.integers(1, 40))]
+        target.write_bytes(bytes(data))
+        try:
+            outcomes.add(type(read_model(path, side)).__name__)
+        except UsageError as error:
+            outcomes.add("refused")
+            assert error.where
+    assert "refused" in outcomes

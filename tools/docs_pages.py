@@ -1,0 +1,142 @@
+"""Pages of the site that are made from the program: parts, scenes, commands, examples.
+
+A hook of mkdocs (see mkdocs.yml); ``make docs`` builds the site.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("run", "export", "reduce", "verify", "bench", "sweep", "explain", "scenes", "doctor")
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the generated pages."""
+    pages = {
+        "parts.md": parts_page(),
+        "scenes.md": scenes_page(),
+        "cli.md": commands_page(),
+        "examples.md": examples_page(),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    return files
+
+
+def parts_page() -> str:
+    """Every part type with its pins, keys and a table that shows it."""
+    from kc2spice.scene.partdocs import part_docs
+
+    return "\n".join([
+        "# Parts",
+        "",
+        "A table with `part = \"TYPE\"` in a scene is a part under the table's name. *1 V is* and "
+        "*1 A is* say what a volt and an ampere on a pin mean in the netlist; a signal carries no "
+        "flow. Pins join by `pins = { PIN = \"part.pin\" }`; those with a default may be left out. "
+        "All of this is also what `kc2spice scenes --parts` prints.",
+        "",
+        *(line for doc in part_docs() for line in _part(doc)),
+    ])  # fmt: skip
+
+
+def _part(doc: Any) -> Iterator[str]:
+    yield f"## {doc.name}\n\n{doc.title[:1].upper()}{doc.title[1:]}. {doc.doc}\n"
+    if doc.short_for:
+        tables = " or ".join(f"`[{name}]`" for name in doc.short_for)
+        yield f"A table {tables} without `part` means this type.\n"
+    if doc.pins:
+        rows = [(f"`{p.name}`", p.unit, p.flow, p.default or ("required" if p.required else ""))
+                for p in doc.pins]  # fmt: skip
+        yield _table(("pin", "1 V is 1", "1 A is 1", "unless joined"), rows)
+        if doc.scene:
+            yield f"Pins as in the built-in scene `{doc.scene}`.\n"
+    else:
+        yield "Its pins follow from its keys.\n"
+    if doc.keys:
+        yield _keys(doc.keys)
+    if doc.example:
+        yield f"```toml\n{doc.example}\n```\n"
+
+
+def scenes_page() -> str:
+    """The built-in scenes, and the keys outside of parts."""
+    from kc2spice.scene.keys import model_keys
+    from kc2spice.scene.load import gallery, load_scene
+    from kc2spice.scene.model import Frame
+
+    loaded = {name: load_scene(name) for name in gallery()}
+    rows = [
+        (f"`{name}`", s.title, s.analysis.type, ", ".join(dict.fromkeys(
+            f"[{p.type.name}](parts.md#{p.type.name})" for p in s.parts.values())))
+        for name, s in loaded.items()
+    ]  # fmt: skip
+    text = (ROOT / "kc2spice" / "scenes" / "buzzer_7bb_20_6.toml").read_text("utf-8")
+    return "\n".join([
+        "# Scenes and keys\n",
+        "A scene is a TOML file: parts by name, pins that are joined, an analysis, probes. A "
+        "number is SI, a string carries its unit (`\"25 us\"`). The whole of one:\n",
+        f"```toml\n{text.strip()}\n```\n",
+        "## Built-in scenes\n",
+        _table(("scene", "what", "analysis", "parts"), rows),
+        "## Keys outside of parts\n",
+        "Those of each part type are on the page [Parts](parts.md).\n",
+        _keys(list(model_keys(Frame))),
+    ])  # fmt: skip
+
+
+def commands_page() -> str:
+    """The help of every command."""
+    pages = [
+        f"## {command}\n\n```text\n{_help(command)}\n```\n"
+        for command in COMMANDS
+    ]  # fmt: skip
+    return "\n".join(["# Command line\n", f"```text\n{_help()}\n```\n", *pages])
+
+
+def _help(*command: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "kc2spice", *command, "--help"],
+        capture_output=True, text=True, check=True, cwd=ROOT,
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
+def examples_page() -> str:
+    """All examples as they stand in docs/examples."""
+    parts = ["# Examples\n", "Each of these is a file of `docs/examples` and runs as it stands.\n"]
+    for path in example_files():
+        source = path.read_text("utf-8")
+        title = (ast.get_docstring(ast.parse(source)) or path.stem).split("\n")[0]
+        head = title.split(":")[0]
+        parts.append(f"## {head}\n\n`{path.name}`\n\n```python\n{source.strip()}\n```\n")
+    return "\n".join(parts)
+
+
+def example_files() -> list[Path]:
+    """The examples, the first run first."""
+    found = (ROOT / "docs" / "examples").glob("*.py")
+    return sorted(found, key=lambda path: (path.stem != "first_run", path.stem))
+
+
+def _keys(keys: Any) -> str:
+    rows = []
+    for key in keys:
+        default = "" if key.default is None else f"`{key.default}`"
+        said = " ".join(filter(None, [", ".join(f"`{c}`" for c in key.choices), key.doc]))
+        rows.append((f"`{key.name}`", key.unit or "", default, said))
+    return _table(("key", "unit", "default", ""), rows)
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    def line(cells: tuple[str, ...]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    return "\n".join([line(head), "|" + "---|" * len(head), *map(line, rows), ""])
