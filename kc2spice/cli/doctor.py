@@ -127,7 +127,7 @@ def _features() -> Finding:
     if shutil.which("ngspice") is None:
         return Finding("ngspice runs our netlists", False, "no ngspice", fix)
     vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
-    deck = Deck("probe", "probe.cir", {"probe.cir": _FEATURE_DECK}, vectors, 1e-5)
+    deck = Deck(name="probe", text=_FEATURE_DECK, vectors=vectors, stop=1e-5)
     with tempfile.TemporaryDirectory() as folder:
         try:
             waves = run_deck(deck, Path(folder), timeout=20)

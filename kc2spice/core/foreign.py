@@ -60,6 +60,12 @@ def name_threat(name: str) -> str | None:
     return None
 
 
+def identifier(name: str, otherwise: str) -> str:
+    """``name`` in letters, digits and ``_``; ``otherwise_`` stands before what is no letter."""
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
+    return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
+
+
 def plain_name(name: str) -> str:
     """The last part of ``name`` in letters, digits and ``_ . + -``, as a netlist may spell it."""
     plain = _UNSAFE.sub("_", name.replace("\\", "/").rpartition("/")[2])

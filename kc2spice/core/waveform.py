@@ -14,7 +14,7 @@ NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse th
 
 
 class PulseKeys(Section):
-    """Rises from ``low`` to ``high`` from ``start`` on within ``edge``; ``width`` at half height."""
+    """From ``low`` to ``high`` from ``start`` on within ``edge``; ``width`` at half height."""
 
     high: float | str = 1.0
     low: float | str = 0.0

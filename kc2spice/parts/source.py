@@ -124,18 +124,22 @@ class Source(PartType):
         return (f"{letter}{part.name}", scale) if key == "dc" else None
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        unit, _, _, scale, letter = KINDS[part.keys.kind]
+        _, unit_of_pin, _, _, letter = KINDS[part.keys.kind]
         found = {}
         if letter == "V":
             found[f"{part.name}.i"] = Vector(f"i(v{part.name.lower()})", -1.0, "A")
             if part.keys.kind != "voltage":
                 found = {f"{part.name}.force": Vector(f"i(v{part.name.lower()})", -1.0, "N")}
-        net = build.net(part, "out")
-        if net != "0" and build.net(part, "ret") == "0":
-            across = {"V": "v", "um": "x", "m/s2": "a"}[KINDS[part.keys.kind][1]]
+        elif build.scene.analysis.type == "transient":
+            through, si = {"current": ("i", "A"), "force": ("force", "N")}[part.keys.kind]
+            found[f"{part.name}.{through}"] = Vector(f"@i{part.name.lower()}[current]", 1.0, si)
+        out, ret = build.net(part, "out"), build.net(part, "ret")
+        if out != ret and (letter == "V" or ret == "0"):
+            across = {"V": "v", "um": "x", "m/s2": "a"}[unit_of_pin]
             factor = {"v": 1.0, "x": 1e-6, "a": 1.0}[across]
             si = {"v": "V", "x": "m", "a": "m/s2"}[across]
-            found[f"{part.name}.{across}"] = Vector(f"v({net})", factor, si)
+            ends = "".join(f"{s}v({n})" for s, n in (("", out), ("-", ret)) if n != "0")
+            found[f"{part.name}.{across}"] = Vector(ends, factor, si)
         return found
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
@@ -145,16 +149,14 @@ class Source(PartType):
         return Vector(f"i(v{part.name.lower()})", sign, "A")
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        if part.keys.kind == "force":
-            value = part.keys.waveform(build.scene.home)(waves["time"])
-            return value if pin == "out" else -value
         found = waves.data.get(f"{part.name}.force")
         return found if pin == "out" or found is None else -found
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""
-        across = {"voltage": "v", "displacement": "x", "acceleration": "a"}.get(part.keys.kind)
-        found = waves.data.get(f"{part.name}.{across}") if across else None
+        sets = {"voltage": "v", "current": "i", "force": "force", "displacement": "x",
+                "acceleration": "a"}[part.keys.kind]  # fmt: skip
+        found = waves.data.get(f"{part.name}.{sets}")
         if found is None or "time" not in waves:
             return
         wave = part.keys.waveform(build.scene.home)
@@ -180,6 +182,7 @@ class Source(PartType):
         across = {"voltage": "v", "current": "v", "acceleration": "a"}.get(keys.kind, "x")
         results = {f"{n}.{across}": laws.reading(f"{n}.out")}
         if not signal:
+            results = {f"{n}.{across}": laws.difference(f"{n}.out", f"{n}.ret")}
             results[f"{n}.i"] = results[f"{n}.force"] = laws.reading(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 

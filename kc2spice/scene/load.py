@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.foreign import identifier, read_bounded, text_of
 from kc2spice.core.toml import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.budget import BUDGET_KEYS, fill
@@ -69,7 +69,7 @@ def load_scene(
     else:
         source = _open(name_or_path)
         data = source.parse()
-    data.setdefault("name", source.stem)
+    data.setdefault("name", identifier(source.stem, "scene"))
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
             _put(data, name, value, f"{name}={value}", source)
@@ -142,7 +142,7 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
             near = near or did_you_mean(name, [key.name for key in scene_keys()])
             raise UsageError(
                 "unknown key", where=source.where((name,)), hint=near,
-                expected="one of " + ", ".join(Frame.model_fields) + ", or a table with part = TYPE",
+                expected=", ".join(Frame.model_fields) + ", or a table with part = TYPE",
             )  # fmt: skip
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(

@@ -32,7 +32,7 @@ _COMMON = frozenset(
     ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sgn",
      "sin", "sinh", "sqrt", "tan", "tanh", "uramp")
 )  # fmt: skip
-_VECTOR = re.compile(r"(?i)@(\w)\.([\w.]+)\[i\]|([vi])\(([^()]+)\)")
+_VECTOR = re.compile(r"(?i)@(?:\w\.)?([\w.]+)\[(?:i|current)\]|([vi])\(([^()]+)\)")
 
 
 class Dialect(Writer):
@@ -166,10 +166,10 @@ class Dialect(Writer):
         if match is None:
             raise UsageError(f"{self.title} cannot say this vector", where=self.where, got=text)
         if match[1]:
-            *path, device = match[2].split(".")
+            *path, device = match[1].split(".")
             return f"I({self.device(path, device)})"
-        *path, last = match[4].split(".")
-        if match[3].lower() == "i":
+        *path, last = match[3].split(".")
+        if match[2].lower() == "i":
             return f"I({self.device(path, last)})"
         return f"V({self.node(path, last)})"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -11,6 +10,7 @@ from typing import Any, get_args
 from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.files import staged
+from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.linalg.factor import Solver
 from kc2spice.parts._linear_body import LinearBody
@@ -58,7 +58,7 @@ def reduce(
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
     reduced = reduce_model(model, band=band, tolerance=tolerance, order=order, solver=chosen)
-    subcircuit(reduced, _part_name(name))  # what cannot be exported is not certified
+    subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
     with staged(directory) as work:
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
@@ -136,7 +136,7 @@ def export_rom(
         raise UsageError("unknown dialect", where="--dialect", got=dialect, expected=expected)
     path = Path(path)
     reduced = read_rom(path)
-    name = _part_name(path.stem)
+    name = identifier(path.stem, "rom")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
     directory = Path(name) if out is None else Path(out)
@@ -153,8 +153,3 @@ def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:
     if dialect == "verilog-a":
         return next(iter(library([part]).items()))
     return part.filename, translate_text(part.text, part.filename, dialect)
-
-
-def _part_name(stem: str) -> str:
-    plain = re.sub(r"[^A-Za-z0-9_]", "_", stem)[:60]
-    return plain if plain[:1].isalpha() else f"rom_{plain}"[:64]

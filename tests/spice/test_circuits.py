@@ -1,10 +1,12 @@
 """Scenes of plain parts through ``run``'s own path, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from device import chip
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Resistance, Section
 from kc2spice.scene import parttype
@@ -78,7 +80,9 @@ def test_ac_of_a_circuit_is_its_transfer_function(scale, tmp_path):
     assert f.size >= 60
     s = 2j * np.pi * f
     np.testing.assert_allclose(waves["cap.v"], 2 / (1 + s * R * C + s**2 * L * C), rtol=1e-9)
-    np.testing.assert_allclose(waves["coil.i"], 2 * s * C / (1 + s * R * C + s**2 * L * C), rtol=1e-9)
+    np.testing.assert_allclose(
+        waves["coil.i"], 2 * s * C / (1 + s * R * C + s**2 * L * C), rtol=1e-9
+    )
 
 
 def test_a_result_that_is_no_response_is_not_given_for_one(tmp_path):
@@ -150,7 +154,9 @@ def test_a_pushed_oscillator_rings_as_the_textbook_says(tmp_path):
     v = static * decay * w0**2 / w * np.sin(w * t)
     np.testing.assert_allclose(waves["weight.x"], x, atol=1e-3 * static)
     np.testing.assert_allclose(waves["weight.v"], v, atol=1e-3 * static * w0)
-    np.testing.assert_allclose(waves["coil.force"], SPRING * waves["weight.x"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        waves["coil.force"], SPRING * waves["weight.x"], rtol=1e-6, atol=1e-9
+    )
     np.testing.assert_allclose(waves["oil.force"], DAMPER * v, atol=2e-3 * DAMPER * static * w0)
     peak = static * (1 + np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)))
     assert found["weight_peak_m"] == pytest.approx(peak, rel=1e-3)
@@ -256,14 +262,14 @@ def test_a_source_does_what_its_keys_say(name, tmp_path):
     waves, _ = run(tables, tmp_path)
     t = waves["time"]
     np.testing.assert_allclose(waves["supply.v"], law(t), atol=1e-6)
-    np.testing.assert_allclose(load_scene(tables).parts["supply"].keys.waveform(tmp_path)(t), law(t),
-                               atol=1e-9)  # fmt: skip
+    own = load_scene(tables).parts["supply"].keys.waveform(tmp_path)
+    np.testing.assert_allclose(own(t), law(t), atol=1e-9)
 
 
 def test_a_source_follows_a_file(tmp_path):
     (tmp_path / "drive.csv").write_text("time,volt\n0,0\n1e-5,2.5\n3e-5,-1\n")
     (tmp_path / "a.toml").write_text(
-        'solver = { max_step = 1e-6 }\nanalysis = { stop = 5e-5 }\n'
+        "solver = { max_step = 1e-6 }\nanalysis = { stop = 5e-5 }\n"
         '[supply]\npart = "source"\nfile = "drive.csv"\npins = { out = "ohm.a" }\n'
         '[ohm]\npart = "resistor"\nresistance = 1.0\n'
     )
@@ -271,6 +277,40 @@ def test_a_source_follows_a_file(tmp_path):
     waves = simulate(build, make_deck(build), tmp_path / "out").waves
     exact = np.interp(waves["time"], [0, 1e-5, 3e-5], [0, 2.5, -1])
     np.testing.assert_allclose(waves["supply.v"], exact, atol=1e-6)
+
+
+# Kind, what it drives, and on which node: each must be seen to differ from its definition.
+LOADS = {
+    "voltage": 'part = "resistor"\nresistance = 1.0',
+    "current": 'part = "resistor"\nresistance = 1.0',
+    "force": 'part = "spring"\nstiffness = 1e3',
+    "displacement": 'part = "spring"\nstiffness = 1e3',
+}
+
+
+@pytest.mark.parametrize("floating", [False, True])
+@pytest.mark.parametrize("kind", LOADS)
+def test_a_source_that_is_not_as_defined_fails_the_run(kind, floating, tmp_path):
+    ends = '{ out = "load.a", ret = "load.b" }' if floating else '{ out = "load.a" }'
+    ground = "gnd" if floating else "load.b"
+    (tmp_path / "a.toml").write_text(
+        f'[drive]\npart = "source"\nkind = "{kind}"\npins = {ends}\n'
+        "pulse = { high = 1e-3, width = 1e-6, edge = 1e-6, start = 2e-6 }\n"
+        f"[load]\n{LOADS[kind]}\n"
+        + (f'[tie]\n{LOADS[kind]}\npins = {{ a = "load.b" }}\n' if ground == "gnd" else "")
+        + "[analysis]\nstop = 1e-5\n"
+    )
+    build = build_models(load_scene(tmp_path / "a.toml"), Clock(silent))
+    deck = make_deck(build)
+    assert any(
+        "drives as defined" in c.name for c in simulate(build, deck, tmp_path).verdict.checks
+    )
+    wrong = tuple(
+        replace(b, cards=tuple(c.replace("3e-06", "3.01e-06") for c in b.cards))
+        for b in deck.blocks
+    )
+    with pytest.raises(SimulationError, match="drive drives as defined"):
+        simulate(build, replace(deck, blocks=wrong), tmp_path)
 
 
 BAD = {

@@ -203,6 +203,14 @@ def test_doctor_finds_what_is_missing(cli, monkeypatch, tmp_path):
     assert broken == ["ngspice", "ngspice runs our netlists"]
 
 
+def test_doctor_runs_its_probes(cli):
+    """On a machine that runs the other tests, what they need is there."""
+    done = cli("doctor", "--json")
+    found = {each["name"]: each for each in json.loads(done.stdout)["findings"]}
+    assert found["ngspice runs our netlists"]["found"] == "a probe does"
+    assert done.exit_code == 0
+
+
 def test_doctor_names_the_package_of_a_library(monkeypatch):
     monkeypatch.setattr(doctor, "_loads", lambda soname: soname != "libGLU.so.1")
     finding = doctor._gmsh_libraries()

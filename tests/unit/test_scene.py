@@ -166,6 +166,16 @@ def test_a_file_takes_its_name_from_its_stem(scene_file):
     assert load_scene(scene_file(TEXT)).name == "my"
 
 
+@pytest.mark.parametrize(
+    ("file", "name"), [("my buzzer", "my_buzzer"), ("a-b.c", "a_b_c"), ("7bb", "scene_7bb"),
+                       ("süß", "s__"), ("x" * 200, "x" * 48)],
+)  # fmt: skip
+def test_any_file_name_gives_a_name(file, name, tmp_path):
+    path = tmp_path / f"{file}.toml"
+    path.write_text(TEXT)
+    assert load_scene(path).name == name
+
+
 @pytest.mark.parametrize("parts", ["[sphere]", "[kick]\n[contact]\n[sphere]", "[sphere]\n[catch]"])
 def test_a_loop_without_some_parts(scene_file, parts):
     assert "control" not in load_scene(scene_file(parts)).parts

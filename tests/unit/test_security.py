@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
-from kc2spice.bodies.readers import read_model
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
@@ -178,14 +178,14 @@ OWN = 'name = "x"\n[sphere]\n'
 @pytest.mark.parametrize(
     "fields",
     [
-        {"scene__name": "/tmp/absolute", "scene__text": OWN},
+        {"scene__name": "/absolute", "scene__text": OWN},
         {"scene__name": "../parent", "scene__text": OWN},
         {"scene__name": "a/../../parent", "scene__text": OWN},
         {"scene__name": "line\nbreak", "scene__text": OWN},
         {"scene__name": 3},
         {"scene__text": 3},
         {"scene__text": OWN, "scene__files": [["../parent.lib", "eA=="]]},
-        {"scene__text": OWN, "scene__files": [["/tmp/absolute.lib", "eA=="]]},
+        {"scene__text": OWN, "scene__files": [["/absolute.lib", "eA=="]]},
         {"scene__text": OWN, "scene__files": [["a.lib", 3]]},
         {"scene__text": OWN, "scene__files": [["a.lib", "no base64"]]},
         {"scene__files": 3},
