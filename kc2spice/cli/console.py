@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import traceback
@@ -133,44 +132,12 @@ def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str]
 
 def print_facts(title: str, facts: Mapping[str, Any]) -> None:
     """Numbers of a result, each with the unit that its key ends in."""
-    rows = [fact_row(name, value) for name, value in facts.items() if _is_plain(value)]
+    from kc2spice.report.words import fact
+
+    plain = {name: value for name, value in facts.items() if _is_plain(value)}
+    rows = [fact(name, value, digits=6) for name, value in plain.items()]
     if rows:
-        print_table(title, rows)
-
-
-_UNITS = {
-    "m_per_100v": "m per 100 V", "m_s": "m/s", "v_m": "V/m", "pa": "Pa", "kg": "g", "hz": "Hz",
-    "ohm": "Ohm", "m": "m", "s": "s", "a": "A", "f": "F", "h": "H", "n": "N", "v": "V",
-}  # fmt: skip
-_PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "u", -9: "n", -12: "p", -15: "f"}
-
-
-def fact_row(name: str, value: Any) -> tuple[str, str]:
-    """``("settling time", "1.67647 ms")`` from ``settling_time_s`` and ``1.67647e-3``."""
-    label, unit, factor = name, "", 1.0
-    for suffix, candidate in _UNITS.items():
-        if name.endswith(f"_{suffix}"):
-            label, unit = name.removesuffix(f"_{suffix}"), candidate
-            factor = 1e3 if suffix == "kg" else 1.0
-            break
-    if value is None:
-        text = "-"
-    elif isinstance(value, bool):
-        text = "yes" if value else "no"
-    elif isinstance(value, str):
-        text = value
-    else:
-        text = _with_prefix(factor * value, unit) if unit else f"{value:.6g}"
-    return label.replace("_", " "), text
-
-
-def _with_prefix(value: float, unit: str) -> str:
-    """Six digits with the prefix that leaves one to three of them before the point."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g} {unit}"
-    exponent = 3 * math.floor(math.log10(abs(value)) / 3)
-    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{value / 10.0**exponent:.6g} {_PREFIXES[exponent]}{unit}"
+        print_table(title, [(name, text.replace("\u2212", "-")) for name, text in rows])
 
 
 def _is_plain(value: Any) -> bool:

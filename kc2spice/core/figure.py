@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -44,6 +45,23 @@ class Figure:
     title: str
     caption: str
     panels: tuple[Panel, ...]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """An upright rectangle, or a circle (``round``), of a side view: centre and sizes in metres.
+
+    ``layers`` equal slices are drawn; ``label`` stands beside it.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    kind: Literal["ceramic", "metal", "magnet", "coil"] = "metal"
+    label: str = ""
+    layers: int = 1
+    round: bool = False
 
 
 def window(t: np.ndarray, first: float, last: float) -> np.ndarray:

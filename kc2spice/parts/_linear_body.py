@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,7 @@ from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, window
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, window
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
@@ -36,6 +36,7 @@ ANSWERS = {
     "acceleration": (1.0, "m/s2", "a"),
 }
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
+POINTS = 600  # of an impedance, besides those near resonances
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
@@ -63,7 +64,7 @@ class LinearBody(PartType):
         raise NotImplementedError
 
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
-        """The full model of the whole device, every cell divided into ``refine`` along each axis."""
+        """The full model of the whole device, every cell divided by ``refine`` along each axis."""
         raise NotImplementedError
 
     def body_keys(self, part: Part) -> Any:
@@ -264,9 +265,12 @@ class LinearBody(PartType):
         yield from port_figures(part, waves)
         z = impedance(part, waves)
         if z is not None:
-            yield impedance_figure(part.name, waves["frequency"].real, z)
-        elif "frequency" in waves:
+            measured = f"as the circuit shows it at {part.name}"
+            yield impedance_figure(part.name, waves["frequency"].real, z, measured)
+            return
+        if "frequency" in waves:
             yield from response_figures(part, waves)
+        yield from _own_impedances(part, build.model(part))
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
         model: LinearModel = build.model(part)
@@ -397,6 +401,19 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
+def layered(part: Part, widths: Sequence[float]) -> Iterator[Shape]:
+    """Side view of the layers of a body, which its keys have from the bottom up."""
+    from kc2spice.fem.materials import material
+
+    y = 0.0
+    for layer, width in reversed(list(zip(part.keys.layers, widths, strict=True))):
+        one, thick = material(layer.material, part.name), layer.thickness
+        label = f"{part.name}: {one.name}, {1e3 * width:g} mm by {1e3 * thick:g} mm"
+        kind: Any = "ceramic" if one.piezoelectric else "metal"
+        yield Shape(0.0, y - thick / 2, width, thick, kind, label)
+        y -= thick
+
+
 def file_stamp(path: Path) -> str:
     """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
@@ -435,19 +452,38 @@ def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     return None if (found.real < -FEEDING * np.abs(found)).any() else found
 
 
-def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray) -> Figure:
+def _own_impedances(part: Part, model: LinearModel | None) -> Iterator[Figure]:
+    """Of every electrical port, with the others shorted and nothing pressing on the body."""
+    if model is None or model.certificate is None:
+        return
+    low, high = model.certificate.band_hz
+    modal = modal_form(model)
+    poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
+    near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
+    f = np.union1d(np.geomspace(max(low, high / 300), high, POINTS), near)
+    f = f[(f >= max(low, high / 300)) & (f <= high)]
+    answers = model.transfer(f)
+    for port in (p for p in model.ports if p.kind == "electrical"):
+        charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
+        name = part.name if port.name == "anode" else f"{part.name}_{port.name}"
+        how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
+        if (charge != 0).all():
+            yield impedance_figure(name, f, 1 / (2j * np.pi * f * charge), how)
+
+
+def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) -> Figure:
     """Magnitude and phase over frequency, as an analyser shows them."""
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
-    f = frequency / 1e3
+    unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
+    f = frequency / scale
     size = Curve("", f, np.abs(z))
     phase = Curve("", f, np.angle(z, deg=True))
     return Figure(
         f"{name}_impedance", f"Impedance of {name}",
-        "Magnitude and phase at the electrical port: minimum at resonance, maximum at "
-        "antiresonance.",
+        f"Magnitude and phase {how}: minimum at resonance, maximum at antiresonance.",
         (
             Panel("", "|Z| in Ω", (size,), log_x=log, log_y=True),
-            Panel("frequency in kHz", "phase in °", (phase,), log_x=log),
+            Panel(f"frequency in {unit}", "phase in °", (phase,), log_x=log),
         ),
     )  # fmt: skip
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from kc2spice.bodies import bimorph
 from kc2spice.bodies.device import Device
+from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
+from kc2spice.parts._linear_body import layered
 from kc2spice.parts._meshed import MeshedBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -58,6 +61,9 @@ dc = "50 V"
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         with clock.stage("assemble", f"matrices of {part.name}"):
             return bimorph.build(self.body_keys(part), scene.home, refine=refine)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        yield from layered(part, [part.keys.length for _ in part.keys.layers])
 
     def device(self, part: Part, scene: Scene) -> Device:
         return bimorph.device(self.body_keys(part), scene.home, where=part.name)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from kc2spice.bodies import disc
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.core.figure import Shape
+from kc2spice.parts._linear_body import LinearBody, layered
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -30,6 +32,9 @@ class Disc(LinearBody):
             names.append("feedback")
         electrical = (Port(n, "electrical", pins=(n, "cathode")) for n in names)
         return (*electrical, Port("centre", "mechanical"))
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        yield from layered(part, [layer.diameter for layer in part.keys.layers])
 
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         with clock.stage("assemble", f"matrices of {part.name}"):

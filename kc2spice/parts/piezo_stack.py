@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
@@ -141,6 +142,12 @@ class PiezoStack(LinearBody):
             stroke = free_stroke(part.keys, voltage)
             why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
             yield Reach(SWING * stroke, why)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        keys = part.keys
+        label = f"{part.name}: {1e3 * keys.side:g} mm wide, {1e3 * keys.height:g} mm high, "
+        label += f"{keys.layers} layers"
+        yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part) -> str:
         return f"{self.title}; {mounted(part.keys)}"

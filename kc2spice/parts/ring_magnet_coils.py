@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +18,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import (
@@ -337,6 +337,18 @@ class RingMagnetCoils(PartType):
         sphere = sphere_of(part, scene)
         speed = fall(part.keys.y_max - sphere.keys.radius, scene.gravity)
         yield from landing(sphere, scene, speed, f"fall from {part.name}.y_max")
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        keys = part.keys
+        coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
+        rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
+            ("magnet", keys.ring, magnet), ("coil", keys.lower, coils), ("coil", keys.upper, coils),
+        )  # fmt: skip
+        for kind, ring, text in rows:
+            for side in (-1, 1):
+                label = f"{part.name}: {text}" if side > 0 else ""
+                yield Shape(side * (ring.inner + ring.outer) / 2, ring.y + keys.shift,
+                            ring.outer - ring.inner, ring.height, kind, label)  # fmt: skip
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         apart = {"remanence", "shift", "points", "driver", "of"}

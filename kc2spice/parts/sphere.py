@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.gates import Gate
@@ -84,6 +84,10 @@ class Sphere(PartType):
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
+        yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return () if _moved(part, build.scene) else super().cards(part, build)

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, RED, Picture, name_axes, sheet
+from kc2spice.report.words import quantity
 
 HEAD = ("setting", "error", "sum of errors", "CPU time", "spread", "")
 _LEAST = 1e-16  # an error of zero is drawn here

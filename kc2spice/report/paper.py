@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.report.html import Section
-from kc2spice.report.run_page import fact
+from kc2spice.report.words import fact
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from kc2spice.core.figure import Figure
+
 # Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
@@ -44,11 +46,12 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on disk with the words that go with it."""
+    """A figure on disk with the words that go with it, and its curves if they are data."""
 
     path: Path
     title: str
     caption: str
+    figure: Figure | None = None
 
 
 def style() -> Any:
@@ -75,12 +78,12 @@ def sheet(
 
     ``size`` is in inches at 150 dots per inch. ``options`` go to ``Figure.subplots``.
     """
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Sheet
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with style():
         layout = ConstrainedLayoutEngine()
-        figure = Figure(figsize=size, layout=layout)
+        figure = Sheet(figsize=size, layout=layout)
         axes = figure.subplots(rows, columns, **options)
         yield axes
         # The layout once, here: left to savefig, it would cost another drawing of everything.
@@ -94,9 +97,9 @@ def sheet(
 
 def open_sheet(size: tuple[float, float]) -> Any:
     """An empty figure of ``size`` in inches that shows itself in a notebook."""
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Sheet
 
-    class Shown(Figure):
+    class Shown(Sheet):
         """A figure that is its own picture."""
 
         def _repr_png_(self) -> bytes:

@@ -6,100 +6,51 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import Picture
+from kc2spice.report.sketch import circuit, devices
+from kc2spice.report.words import fact, quantity, worded
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import plan
 
-# Longest suffix first: the key's name says its unit, as in result.json.
-_SUFFIXES = (
-    ("_m_per_100v", "m per 100 V"), ("_m_s", "m/s"), ("_v_m", "V/m"), ("_pa", "Pa"),
-    ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"), ("_m", "m"), ("_s", "s"), ("_a", "A"), ("_n", "N"), ("_f", "F"), ("_h", "H"),
-    ("_v", "V"), ("_c", "C"),
-)  # fmt: skip
+NETS = (
+    "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
+    "nets are those of the netlist."
+)
+HOW = "Move the pointer to read values, drag to look closer, double-click to see all."
 
 
 def write_run(
-    path: Path,
-    result: Mapping[str, Any],
-    scene: Scene,
-    pictures: Sequence[Picture],
-    errors: Sequence[Mapping[str, Any]] = (),
+    path: Path, result: Mapping[str, Any], scene: Scene, pictures: Sequence[Picture]
 ) -> Path:
-    """Write the page of ``kc2spice run`` from ``result.json``'s content.
-
-    ``errors`` are rows of one road each: ``road`` (words), ``wall_s`` and, against the reference,
-    the keys of :func:`kc2spice.report.metrics.compare`.
-    """
+    """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
+    then the numbers."""
     sections = [
+        Section("Device", drawing=devices(scene), note="Side view, to scale."),
+        Section("Circuit", drawing=circuit(scene), note=NETS),
+        Section("Figures", pictures=pictures, note=HOW),
         _facts("Metrics", result.get("metrics", {})),
-        _roads(errors),
         _checks(result),
-        *(_energy(book, entries) for book, entries in result.get("energy_j", {}).items()),
-        _wall(result),
-        _simulator(result, scene),
-        _attempts(result),
+        *(_energy(name, entries) for name, entries in result.get("energy_j", {}).items()),
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
         _facts("Reduced model", result.get("rom", {})),
         _modelled(scene),
         _errors(scene),
         _left_out(scene),
-        Section("Figures", pictures=pictures),
-        Section("Files", [(name,) for name in result.get("files", ())]),
+        _simulator(result, scene),
+        _attempts(result),
+        _wall(result),
+        Section("Files", links=result.get("files", ())),
     ]
-    kept = [s for s in sections if s.rows or s.pictures]
+    kept = [s for s in sections if s.rows or s.pictures or s.drawing or s.links]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
     lead = "Finite-element models, reduced, exported as a netlist and run in ngspice."
     return write_page(path, title, lead, kept)
 
 
-def unit_of(key: str) -> str:
-    """Unit that a key of result.json names by its suffix, empty where it names none."""
-    return _suffix(key)[1]
-
-
-def _suffix(key: str) -> tuple[str, str]:
-    return next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
-
-
-def fact(key: str, value: Any) -> tuple[str, str]:
-    """A key of result.json and its value as words: the suffix of the key is the unit."""
-    suffix, unit = _suffix(key)
-    name = key.removesuffix(suffix).replace("_", " ")
-    if isinstance(value, (list, tuple)) and len(value) > 8:
-        return name, f"{len(value)} values, in result.json"
-    values = value if isinstance(value, (list, tuple)) else [value]
-    return name, ", ".join(_words(v, unit) for v in values)
-
-
-def _words(value: Any, unit: str) -> str:
-    if value is None:
-        return "not reached"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int) and not unit:
-        return f"{value:,}".replace(",", " ")
-    return quantity(value, unit) if isinstance(value, (int, float)) else str(value)
-
-
 def _facts(title: str, facts: Mapping[str, Any]) -> Section:
     plain = {k: v for k, v in facts.items() if not isinstance(v, Mapping)}
     return Section(title, [fact(key, value) for key, value in plain.items()])
-
-
-def _roads(errors: Sequence[Mapping[str, Any]]) -> Section:
-    keys = {key: None for row in errors for key in row if key not in ("road", "wall_s")}
-    head = ("road", "wall time", *(fact(key, 0)[0] for key in keys))
-    rows = [
-        (
-            str(row["road"]),
-            quantity(row.get("wall_s"), "s", 3),
-            *("" if row.get(key) is None else fact(key, row[key])[1] for key in keys),
-        )
-        for row in errors
-    ]
-    note = "Errors against the independent integration in scipy, each next to the time it took."
-    return Section("Time and error", rows, head, note)
 
 
 def _checks(result: Mapping[str, Any]) -> Section:
@@ -117,9 +68,9 @@ def _checks(result: Mapping[str, Any]) -> Section:
     return Section("Physics checks", rows, ("", "check", "value", "limit", "action"), note)
 
 
-def _energy(book: str, entries: Mapping[str, float]) -> Section:
-    rows = [(name, quantity(value, "J")) for name, value in entries.items()]
-    return Section(f"Energy: {book}", rows)
+def _energy(name: str, entries: Mapping[str, float]) -> Section:
+    rows = [(entry, quantity(value, "J")) for entry, value in entries.items()]
+    return Section(f"Energy: {name}", rows)
 
 
 def _attempts(result: Mapping[str, Any]) -> Section:
@@ -148,7 +99,7 @@ def _wall(result: Mapping[str, Any]) -> Section:
 
 def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
     rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
-    rows += [(f"{k} time points", _words(v, "")) for k, v in result.get("steps", {}).items()]
+    rows += [(f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()]
     solver = scene.solver
     rows += [
         ("reltol", f"{solver.reltol:g}"),

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.report.html import quantity
 from kc2spice.report.plots import (
     BLUE,
     GREY,
@@ -20,7 +19,7 @@ from kc2spice.report.plots import (
     name_axes,
     sheet,
 )
-from kc2spice.report.run_page import fact, unit_of
+from kc2spice.report.words import fact, quantity, unit_of
 
 _MOST_POINTS = 4000  # in one scatter plot; more only blacken it
 _MOST_PANELS = 6  # rows or columns of a scatter matrix

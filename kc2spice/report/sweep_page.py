@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.run_page import fact
 from kc2spice.report.sweep_figures import share_text, sweep_figures
+from kc2spice.report.words import fact
 from kc2spice.scene.model import Scene
 
 CONFIDENCE = 0.95

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.html import Section, write_page
 from kc2spice.report.paper import paper_section
-from kc2spice.report.run_page import fact
 from kc2spice.report.verdict import Findings
+from kc2spice.report.words import fact, quantity
 from kc2spice.scene.gates import Table
 
 

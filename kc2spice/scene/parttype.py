@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Section
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 
@@ -373,6 +374,10 @@ class PartType:
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
         """Plots of its results (:class:`kc2spice.report.plots.Plot`) for the report."""
+        return ()
+
+    def outline(self, part: Part, scene: Scene) -> Iterable[Shape]:
+        """Its side view for the report; the upper face of a body is at y = 0, its axis at x = 0."""
         return ()
 
     # --- what explain says ---------------------------------------------------------------------

@@ -128,7 +128,8 @@ def write_run_files(
         record = run_record(done)
         files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
-        pictures = _pictures(drawn)
+        figures = {figure.name: figure for figure in done.figures}
+        pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
     record["files"] = [*files, "report.html", "result.json"]

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import kc2spice
 from kc2spice import __version__
 from kc2spice.cli import doctor
-from kc2spice.cli.console import fact_row
+from kc2spice.cli.console import print_facts
 from kc2spice.cli.main import app
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
 from kc2spice.core.files import staged
@@ -87,7 +87,7 @@ def test_run_prints_tables(cli, study, tmp_path):
     scene, out = study.calls[0]
     assert scene.parts["kick"].keys.drive.voltage == 80
     assert out.resolve() == tmp_path / "kick_and_catch"
-    for word in ("138.6 mg", "16722", "launch velocity", "1.02 m/s", "yes", "result.json"):
+    for word in ("138.6 mg", "16 722", "launch velocity", "1.02 m/s", "yes", "result.json"):
         assert word in done.stdout
     assert "mesh: building" in done.stderr
 
@@ -233,23 +233,10 @@ def test_run_without_ngspice_is_code_3_before_any_work(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "row"),
-    [
-        ("launch_velocity_m_s", 1.02095, ("launch velocity", "1.02095 m/s")),
-        ("settling_time_s", 1.67647e-3, ("settling time", "1.67647 ms")),
-        ("mass_kg", 1.386e-4, ("mass", "138.6 mg")),
-        ("free_stroke_m_per_100v", 2.3508e-6, ("free stroke", "2.3508 um per 100 V")),
-        ("final_error_m", -1.3e-8, ("final error", "-13 nm")),
-        ("final_error_m", 0.0, ("final error", "0 m")),
-        ("hold_current_a", None, ("hold current", "-")),
-        ("caught", False, ("caught", "no")),
-        ("unknowns", 16722, ("unknowns", "16722")),
-        ("resonance_short_hz", 270363.0, ("resonance short", "270.363 kHz")),
-        ("coil_resistance_ohm", 1595.7, ("coil resistance", "1.5957 kOhm")),
-        ("tiny_f", 1e-21, ("tiny", "1e-06 fF")),
-        ("lost_s", float("nan"), ("lost", "nan s")),
-    ],
-)
-def test_facts_are_printed_with_prefixes(name, value, row):
-    assert fact_row(name, value) == row
+def test_facts_are_printed_with_units_and_prefixes(capsys):
+    facts = {"launch_velocity_m_s": 1.02095, "final_error_m": -1.3e-8}
+    facts |= {"kick_charge_peak_c": 1.5e-5, "caught": False, "curve": [1, 2]}
+    print_facts("metrics", facts)
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows == ["metrics", "launch velocity 1.02095 m/s", "final error -13 nm",
+                    "kick charge peak 15 µC", "caught no"]  # fmt: skip

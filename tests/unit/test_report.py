@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
+import shutil
 import struct
+import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -11,10 +17,10 @@ import pytest
 
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.distance import compare
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import Section, quantity, write_page
-from kc2spice.report.run_page import fact, write_run
+from kc2spice.report.html import SHOWN, Section, _thinned, write_page
+from kc2spice.report.run_page import write_run
+from kc2spice.report.words import fact, quantity
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics
@@ -43,11 +49,11 @@ def figures(waves: Waveforms) -> tuple[Figure, ...]:
         "", "height [mm]", (whole, exact), levels=((2.5, "set point"),),
         bands=((2.425, 2.575, "settling band"),), marks=((0.507, "launch"),), span=(0.0, 5.0),
     )  # fmt: skip
-    rings = tuple(
-        Curve(f"R{k}", 1e3 * t, 1e6 * waves[f"kick.u.R{k}"] + 0.01 * k) for k in range(6)
-    )
+    rings = tuple(Curve(f"R{k}", 1e3 * t, 1e6 * waves[f"kick.u.R{k}"] + 0.01 * k) for k in range(6))
     bottom = Panel("time [ms]", "displacement [um]", rings)
-    response = Panel("frequency [Hz]", "height [mm]", (Curve("", 1 + t, y),), log_x=True, log_y=True)
+    response = Panel(
+        "frequency [Hz]", "height [mm]", (Curve("", 1 + t, y),), log_x=True, log_y=True
+    )
     return (
         Figure("trajectory", "Trajectory", "Above and below.", (top, bottom)),
         Figure("response", "Response", "One line.", (response,)),
@@ -68,6 +74,7 @@ class Page(HTMLParser):
         self.headings: list[str] = []
         self.sources: list[str] = []
         self.cells: list[str] = []
+        self.text = text
         self._open = ""
         self.feed(text)
 
@@ -102,25 +109,69 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
         "model": {"kick": {"unknowns": 16722}, "catch": {"coil_resistance_ohm": 1596.0}},
         "files": ["kick.lib"],
     }
-    errors = [
-        {"road": "scipy", "wall_s": 3.0},
-        {"road": "ngspice", "wall_s": 0.5, **compare(waves, waves)},
-    ]
-    path = write_run(out / "report.html", result, scene, pictures, errors)
+    found = {figure.name: figure for figure in figures(waves)}
+    pictures = [replace(picture, figure=found[picture.path.stem]) for picture in pictures]
+    path = write_run(out / "report.html", result, scene, pictures)
     return Page(path.read_text(encoding="utf-8"))
 
 
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
-        "Metrics", "Time and error", "Wall time", "Simulator", "Model: kick", "Model: catch",
-        "Reduced model", "What is modelled", "Expected errors", "What is left out", "Figures",
+        "Device", "Circuit", "Figures", "Metrics", "Model: kick", "Model: catch", "Reduced model",
+        "What is modelled", "Expected errors", "What is left out", "Simulator", "Wall time",
         "Files",
     ]  # fmt: skip
 
 
-def test_page_loads_nothing_from_elsewhere(page: Page) -> None:
-    assert len(page.sources) == 2
-    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+def test_page_loads_nothing_from_elsewhere_and_links_its_files(page: Page) -> None:
+    pictures = [source for source in page.sources if source.startswith("data:image/png;base64,")]
+    assert len(pictures) == 2
+    assert [source for source in page.sources if source not in pictures] == ["kick.lib"]
+    assert "http" not in page.text.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_sketch_names_every_part_and_net(page: Page) -> None:
+    scene = load_scene("kick_and_catch")
+    for net in {n for (_, _), n in scene.nets.items()} - {"0"}:
+        joined = [key for key, other in scene.nets.items() if other == net]
+        assert (f">{net}<" in page.text) == (len(joined) > 1)
+    assert all(f">{name}<" in page.text for name in scene.parts)
+    assert "sphere: radius 1 mm" in page.text
+    circle = re.search(r'<circle cx="[\d.]+" cy="[\d.]+" r="([\d.]+)" fill="#D9D9D9"', page.text)
+    chip = re.search(
+        r'<rect x="[-\d.]+" y="[-\d.]+" width="([\d.]+)"[^>]* fill="#F3D9A4"', page.text
+    )
+    assert 2 * float(circle[1]) / float(chip[1]) == pytest.approx(2 / 3, rel=1e-2)  # mm over mm
+
+
+def test_curves_in_the_page_are_those_of_the_figure() -> None:
+    t = np.union1d(np.linspace(0, 1, 50_000), 0.5 + np.linspace(0, 1e-6, 100))
+    y = np.where(np.abs(t - 0.5) < 1e-6, 1.0, 0.0) + 1e-3 * np.sin(40 * t)
+    y[1234] = -3.0
+    thin = _thinned(Curve("", t, y))
+    x, v = (np.frombuffer(base64.b64decode(thin[k]), "<f4") for k in "xy")
+    assert x.size <= SHOWN
+    assert (v.min(), x[v.argmin()]) == (np.float32(-3), np.float32(t[1234]))
+    away = np.abs(t - 0.5) > 5e-5  # the jumps themselves have no width in float32
+    assert np.abs(np.interp(t, x, v) - y)[away].max() < 2e-3
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+def test_the_script_draws_and_zooms(page: Page, tmp_path: Path) -> None:
+    """Run by a JavaScript engine against the few parts of a browser that it uses."""
+    (tmp_path / "page.html").write_text(page.text, encoding="utf-8")
+    browser = Path(__file__).parents[1] / "data" / "browser.js"
+    done = subprocess.run(["node", str(browser), str(tmp_path / "page.html")],
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["panels"] == 3
+    assert found["strokes"] > 30
+    assert found["images"] == 0  # the canvas stands in for the picture
+    assert found["labels"][:2] == ["ngspice", "scipy"]
+    assert "2.5" in found["read"]
+    assert found["zoomed"] < 0.6 * found["whole"]
+    assert found["reset"] == found["whole"]
 
 
 def test_page_shows_the_numbers_and_escapes_words(page: Page) -> None:
@@ -168,6 +219,8 @@ def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) ->
         ("hold_current_a", 4.9e-4, ("hold current", "490 µA")),
         ("settling_time_s", None, ("settling time", "not reached")),
         ("free_stroke_m_per_100v", 2.35e-6, ("free stroke", "2.35 µm per 100 V")),
+        ("free_stroke_m_per_v", 2.35e-8, ("free stroke", "23.5 nm/V")),
+        ("kick_charge_peak_c", 1.4e-5, ("kick charge peak", "14 µC")),
         ("band_hz", [0, 5e5], ("band", "0 Hz, 500 kHz")),
         ("caught", True, ("caught", "yes")),
         ("force_n", [1.0] * 9, ("force", "9 values, in result.json")),

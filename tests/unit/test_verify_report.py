@@ -9,11 +9,11 @@ import pytest
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import quantity
 from kc2spice.report.paper import paper_section
 from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import write_verify
+from kc2spice.report.words import quantity
 from kc2spice.scene.gates import Cost, Gate, Limit
 from kc2spice.workflow.verify.compare import (
     Solution,
