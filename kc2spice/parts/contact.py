@@ -60,7 +60,7 @@ class Contact(PartType):
     schema = ContactKeys
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        a, b = sides(part, scene)
+        _, b = sides(part, scene)
         rings = tuple(Terminal(port, "um", "N") for port in kept_ports(part, scene))
         if b.force == b.place:
             return (*rings, Terminal("b", "um", "N"), Terminal("base", "um", "N", "gnd"))
@@ -192,7 +192,7 @@ class Contact(PartType):
         return Modelled(part.name, "closed form", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
-        a, b = sides(part, scene)
+        a, _ = sides(part, scene)
         (one, _), (other, _) = _names(part, scene)
         kept = len(kept_ports(part, scene))
         if len(a.ports) > 1:
@@ -537,8 +537,8 @@ def contact_subcircuit(
 
     ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
     the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
-    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is a
-    ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
+    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is
+    a ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
     """
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
     pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))

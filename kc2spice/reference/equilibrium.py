@@ -200,11 +200,10 @@ def equilibrium(
         f, J = rest.equations(z, modes)
         step = _solve(rest, z, f, J - friction / pace if pace < 1e13 else J)
         z = z + step
-        if pace >= 1e13 and np.abs(step).max(initial=0.0) <= 1e-11 * (
-            1e-3 + np.abs(z).max(initial=0.0)
-        ):
-            if rest.modes(z) == modes or not _changed(rest, z, modes):
-                return _moving(system, z, rest), modes
+        small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
+        settled = pace >= 1e13 and small
+        if settled and (rest.modes(z) == modes or not _changed(rest, z, modes)):
+            return _moving(system, z, rest), modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(
         "no equilibrium was reached",
@@ -239,7 +238,7 @@ def _solve(rest: _Rest, z: np.ndarray, f: np.ndarray, J: np.ndarray) -> np.ndarr
     right = -np.concatenate((f, rest.H @ z - rest.h))
     size = np.maximum(np.abs(full).max(axis=1), 1e-300)
     full, right = full / size[:, None], right / size
-    u, sing, vt = np.linalg.svd(full)
+    u, sing, _ = np.linalg.svd(full)
     rank = int((sing > 1e-15 * sing[0]).sum())
     if rank < n + m:
         idle = u[:, rank:]

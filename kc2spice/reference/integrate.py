@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -230,7 +231,7 @@ def transient(
     events: list[Event] = []
     if modes is None:
         modes = _first_modes(system, z)
-    for begin, end in zip(corners[:-1], corners[1:], strict=True):
+    for begin, end in pairwise(corners):
         within = 0.5 * (begin + end)
         if begin > 0.0:
             e = Piece(system, modes, within).inputs_of(begin, z)

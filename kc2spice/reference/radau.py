@@ -90,7 +90,7 @@ class Step:
 
 
 class Radau:
-    """Steps of one smooth piece; ``advance`` makes an accepted step, ``take`` one of given length."""
+    """Steps of one smooth piece; ``advance`` makes an accepted one, ``take`` one of given size."""
 
     def __init__(self, problem: Problem, t: float, z: np.ndarray, rtol: float) -> None:
         self.problem, self.rtol = problem, rtol
@@ -158,8 +158,9 @@ class Radau:
                     return None
             Z += dZ
             done = p.linear and k == 0 and self.fresh
-            done |= size == 0.0 or (rate is not None and rate >= 1.0) or (rate is not None and rate / (1 - min(rate, 0.9)) * size
-                                    < self.newton_tol)  # fmt: skip
+            done |= size == 0.0
+            if rate is not None:
+                done |= rate >= 1.0 or rate / (1 - min(rate, 0.9)) * size < self.newton_tol
             if done:
                 self.iterations = k + 1
                 return Step(self.t, h, self.z, Z, p.differential)

@@ -1,4 +1,4 @@
-"""A linear model as one polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``: what solvers see."""
+"""A linear model as a polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``: what solvers see."""
 
 from __future__ import annotations
 

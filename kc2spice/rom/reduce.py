@@ -138,7 +138,7 @@ class Reduction:
     """The subspace model in ordered directions, so that the model of order q is its leading part,
     and the frequencies [Hz] where errors are measured.
 
-    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are static
+    ``whole`` is the subspace model in coordinates that decouple; ``first`` directions are static
     answers that conservative ports keep.
     """
 

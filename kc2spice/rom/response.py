@@ -1,4 +1,4 @@
-"""Frequency responses of dense pencils at many frequencies, where to look, and how far two differ."""
+"""Frequency responses of dense pencils: at which frequencies to look, and how far two differ."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
 
 
 def _decoupled(pencil: Pencil) -> Modes | None:
-    """Solved as ``M phi = mu K phi`` where K is definite: it is the better conditioned of the two."""
+    """Solved as ``M phi = mu K phi`` where K is definite: the better conditioned of the two."""
     if not pencil.symmetric or not pencil.size:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]

@@ -109,7 +109,7 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
         raise SimulationError(
             "the full model itself is not that accurate", where="reduction",
             got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
-            hint="ask for a looser tolerance; other units or a coarser mesh may condition it better",
+            hint="ask for a looser tolerance; other units or a coarser mesh may help",
         )  # fmt: skip
     return Subspace(full, error, static, f"being all of the full model, solved to {error:.0e}",
                     rounding)  # fmt: skip

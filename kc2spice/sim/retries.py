@@ -52,7 +52,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of the first attempt that succeeded, the deck that gave it, and all that was tried."""
+    """The result of the first attempt that succeeded, its deck, and all that was tried."""
 
     deck: Deck
     waves: Waveforms
@@ -61,7 +61,7 @@ class Outcome:
 
 
 class RetriesFailedError(SimulationError):
-    """No attempt succeeded. ``attempts`` are all that were tried, ``failure`` the one that got farthest."""
+    """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest."""
 
     attempts: tuple[Attempt, ...]
     failure: Failure | None
@@ -77,7 +77,7 @@ def run_with_retries(
     progress: Callable[[float], None] | None = None,
     timeout: float | None = None,
 ) -> Outcome:
-    """Run ``deck`` in ``directory``; after a failure that settings may cure, with the next retry setting.
+    """Run ``deck`` in ``directory``; after a failure that settings may cure, with the next setting.
 
     The cause of each failure picks the setting; what earlier ones changed stays changed. Every
     retry is announced by a warning. ``judge`` checks a finished run; violated energy balances count
@@ -86,7 +86,7 @@ def run_with_retries(
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed; it names node, time, part, all settings and what to try.
+    RetriesFailedError : the last attempt failed; names node, time, part, all settings, what to try.
     SimulationError, MissingToolError : as :func:`run_deck`, for what no setting cures.
     """
     retry, settings = FIRST, Settings()
@@ -167,7 +167,7 @@ def _exhausted(
     failure: Failure | None,
     left: str | None,
 ) -> RetriesFailedError:
-    """What the last attempt said, where the farthest one got, what was tried and what else to try."""
+    """What the last attempt said, where the farthest got, what was tried and what else to try."""
     tried_ = ", ".join(f"{a.setting} ({a.settings})" for a in attempts[1:])
     hints = [
         f"tried in vain: {tried_}" if tried_ else "",

@@ -16,7 +16,7 @@ _RELTOL, _CHGTOL = "1e-3", "1e-14"  # ngspice's own, where the deck says nothing
 
 @dataclass(frozen=True)
 class Settings:
-    """Changes on top of a deck's own options: entries, and a factor on tolerances and step limit."""
+    """Changes of a deck's own options: entries, and a factor on tolerances and step limit."""
 
     options: tuple[tuple[str, str], ...] = ()
     factor: float = 1.0

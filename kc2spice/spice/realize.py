@@ -1,4 +1,4 @@
-"""Linear models to subcircuits: decoupled resonators where the model has them, else state blocks."""
+"""Linear models to subcircuits: decoupled resonators where there are, else state blocks."""
 
 from __future__ import annotations
 

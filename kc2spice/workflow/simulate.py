@@ -59,9 +59,14 @@ def simulate(
         return run_shared(tried, sampled, progress)
 
     return run_with_retries(
-        deck, directory, retries=build.scene.solver.retries if retries is None else retries, judge=judge, engine=shared if sampled else None, progress=progress,
+        deck,
+        directory,
+        retries=build.scene.solver.retries if retries is None else retries,
+        judge=judge,
+        engine=shared if sampled else None,
+        progress=progress,
         timeout=timeout,
-    )  # fmt: skip
+    )
 
 
 def warn_of(checks: Iterable[Check]) -> None:

@@ -40,7 +40,7 @@ def program():
 
 @pytest.fixture(scope="session")
 def deck_of():
-    """``deck_of(scene, **solver)``: a gallery scene around the made-up chip and magnets, exported."""
+    """``deck_of(scene, **solver)``: a gallery scene around made-up chip and magnets, exported."""
 
     def make(name: str, **solver):
         scene = load_scene(name, {f"solver.{key}": value for key, value in solver.items()})

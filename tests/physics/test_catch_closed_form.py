@@ -23,7 +23,7 @@ FREE = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=21)
 
 def dipole_moment(catch: Catch) -> float:
     """Moment [A m^2] of a sphere of remanence B_r: V M with M = 3 B_r / (mu0 (mu_r + 2))."""
-    volume = 4 / 3 * np.pi * RADIUS ** 3
+    volume = 4 / 3 * np.pi * RADIUS**3
     return volume * 3 * catch.remanence / (MU0 * (catch.mu_r + 2))
 
 

@@ -1,4 +1,4 @@
-"""What holds the bottom face of the chip: limits in closed form, and the values of the usual chip."""
+"""What holds the bottom face of the chip: closed-form limits, and values of the usual chip."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_a_free_chip_moves_as_a_whole():
 
 
 def test_the_usual_chip_glued_down():
-    """Stroke and resonance as measured on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
+    """Stroke and resonance as on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
     facts = piezo_stack(Chip(mounting="glued")).facts
     assert facts["free_stroke_m_per_100v"] == pytest.approx(1.983e-6, abs=0.5e-9)
     assert facts["resonance_short_hz"] == pytest.approx(308e3, abs=0.5e3)

@@ -73,16 +73,16 @@ def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, tabl
     data |= {f"contact.force.R{k}": 0.0 * fine for k in range(1, 6)}
     for reltol, passed in ((1e-4, True), (1e-3, False)):
         rattling = dataclasses.replace(waves, data=data, stats={**waves.stats, "reltol": reltol})
-        (check,) = (
-            c for c in judged(rattling, scene, table, model).checks if c.name == "touches"
-        )
+        (check,) = (c for c in judged(rattling, scene, table, model).checks if c.name == "touches")
         assert check.value == pytest.approx(30, abs=1)
         assert (check.passed, check.coarse) == (passed, True)
 
 
 def test_energy_from_nowhere_is_seen(waves, scene, table, model):
     faster = waves["sphere.v"] + np.linspace(0, 0.05, waves["time"].size)
-    assert "energy of sphere" in violated(changed(waves, **{"sphere.v": faster}), scene, table, model)
+    assert "energy of sphere" in violated(
+        changed(waves, **{"sphere.v": faster}), scene, table, model
+    )
 
 
 def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):

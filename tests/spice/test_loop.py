@@ -65,7 +65,9 @@ def test_operating_point_is_silent_with_the_contact_closed(run, scene):
     report = classify((directory / "loop.log").read_text())
     assert not report.struggles
     assert not report.warnings
-    assert waves["contact.force"][0] == pytest.approx(scene.parts["sphere"].keys.mass * 9.81, rel=0.5)
+    assert waves["contact.force"][0] == pytest.approx(
+        scene.parts["sphere"].keys.mass * 9.81, rel=0.5
+    )
     assert 0.0 < waves["contact.force.R0"][0] == waves["contact.force"][0]
     assert abs(waves["sphere.v"][0]) < 1e-12
 
@@ -153,7 +155,9 @@ def test_ngspice_is_found():
 STUDIES = {
     "loop": {},
     "imprint": {"imprint": {"steps": 5}, "catch": None, "control": None},
-    "harmonic": {"harmonic": {"steps": 5}, **dict.fromkeys(("contact", "sphere", "catch", "control"))},
+    "harmonic": {
+        "harmonic": {"steps": 5}, **dict.fromkeys(("contact", "sphere", "catch", "control")),
+    },
     "em_force": {"em_force": {}, **dict.fromkeys(("kick", "contact", "control"))},
 }  # fmt: skip
 

@@ -92,7 +92,11 @@ def test_the_last_failure_names_node_time_part_and_all_settings(tmp_path):
     with pytest.raises(RetriesFailedError) as caught:
         run_with_retries(deck(HOPELESS), tmp_path, retries=4)
     error = caught.value
-    assert [a.setting for a in error.attempts[1:]] == ["firmer pivots", "gear", "tighter tolerances"]
+    assert [a.setting for a in error.attempts[1:]] == [
+        "firmer pivots",
+        "gear",
+        "tighter tolerances",
+    ]
     assert error.failure.node == "b"
     assert "node of b1, c1, r1" in str(error)
     for attempt in error.attempts[1:]:

@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -52,8 +53,8 @@ def gone(pid):
     for _ in range(100):
         try:
             os.kill(pid, 0)
-            if (state := open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()[0]) == "Z":
-                return state == "Z"
+            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
         except (ProcessLookupError, FileNotFoundError):
             return True
         time.sleep(0.05)

@@ -264,7 +264,9 @@ def test_the_project_opens_with_its_simulation(files, deck):
     analysis = re.search(r"(?m)^\.tran .*$", deck.files[deck.main])[0]
     (tab,) = book["tabs"]
     assert (tab["analysis"], tab["commands"][0]) == ("TRAN", analysis)
-    assert {"signal": "V(sphere_y)", "color": "rgb(55, 126, 184)", "trace_type": 257} in tab["traces"]
+    assert {"signal": "V(sphere_y)", "color": "rgb(55, 126, 184)", "trace_type": 257} in tab[
+        "traces"
+    ]
     assert '(uri "${KIPRJMOD}/kc2spice.kicad_sym")' in files["sym-lib-table"]
     assert f'(text "{analysis}"' in files["loop.kicad_sch"]
 

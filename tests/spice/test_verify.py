@@ -109,8 +109,10 @@ def test_a_circuit_of_plain_parts_is_verified(tmp_path: Path) -> None:
 
 def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
     """A step into a series RLC: ``v = 1 - exp(-a t) (cos w t + a / w sin w t)``."""
-    text = RLC.replace("pulse = { high = 10, width = \"20 us\", edge = \"1 us\", start = \"2 us\" }",
-                       'pwl = [[0, 0], [1e-12, 10], [1, 10]]')  # fmt: skip
+    text = RLC.replace(
+        'pulse = { high = 10, width = "20 us", edge = "1 us", start = "2 us" }',
+        "pwl = [[0, 0], [1e-12, 10], [1, 10]]",
+    )
     (tmp_path / "rlc.toml").write_text(text)
     build = build_models(load_scene(tmp_path / "rlc.toml"), Clock(silent))
     from kc2spice.core.waveforms import Waveforms

@@ -208,7 +208,10 @@ def test_a_full_disk_costs_time_only(folder):
 
 def test_a_user_without_home_gets_a_cache_of_its_own():
     """An unknown uid in a container; another user's directory in /tmp is never taken."""
-    code = "from kc2spice.core.cache import cache_dir; p = cache_dir(); print(p, p.parent.parent.is_dir())"
+    code = (
+        "from kc2spice.core.cache import cache_dir; p = cache_dir(); "
+        "print(p, p.parent.parent.is_dir())"
+    )
     keep = {
         k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", "KC2SPICE_CACHE")
     }

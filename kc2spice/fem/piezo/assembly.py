@@ -78,7 +78,8 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
     ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
-    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. Even electrode planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. Even electrode
+    planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
     of nodes lies inside a layer. ``mesh`` is that of ``kick``, made here if not given.
 
     Raises
@@ -213,7 +214,7 @@ def _dielectric(eps: np.ndarray) -> BilinearForm:
 
 
 def bottom_face(mesh: KickMesh) -> sparse.csc_array:
-    """``int u . v dA`` over the bottom face, displacements ``3 node + axis``: its sum is 3 areas."""
+    """``int u . v dA`` over the bottom face, unknowns ``3 node + axis``: its sum is 3 areas."""
     facets = mesh.layer.facets_satisfying(lambda x: np.abs(x[2]) < 1e-9 * mesh.heights[-1])
     basis = FacetBasis(
         mesh.layer, ElementVector(mesh.element), facets=facets, intorder=2 * mesh.order + 1

@@ -47,7 +47,8 @@ def contact_surface(
 ) -> ContactSurface:
     """One spring per ring (paper 2.3, grouped forces), or one per node with the ring's share.
 
-    ``stiffness`` [N/m] is that of a ring of the sector in both cases, ``radius`` [m] the sphere's; nodes on a symmetry
+    ``stiffness`` [N/m] is that of a ring of the sector in both cases, ``radius`` [m] the sphere's;
+    nodes on a symmetry
     plane get half of their neighbours' share.
     """
     mesh = kick_mesh(kick)

@@ -54,8 +54,8 @@ Rcoils drive ret 3192
 @case("sphere leaves the field table", "above", refused="table_left")
 def out_at_the_top(bench):
     tables = {
-        "name": "kick_and_catch", "kick": {"drive": {"voltage": 150.0}}, "contact": {"rings": "all"},
-        "sphere": {}, "catch": {}, "solver": {"stop": 5e-3},
+        "name": "kick_and_catch", "kick": {"drive": {"voltage": 150.0}},
+        "contact": {"rings": "all"}, "sphere": {}, "catch": {}, "solver": {"stop": 5e-3},
     }  # fmt: skip
     bench.scene(load_scene(tables), chip(FEW))
     return 0.0
