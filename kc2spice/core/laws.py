@@ -46,7 +46,10 @@ class Pin:
 class Law(Protocol):
     """What all laws have in common."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name of the part."""
+        ...
 
     @property
     def pins(self) -> tuple[Pin, ...]:
@@ -432,9 +435,9 @@ class Device:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
         raise NotImplementedError
 
-    def store(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Stored quantities (len(states),) and derivative by ``e``; None: the states themselves."""
-        return None
+    def store(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stored quantities (len(states),) and derivative by ``e``, where not the states are."""
+        raise NotImplementedError
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
         """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""

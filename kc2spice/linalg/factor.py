@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,10 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.lazy import lazy
 from kc2spice.linalg.pardiso import Pardiso
 
-sparse = lazy("scipy.sparse")
+if TYPE_CHECKING:
+    from scipy import sparse
+else:
+    sparse = lazy("scipy.sparse")
 linalg = lazy("scipy.linalg")
 
 # 'scipy' is banded Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.

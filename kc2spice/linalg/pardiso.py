@@ -7,7 +7,7 @@ runs on ``MKL_NUM_THREADS`` cores. Symmetric matrices are stored by their upper 
 from __future__ import annotations
 
 import weakref
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from kc2spice.core.errors import MissingToolError
 from kc2spice.core.lazy import lazy
 from kc2spice.linalg.memory import require_bytes
 
-sparse = lazy("scipy.sparse")
+if TYPE_CHECKING:
+    from scipy import sparse
+else:
+    sparse = lazy("scipy.sparse")
 
 # Matrix types of PARDISO: (symmetric, complex) -> mtype; a definite one has its own.
 _TYPES = {(True, False): -2, (True, True): 6, (False, False): 11, (False, True): 13}

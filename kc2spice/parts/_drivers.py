@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kc2spice.core.quantities import (
-    Section,
-)
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Section
 from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts._opamp import Level, opamp_subcircuit
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -126,6 +125,13 @@ class CoilDriver(Driver):
     def load(self, part: Part, build: Build) -> Load:
         """What the coils at its terminals are, with the sphere at the set point."""
         coils = neighbour(part, "drive", build.scene, "ring_magnet_coils")
+        if coils is None:
+            raise UsageError(
+                "drives no coils, whose inductance its current loop is made for",
+                where=f"{part.name}.drive",
+                expected="joined to a part of type ring_magnet_coils",
+                hint="for a load of your own, put your driver's circuit into a netlist part",
+            )
         control = neighbour(part, "command", build.scene, "pid")
         height = control.keys.setpoint if control else 0.0
         return coil_load(build.model(coils), height)

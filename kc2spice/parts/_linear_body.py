@@ -69,7 +69,7 @@ class LinearBody(PartType):
 
     def body_keys(self, part: Part) -> Any:
         """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
-        plain = type(part.keys).__mro__[1]
+        plain: Any = type(part.keys).__mro__[1]
         return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
 
     def headline(self, part: Part) -> str:

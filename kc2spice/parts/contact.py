@@ -569,14 +569,13 @@ def contact_subcircuit(
     return Subcircuit(name, pins, params, text)
 
 
-def dent(part: Part, scene: Scene, mass: float, speed: float, radius: float) -> float:
+def dent(modulus: float, mass: float, speed: float, radius: float) -> float:
     """Depth [m] at which a rigid sphere of this mass [kg] and speed [m/s] stops.
 
     No state of the body stores less energy under a dent than the static one, so what the static
     law needs to stop the sphere is a bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
     """
     energy = 0.5 * mass * speed**2
-    modulus = part.type.indentation_modulus(part)
     spare = 1.25  # the body is neither a half-space nor pressed on more than a few rings
     return spare * float((15 * energy / (8 * modulus * math.sqrt(radius))) ** 0.4)
 
@@ -591,8 +590,9 @@ def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Reac
     for contact in scene.of("contact"):
         (one, _), (other, b) = _names(contact, scene)
         body = scene.parts[one]
-        if other == sphere.name and b.radius and hasattr(body.type, "indentation_modulus"):
-            yield Reach(dent(body, scene, sphere.keys.mass, speed, b.radius), why)
+        modulus = body.type.indentation_modulus(body)
+        if other == sphere.name and b.radius and modulus is not None:
+            yield Reach(dent(modulus, sphere.keys.mass, speed, b.radius), why)
 
 
 register(Contact())

@@ -142,7 +142,7 @@ wiring = "parallel"
             raise UsageError(
                 "the file has no such function", where=f"{part.name}.function", got=keys.function
             )
-        return found  # type: ignore[no-any-return]
+        return found
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys = part.keys

@@ -131,10 +131,11 @@ class PortLoads(PartType):
             return None
         frequency = np.linspace(analysis.start, float(analysis.stop or 0.0), analysis.points)
         started = time.perf_counter()
+        notes: tuple[str, ...] = ()
         if whole:
             with clock.stage("full model", f"{frequency.size} direct solutions"):
                 response = full.transfer(frequency)
-            spent, notes = time.perf_counter() - started, ()
+            spent = time.perf_counter() - started
         else:
             with clock.stage("full model", "surrogate basis against direct solutions"):
                 small = surrogate(full, (0.0, float(frequency[-1])))
@@ -174,6 +175,7 @@ class PortLoads(PartType):
         if equations is None:
             return None
         (law,) = equations.laws
+        assert isinstance(law, laws.LinearBody)
         rings, is_open = _rings(body, build), body.keys.electrical == "open"
         found: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []

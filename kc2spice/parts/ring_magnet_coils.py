@@ -282,11 +282,12 @@ class RingMagnetCoils(PartType):
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if part.keys.driver is None:
             return {}
-        kind, table = next(iter(part.keys.driver.items()), ("", {}))
+        driver: dict[str, dict[str, Any]] = part.keys.driver
+        kind, table = next(iter(driver.items()), ("", {}))
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
-        if len(part.keys.driver) != 1 or kind not in {*known, *known.values()}:
+        if len(driver) != 1 or kind not in {*known, *known.values()}:
             raise UsageError(
-                "needs one driver", where=f"{part.name}.driver", got=", ".join(part.keys.driver),
+                "needs one driver", where=f"{part.name}.driver", got=", ".join(driver),
                 expected="one of " + ", ".join(known),
             )  # fmt: skip
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
@@ -300,6 +301,7 @@ class RingMagnetCoils(PartType):
         return {f"{part.name}_driver": chosen}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        coils: tuple[Terminal, ...]
         if real(part, scene):
             coils = (
                 Terminal("lp", "V", "A"), Terminal("ln", "V", "A", f"{part.name}.un"),

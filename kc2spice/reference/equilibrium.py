@@ -260,11 +260,11 @@ def _solve(rest: _Rest, z: np.ndarray, f: np.ndarray, J: np.ndarray) -> np.ndarr
 
 def _moving(system: System, z: np.ndarray, rest: _Rest) -> np.ndarray:
     """Give held masses their velocities."""
-    asked = [h for h in system.held if h.rate is not None]
+    asked = [(h.rate, h.speed) for h in system.held if h.rate is not None]
     if not asked:
         return z
-    forms = np.array([h.rate.z[0] for h in asked])[:, system.velocity]
-    speeds = np.array([h.speed for h in asked])
+    forms = np.array([rate.z[0] for rate, _ in asked])[:, system.velocity]
+    speeds = np.array([speed for _, speed in asked])
     z = z.copy()
     z[system.velocity] = np.linalg.lstsq(forms, speeds, rcond=None)[0]
     return z

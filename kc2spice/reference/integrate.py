@@ -464,10 +464,9 @@ def _balance(result: Result) -> Balance:
         for k in losing:
             device, mode = system.devices[k], piece.modes[k]
             e = device.inputs.at(z, s, d).T
-            power = [device.law.loss(a, x, mode) for a, x in zip(t, e, strict=True)]
+            gained = np.array([device.law.loss(a, x, mode) for a, x in zip(t, e, strict=True)])
             name = device.law.name
-            if power:
-                gained = np.array(power)
+            if gained.size:
                 lost[name] = lost.get(name, 0.0) + float(np.maximum(gained, 0.0) @ w)
                 supplied[name] = supplied.get(name, 0.0) - float(np.minimum(gained, 0.0) @ w)
     first, last = result.stretches[0], result.stretches[-1]

@@ -191,6 +191,7 @@ class Radau:
             if step is None:
                 h, rejected = 0.5 * h, True
                 continue
+            assert self.lu is not None  # ``take`` has factorised
             (lr, pr, _), _ = self.lu
             ZE = np.where(self.problem.rows, self.M @ (step.increments @ _ERROR) / h, 0.0)
             error, _ = lapack.dgetrs(lr, pr, f0 + ZE)

@@ -121,7 +121,7 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
         bool(facts["passive"]),
     )
     letters = _letters("A" in matrices)
-    arrays = {letter: np.asarray(matrices[letter]) for letter in letters}
+    arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     q, m = arrays["B"].shape
     p = arrays["C"].shape[0]
     shapes = {"B": (q, m), "C": (p, q), "D": (p, m)}
@@ -132,7 +132,7 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
             raise ValueError(f"matrix {letter} is not finite")
     if not all(np.isfinite([*certificate.band_hz, certificate.error_estimate])):
         raise ValueError("the certificate is not finite")
-    return LinearModel(**arrays, ports=ports, certificate=certificate)
+    return LinearModel(ports=ports, certificate=certificate, **arrays)
 
 
 def _letters(first_order: bool) -> str:

@@ -392,9 +392,8 @@ def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
     return sparse.csc_array(matrix, dtype=float)
 
 
-def _array(values: object, letter: str, where: str) -> np.ndarray:
-    dense = isinstance(values, np.ndarray) or not sparse.issparse(values)
-    plain = np.asarray(values) if dense else values.toarray()
+def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
+    plain = values.toarray() if sparse.issparse(values) else np.asarray(values)
     _finite(plain, letter, where)
     if plain.ndim != 2:
         raise UsageError(

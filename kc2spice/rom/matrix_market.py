@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from kc2spice.rom.pencil import Matrix
+from kc2spice.rom.operators import Matrix
 
 _FORMS = ("coordinate", "array")
 _FIELDS = ("real", "double", "integer")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,10 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, inverses
 
-sparse = lazy("scipy.sparse")
+if TYPE_CHECKING:
+    from scipy import sparse
+else:
+    sparse = lazy("scipy.sparse")
 
 Matrix: TypeAlias = Any  # np.ndarray, sparse.csc_array, Schur or Sum; scipy brings no types
 

@@ -325,6 +325,6 @@ def _range(columns: np.ndarray) -> np.ndarray:
 def _principal(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Left singular vectors and values."""
     if columns.shape[1] > 2 * columns.shape[0]:  # a thinner matrix of the same directions
-        columns = np.linalg.qr(columns.T, mode="r").T
+        columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
     return U, size

@@ -182,14 +182,14 @@ def _source_loops(scene: Scene) -> None:
 
 def _grounded(scene: Scene) -> None:
     """Every part is joined to ground, over others if need be: else its potentials are open."""
-    first = {part: (part, pin) for part, pin in reversed(scene.nets)}
+    first = {part: (part, pin) for part, pin in reversed(list(scene.nets))}
     union = _Union([_GROUND, *scene.nets])
     at: dict[str, Pin] = {"0": _GROUND}
     for pin, net in scene.nets.items():
         union.join(pin, at.setdefault(net, pin))
         union.join(pin, first[pin[0]])
-    for part, pin in scene.nets:
-        if union.find((part, pin)) != union.find(_GROUND):
+    for part, name in scene.nets:
+        if union.find((part, name)) != union.find(_GROUND):
             free = [f"{n}.{p}" for n, p in scene.nets if union.find((n, p)) != union.find(_GROUND)]
             raise UsageError(
                 "nothing of this circuit is on ground",

@@ -35,7 +35,8 @@ def part_docs() -> Iterator[PartDoc]:
     """All part types in the order of their names."""
     shown = _in_gallery()
     for name, kind in part_types().items():
-        scene_name, pins = None, ()
+        scene_name: str | None = None
+        pins: tuple[Terminal, ...] = ()
         if kind.example:
             pins = _pins(load_scene({"name": "example", **parse_toml(kind.example)}), kind)
         elif name in shown:

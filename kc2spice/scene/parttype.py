@@ -346,6 +346,10 @@ class PartType:
         """Further files of a run; writes them into ``folder`` and gives their names."""
         return ()
 
+    def indentation_modulus(self, part: Part) -> float | None:
+        """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
+        return None
+
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None

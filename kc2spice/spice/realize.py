@@ -509,16 +509,17 @@ def _block_cards(
             if row[column] != 0
         ]
 
-    found, start = [], 0
+    blocks: list[_Block] = []
+    start = 0
     for block in model.blocks:
         free = _free(block, 1 / farad)
         states = [
             _State(start + i + 1, list(_nonzero(farad * row, base, start)), drives(start + i), free)
             for i, row in enumerate(block)
         ]
-        found.append(_Block(states, _description(block)))
+        blocks.append(_Block(states, _description(block)))
         start += len(block)
-    return found
+    return blocks
 
 
 def _description(block: np.ndarray) -> str:

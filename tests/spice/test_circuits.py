@@ -469,3 +469,16 @@ def test_a_part_type_of_another_package_runs_in_a_scene(monkeypatch, tmp_path):
     assert found["clamp_peak_a"] == pytest.approx(peak, rel=1e-4)
     assert found["limited"] == pytest.approx(100 * peak, rel=1e-4)
     assert waves["clamp.i"].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_coil_driver_without_coils_is_refused():
+    """Its current loop is made for the coils' inductance; without them there is nothing to build."""
+    tables = {
+        "name": "wrong_load",
+        "cmd": {"part": "source", "kind": "voltage", "dc": 1.0},
+        "drv": {"part": "linear_drive", "pins": {"command": "cmd.out"}},
+        "r": {"part": "resistor", "resistance": 10.0, "pins": {"a": "drv.drive", "b": "drv.ret"}},
+        "analysis": {"type": "transient", "stop": 1e-3},
+    }
+    with pytest.raises(UsageError, match=r"drv\.drive.*drives no coils"):
+        make_deck(build_models(load_scene(tables), Clock(silent)))

@@ -65,6 +65,7 @@ class SceneText:
 
     def __post_init__(self) -> None:
         names = (self.name, *(name for name, _ in self.files))
+        kinds: list[tuple[object, type]]
         kinds = [(each, str) for each in (*names, self.text or "")]
         kinds += [(content, bytes) for _, content in self.files]
         for value, kind in kinds:

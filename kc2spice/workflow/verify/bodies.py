@@ -205,7 +205,8 @@ def _deck(
             expected=", ".join(each.name for each in libraries) or "a library",
         )  # fmt: skip
     rom: LinearModel = build.model(part)
-    blocks, vectors = [], {}
+    blocks: list[Block] = []
+    vectors: dict[str, tuple[str, float]] = {}
     inputs = [port for port in rom.ports if port.kind != "output"]
     for load in inputs:
         cards, found = _copy(rom, own, load)

@@ -185,13 +185,14 @@ def _points(
     circuit: Circuit, sweep: tuple[tuple[str, float] | None, np.ndarray] | None
 ) -> dict[str, np.ndarray]:
     system = circuit.system()
-    if sweep is None or sweep[0] is None:
-        count = 1 if sweep is None else sweep[1].size
+    source, values = (None, np.zeros(1)) if sweep is None else sweep
+    if source is None:
+        count = values.size
         point = equilibrium.operating_point(system).values
         solved = {name: np.full(count, value) for name, value in point.items()}
     else:
-        (source, scale), values = sweep
-        solved = equilibrium.dc(system, source, scale * values)
+        name, scale = source
+        solved = equilibrium.dc(system, name, scale * values)
     return _read(circuit, solved, np.zeros(1))
 
 
@@ -204,12 +205,12 @@ def _read(
     for name, reading in circuit.readings.items():
         if not {wave for _, wave in reading.terms} <= known:
             continue
-        value = sum(factor * waves[wave] for factor, wave in reading.terms)
+        value = np.asarray(sum(factor * waves[wave] for factor, wave in reading.terms))
         if np.iscomplexobj(value):  # small signals have no constant part
             value = value / (2j * np.pi * scale) if reading.charge else value
         else:
             value = value + reading.constant
-        found[name] = np.asarray(value)
+        found[name] = value
     return found
 
 
