@@ -472,7 +472,7 @@ def test_a_part_type_of_another_package_runs_in_a_scene(monkeypatch, tmp_path):
 
 
 def test_a_coil_driver_without_coils_is_refused():
-    """Its current loop is made for the coils' inductance; without them there is nothing to build."""
+    """Its current loop is made for their inductance; without them there is nothing to build."""
     tables = {
         "name": "wrong_load",
         "cmd": {"part": "source", "kind": "voltage", "dc": 1.0},
