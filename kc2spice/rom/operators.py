@@ -65,10 +65,13 @@ class Schur:
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
         T = sparse.diags_array(t)
-        return Schur(
+        found = Schur(
             sparse.csc_array(T @ self.uu @ T), sparse.csc_array(T @ self.up),
             sparse.csc_array(self.pu @ T), self.pp,
         )  # fmt: skip
+        if "inner" in self.__dict__:  # the factor of the same block
+            found.__dict__["inner"] = self.inner
+        return found
 
     def toarray(self) -> np.ndarray:
         """The dense matrix."""

@@ -186,7 +186,10 @@ class Pencil:
                 rows = abs(plain).max(axis=1)
                 rows = rows.toarray() if sparse.issparse(rows) else rows
                 size += abs(c) * omega**k * np.asarray(rows, dtype=float).ravel()
-        t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+        return self.in_units(1 / np.sqrt(np.where(size > 0, size, 1.0)))
+
+    def in_units(self, t: np.ndarray) -> Pencil:
+        """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""
         T = sparse.diags_array(t)
 
         def both(P: Matrix) -> Matrix:

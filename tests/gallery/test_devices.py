@@ -19,6 +19,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import frequency
 from kc2spice.workflow.run import run
+from kc2spice.workflow.verify.verify import verify
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
@@ -287,3 +288,16 @@ def test_frequency_of_a_tone_is_counted_in_the_last_half():
     chirp = np.where(t < 0.5, np.sin(2 * np.pi * 5 * t), 3 + np.sin(2 * np.pi * 40 * t))
     assert frequency(t, chirp) == pytest.approx(40, rel=1e-3)
     assert frequency(t, np.ones_like(t)) is None
+
+
+# A base that accelerates, two electrodes on one cathode, a thin free plate; the rest takes minutes.
+QUICK = ("harvester", "buzzer_self", "buzzer_7bb_20_3")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in PUBLISHED]
+)
+def test_every_device_is_verified(name, tmp_path):
+    record = verify([load_scene(name)], tmp_path / "out")[name]
+    assert record["passed"], [check for check in record["checks"] if not check["passed"]]
+    assert record["errors"]["rom_vs_fom"] < 1e-4
