@@ -107,13 +107,17 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     rounding = eps * full.size * float(sizes[0])
     error = _solution_error(response, band)
     if error > limit:
-        raise SimulationError(
-            "the full model itself is not that accurate", where="reduction",
-            got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
-            hint="ask for a looser tolerance; other units or a coarser mesh may help",
-        )  # fmt: skip
+        raise _inaccurate(f"two direct solutions differ by {error:.1e}", limit)
     return Subspace(full, error, static, f"being all of the full model, solved to {error:.0e}",
                     rounding)  # fmt: skip
+
+
+def _inaccurate(got: str, limit: float) -> SimulationError:
+    return SimulationError(
+        "the full model itself is not that accurate", where="reduction", got=got,
+        expected=f"at most {limit:.1e}",
+        hint="ask for a looser tolerance; other units or fewer elements may condition it better",
+    )  # fmt: skip
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
@@ -162,7 +166,8 @@ def _block_krylov(
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
-            return _with_rounding(pencil, V, band, Subspace(response.pencil, change, True, proof))
+            space = Subspace(response.pencil, change, True, proof)
+            return _with_rounding(pencil, V, band, space, limit)
         previous = response
         slow = change > before / GAIN and V.shape[1] > START * pencil.B.shape[1]
         if columns.shape[1] and not slow:
@@ -225,11 +230,11 @@ def _rational(
         K = abs(K.uu if isinstance(K, Schur) else K)
         rounding = np.finfo(float).eps * float((abs(V).T @ (K @ abs(V))).max())
     found = Subspace(search.response.pencil, worst, search.static, proof, rounding)
-    return _with_rounding(pencil, V, band, found)
+    return _with_rounding(pencil, V, band, found, limit)
 
 
 def _with_rounding(
-    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace
+    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace, limit: float
 ) -> Subspace:
     """What rounding of the full model's own entries makes of its resonances joins the error.
 
@@ -249,6 +254,8 @@ def _with_rounding(
         size = relative_size(again.transfer(2j * np.pi * points) - H, H)
         size[:, exact.cancelled(2j * np.pi * points)] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
+    if apart > 2 * limit:
+        raise _inaccurate(f"rounding its entries anew moves a resonance by {apart:.1e}", limit)
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
     return replace(found, error=found.error + apart, proof=proof)
 

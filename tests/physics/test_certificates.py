@@ -4,11 +4,15 @@ The oracle shares no code with the reduction: poles by scipy's eigenvalues of th
 responses by numpy's solver at, beside and between them.
 """
 
+import time
+
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.linalg import eigvals
 
 from kc2spice.bodies import disc
+from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
@@ -105,3 +109,69 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
     found = direct((rom.M, rom.E, rom.K, rom.B, rom.C), frequency) + rom.D
     error = (np.abs(found - exact) / np.abs(exact)).max()
     assert 1e-8 < error <= rom.certificate.error_estimate <= 1e-5
+
+
+def cantilever(elements, ratio):
+    """Hermite beam, E I = rho A = length = 1, force and displacement at the tip."""
+    h = 1 / elements
+    k = (
+        np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+            ]
+        )
+        / h**3
+    )
+    m = np.array([
+        [156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+        [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+    ])  # fmt: skip
+    K, M = np.zeros((2, 2 * elements + 2, 2 * elements + 2))
+    for i in range(elements):
+        s = slice(2 * i, 2 * i + 4)
+        K[s, s] += k
+        M[s, s] += m * h / 420
+    B = np.zeros((2 * elements, 1))
+    B[-2] = 1.0
+    K, M = (sparse.csc_array(P[2:, 2:]) for P in (K, M))
+    return LinearModel(M=M, K=K, B=B, rayleigh=(0.0, ratio))
+
+
+def test_cantilever_of_300_hermite_elements_says_how_good_it_is_itself():
+    """Condition 1e10: refused below that; above, the beam's closed form is within the estimate."""
+    beta = 2 * 0.01 / 3.516
+    full = cantilever(300, beta)
+    with pytest.raises(SimulationError, match="full model itself is not that accurate"):
+        reduce(full, tolerance=1e-6, band=(0.0, 5.0))
+    rom = reduce(full, tolerance=1e-4, band=(0.0, 5.0))
+    frequency = np.linspace(0.05, 5.0, 200)
+    w = 2 * np.pi * frequency
+    stiff = 1 + 1j * w * beta
+    x = (w**2 / stiff) ** 0.25
+    shape = np.sin(x) * np.cosh(x) - np.cos(x) * np.sinh(x)
+    exact = shape / (stiff * x**3 * (1 + np.cos(x) * np.cosh(x)))
+    error = np.abs(rom.transfer(frequency)[:, 0, 0] / exact - 1).max()
+    assert 1e-8 < error < rom.certificate.error_estimate < 1e-4
+
+
+@pytest.mark.slow
+def test_chain_of_600_lightly_damped_masses_takes_seconds():
+    """Poles of a uniform chain are 2 sqrt(k/m) sin(j pi / (2 (n + 1))): 600 of them in the band."""
+    n, k, m, ratio = 600, 4e6, 1e-6, 1e-5
+    K = k * sparse.diags_array(
+        [-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=(-1, 0, 1)
+    )
+    full = LinearModel(
+        M=m * sparse.eye_array(n, format="csc"), K=K.tocsc(), B=np.eye(n)[:, [0, n - 1]],
+        rayleigh=(0.0, ratio * np.sqrt(m / k)),
+    )  # fmt: skip
+    started = time.process_time()
+    rom = reduce(full, tolerance=1e-4, band=(0.0, 3e5))
+    assert time.process_time() - started < 60
+    poles = np.sort(np.abs(rom.poles()[rom.poles().imag > 0]))
+    exact = 2 * np.sqrt(k / m) * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
+    low = exact[exact < 2 * np.pi * 1e5]
+    np.testing.assert_allclose(poles[: low.size], low, rtol=1e-6)
