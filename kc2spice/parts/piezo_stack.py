@@ -15,6 +15,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.parts.netlist import first_netlist
@@ -34,6 +35,7 @@ from kc2spice.scene.settings import Rom
 
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
+    from kc2spice.bodies.convergence import MeshError
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
     from kc2spice.scene.gates import FullSolution, Table
@@ -120,7 +122,8 @@ class PiezoStack(LinearBody):
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
         made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
-        yield from within(f"{name}.side", keys.side, "m", 1e-4, 0.1, made)
+        wide = "side" if keys.diameter is None else "diameter"
+        yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, made)
         yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, made)
         layer = keys.height / keys.layers
         tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
@@ -131,6 +134,11 @@ class PiezoStack(LinearBody):
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
+        if part.keys.poling == "x":
+            raise UsageError(
+                "the top of a stack that shears moves sideways: nothing can press on it",
+                where=f"{part.name}.poling", got="x", expected="z under a contact",
+            )  # fmt: skip
         radii = ring_radii(part.keys)
         names = ports or tuple(f"R{k}" for k in range(len(radii)))
         distance = tuple(float(radii[_ring(part, name)]) for name in names)
@@ -247,27 +255,45 @@ class PiezoStack(LinearBody):
             effect += f" to R{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
 
-    def mesh_error(self, part: Part, scene: Scene) -> None:
-        """Known from a mesh study (:meth:`errors`), so that explain need not compute one."""
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
+        """Known from a mesh study where a sphere meets the usual mesh (:meth:`errors`)."""
+        return None if self._studied(part, scene) else super().mesh_error(part, scene)
 
-    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
-        usual = Chip().mesh
+    def _studied(self, part: Part, scene: Scene) -> bool:
+        mesh, usual = part.keys.mesh, Chip().mesh
         same = (mesh.ring_spacing, mesh.rings, mesh.refine, mesh.sectors) == (
             usual.ring_spacing, usual.rings, usual.refine, usual.sectors,
         )  # fmt: skip
-        pressed = bool(scene.of("contact")) and scene.analysis.type == "transient"
+        return same and bool(scene.of("contact")) and scene.analysis.type == "transient"
+
+    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
+        studied = self._studied(part, scene)
         yield ErrorRow(
             "mesh",
             None,
-            MESH_ERROR if pressed and same else None,
+            MESH_ERROR if studied else None,
             f"{part.name}.mesh.refine {mesh.refine}, ring_spacing {mesh.ring_spacing:g} m",
-            f"{why}; finer rings move launch and impact by 2 %" if pressed and same else why,
+            f"{why}; finer rings move launch and impact by 2 %" if studied else why,
         )
 
 
 def mounted(keys: Chip) -> str:
-    """What holds the bottom face, in words."""
+    """What holds the bottom face, and what else is not the plain stack, in words."""
+    said = [_held(keys)]
+    if keys.poling == "x":
+        said.append("poled along x: it shears")
+    for place, cap in (("below", keys.bottom_cap), ("on top", keys.top_cap)):
+        if cap is not None:
+            made_of = cap.material if isinstance(cap.material, str) else "material of its own"
+            named = "unpoled ceramic" if cap.material is None else made_of
+            said.append(f"{1e3 * cap.thickness:g} mm of {named} {place}")
+    if keys.preload_spring is not None:
+        said.append(f"a spring of {keys.preload_spring:g} N/m on the top face")
+    return ", ".join(said)
+
+
+def _held(keys: Chip) -> str:
     if isinstance(keys.mounting, float):
         return f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"
     words = {
@@ -280,7 +306,8 @@ def mounted(keys: Chip) -> str:
 
 def chip_of(keys: Stack) -> Chip:
     """What the FE model depends on: pulse, driver and electrical boundary act on the circuit."""
-    return Chip(**{name: getattr(keys, name) for name in Chip.model_fields})
+    given = Chip.model_fields.keys() & keys.model_fields_set
+    return Chip(**{name: getattr(keys, name) for name in given})
 
 
 def ring_radii(keys: Chip) -> np.ndarray:
@@ -330,15 +357,11 @@ def highest_voltage(part: Part, scene: Scene) -> float:
 
 
 def free_stroke(keys: Chip, voltage: float) -> float:
-    """Static stroke [m] of the free stack: ``layers d33 |voltage|``."""
-    return keys.layers * abs(charge_constant(keys.material) * voltage)
-
-
-def charge_constant(material: Any) -> float:
-    """d33 [m/V] of a 6mm ceramic, from ``d = e C^-1``."""
-    c11, c12, c13, c33, _, _ = material.stiffness
-    e31, e33, _ = material.coupling
-    return (e33 * (c11 + c12) - 2 * e31 * c13) / ((c11 + c12) * c33 - 2 * c13**2)
+    """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
+    one that shears."""
+    C, e, _ = keys.material.tensors()
+    axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
+    return keys.layers * abs(np.linalg.solve(C, e[axis])[strain] * voltage)
 
 
 def indentation_modulus(keys: Chip) -> float:
@@ -346,7 +369,10 @@ def indentation_modulus(keys: Chip) -> float:
 
     Source: Delafargue and Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
     """
-    c11, _, c13, c33, c44, _ = keys.material.stiffness
+    C, _, _ = keys.material.tensors()
+    if keys.top_cap is not None and keys.top_cap.material is not None:
+        C = material(keys.top_cap.material, "top_cap.material").C
+    c11, c13, c33, c44 = C[0, 0], C[0, 2], C[2, 2], C[3, 3]
     mean = np.sqrt(c11 * c33)
     slender = (mean**2 - c13**2) / c11
     return float(2 * np.sqrt(slender / (1 / c44 + 2 / (mean + c13))))
@@ -378,12 +404,13 @@ def _driver_type(part: Part, kind: str) -> str:
 def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
     keys = part.keys
     outermost = keys.mesh.rings * keys.mesh.ring_spacing
-    if outermost >= keys.side / 2:
+    half = min(keys.half)
+    if outermost >= half:
         yield UsageError(
             f"the outermost of {keys.mesh.rings} contact rings lies beyond the chip",
             where=f"{part.name}.mesh.ring_spacing",
             got=f"ring radius {outermost:g} m",
-            expected=f"less than half the chip's side, {keys.side / 2:g} m",
+            expected=f"less than half the chip's smaller side, {half:g} m",
         )
     c11, c12, c13, c33, c44, c66 = keys.material.stiffness
     if min(c11 - abs(c12), (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.constants import epsilon_0
 from skfem import Basis, BilinearForm, ElementVector, FacetBasis
 
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.materials import bond
+from kc2spice.fem.materials import material as elastic_material
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.fem.piezo.memory import require_memory
-from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
+from kc2spice.fem.piezo.mesh import KickMesh, Slab, kick_mesh
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.linear import Port
 
@@ -44,16 +45,7 @@ def piezo_material(material: Material) -> PiezoMaterial:
     ------
     UsageError : stiffness or eps^S is not positive definite, so no such material exists.
     """
-    c11, c12, c13, c33, c44, c66 = material.stiffness
-    C = np.diag([c11, c11, c33, c44, c44, c66])
-    C[0, 1] = C[1, 0] = c12
-    C[:2, 2] = C[2, :2] = c13
-    e31, e33, e15 = material.coupling
-    e = np.zeros((3, 6))
-    e[0, 4] = e[1, 3] = e15
-    e[2, :3] = e31, e31, e33
-    in_plane, axial = material.permittivity
-    eps = epsilon_0 * np.diag([in_plane, in_plane, axial])
+    C, e, eps = material.tensors()
     _require_definite(C, "kick.material.stiffness")
     if material.permittivity_at == "stress":
         eps = eps - e @ np.linalg.solve(C, e.T)
@@ -78,9 +70,10 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
     ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
-    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. Even electrode
-    planes are the grounded cathode, odd ones the anode. Free potentials exist only where a plane
-    of nodes lies inside a layer. ``mesh`` is that of ``kick``, made here if not given.
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. A stack poled along
+    x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Even electrode planes are the
+    grounded cathode, odd ones the anode. Free potentials exist only where a plane of nodes lies
+    inside an active layer. ``mesh`` is that of ``kick``, made here if not given.
 
     Raises
     ------
@@ -89,10 +82,15 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     """
     require_memory(kick)
     mesh = kick_mesh(kick) if mesh is None else mesh
-    M, K_uu, K_uphi, K_phi = assemble_matrices(mesh, piezo_material(kick.material))
+    M, K_uu, K_uphi, K_phi = assemble_matrices(
+        mesh, _poled(piezo_material(kick.material), kick.poling), *_cap_materials(kick)
+    )
     if isinstance(kick.mounting, float):
         K_uu = _symmetric(K_uu + kick.mounting * bottom_face(mesh))
-    free = free_displacements(mesh, kick.mounting)
+    if kick.preload_spring is not None:
+        face = top_face(mesh)
+        K_uu = _symmetric(K_uu + kick.preload_spring / QUARTERS / face.sum() * face)
+    free = free_displacements(mesh, kick)
     anode, inner = _electrodes(mesh)
     K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
     K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
@@ -105,7 +103,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
         k_uV=k_uV,
         k_pV=k_pV,
         c_VV=float(anode @ K_phi @ anode),
-        B=ring_shapes(mesh)[free],
+        B=ring_shapes(mesh, kick.poling)[free],
         ports=(*rings, Port("anode", "electrical", pins=("anode", "cathode"))),
         alpha=kick.damping.alpha,
         beta=kick.damping.beta,
@@ -116,31 +114,74 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     )
 
 
+def _poled(material: PiezoMaterial, axis: str) -> PiezoMaterial:
+    """The ceramic with its poling along ``axis``."""
+    if axis == "z":
+        return material
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # z to x
+    M = bond(turn)
+    return PiezoMaterial(
+        M @ material.C @ M.T, turn @ material.e @ M.T, turn @ material.eps @ turn.T,
+        material.density,
+    )  # fmt: skip
+
+
+def _cap_materials(kick: Chip) -> tuple[PiezoMaterial | None, PiezoMaterial | None]:
+    """Elastic materials of the caps below and above."""
+    own = piezo_material(kick.material)
+    found: list[PiezoMaterial | None] = []
+    for name, cap in (("bottom_cap", kick.bottom_cap), ("top_cap", kick.top_cap)):
+        if cap is None:
+            found.append(None)
+        elif cap.material is None:
+            found.append(replace(own, e=np.zeros((3, 6))))
+        else:
+            named = elastic_material(cap.material, f"kick.{name}.material")
+            found.append(PiezoMaterial(named.C, np.zeros((3, 6)), named.eps_S, named.density))
+    return found[0], found[1]
+
+
 def assemble_matrices(
-    mesh: KickMesh, material: PiezoMaterial
+    mesh: KickMesh,
+    material: PiezoMaterial,
+    bottom: PiezoMaterial | None = None,
+    top: PiezoMaterial | None = None,
 ) -> tuple[sparse.csc_array, sparse.csc_array, sparse.csc_array, sparse.csc_array]:
     """``M, K_uu, K_uphi, K_phi`` over all nodes, no constraint; displacement ``3 node + axis``.
 
     Equal layers differ only in the direction of polarisation, hence in the sign of the coupling:
     poled along -z above a cathode, so that a positive anode voltage lengthens every layer.
+    ``bottom`` and ``top`` are what the caps are made of.
     """
-    scalar = Basis(mesh.layer, mesh.element, intorder=2 * mesh.order + 1)
-    _require_upright(scalar)
-    vector = scalar.with_element(ElementVector(mesh.element))
     potentials = mesh.node
     displacements = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
-    same = np.ones(mesh.layers)
     poling = np.where(np.arange(mesh.layers) % 2, 1.0, -1.0)
-    M = _mass(material.density).assemble(vector)
-    K_uu = _stiffness(material.C).assemble(vector)
+    scalar, vector = _bases(mesh, mesh.active)
     K_uphi = _coupling(material.e).assemble(scalar, vector)
     K_phi = _dielectric(material.eps).assemble(scalar)
+    M = K_uu = 0
+    for slab, made_of in ((mesh.active, material), (mesh.bottom, bottom), (mesh.top, top)):
+        if slab is None or made_of is None:
+            continue
+        _, vector = _bases(mesh, slab)
+        same = np.ones(slab.count)
+        mass = _mass(made_of.density).assemble(vector)
+        stiffness = _stiffness(made_of.C).assemble(vector)
+        M = M + _sweep(mass, mesh, slab, same, displacements, displacements)
+        K_uu = K_uu + _sweep(stiffness, mesh, slab, same, displacements, displacements)
+    same = np.ones(mesh.layers)
     return (
-        _symmetric(_sweep(M, mesh, same, displacements, displacements)),
-        _symmetric(_sweep(K_uu, mesh, same, displacements, displacements)),
-        _sweep(K_uphi, mesh, poling, displacements, potentials),
-        _symmetric(_sweep(K_phi, mesh, same, potentials, potentials)),
+        _symmetric(M),
+        _symmetric(K_uu),
+        _sweep(K_uphi, mesh, mesh.active, poling, displacements, potentials),
+        _symmetric(_sweep(K_phi, mesh, mesh.active, same, potentials, potentials)),
     )
+
+
+def _bases(mesh: KickMesh, slab: Slab) -> tuple[Basis, Basis]:
+    scalar = Basis(slab.layer, mesh.element, intorder=2 * mesh.order + 1)
+    _require_upright(scalar)
+    return scalar, scalar.with_element(ElementVector(mesh.element))
 
 
 def _require_upright(basis: Basis) -> None:
@@ -159,16 +200,19 @@ def _require_upright(basis: Basis) -> None:
 def _sweep(
     layer: sparse.csr_matrix,
     mesh: KickMesh,
+    slab: Slab,
     sign: np.ndarray,
     row_dofs: np.ndarray,
     col_dofs: np.ndarray,
 ) -> sparse.csc_array:
-    """Sum of ``sign[l]`` times the matrix of one layer, moved up by ``l`` layers of nodes."""
+    """Sum of ``sign[l]`` times the matrix of one layer of the slab, moved up by ``l`` of them."""
     local = layer.tocoo()
     nodes, stride = len(mesh.plane) * len(mesh.heights), len(mesh.plane) * mesh.steps
     per_node = [dofs.size // mesh.node.size for dofs in (row_dofs, col_dofs)]
     index = [
-        np.add.outer(n * stride * np.arange(mesh.layers), dofs[entry]).ravel()
+        np.add.outer(
+            n * (slab.first * len(mesh.plane) + stride * np.arange(slab.count)), dofs[entry]
+        ).ravel()
         for n, dofs, entry in zip(
             per_node, (row_dofs, col_dofs), (local.row, local.col), strict=True
         )
@@ -214,26 +258,43 @@ def _dielectric(eps: np.ndarray) -> BilinearForm:
 
 
 def bottom_face(mesh: KickMesh) -> sparse.csc_array:
-    """``int u . v dA`` over the bottom face, unknowns ``3 node + axis``: its sum is 3 areas."""
-    facets = mesh.layer.facets_satisfying(lambda x: np.abs(x[2]) < 1e-9 * mesh.heights[-1])
+    """``int u . v dA`` over the bottom face, unknowns ``3 node + axis``; it sums to 3 areas."""
+    return _face(mesh, mesh.bottom or mesh.active, np.ones(_AXES), upper=False)
+
+
+def top_face(mesh: KickMesh) -> sparse.csc_array:
+    """``int u_z v_z dA`` over the top face; it sums to the area."""
+    return _face(mesh, mesh.top or mesh.active, np.array([0.0, 0.0, 1.0]), upper=True)
+
+
+def _face(mesh: KickMesh, slab: Slab, axes: np.ndarray, *, upper: bool) -> sparse.csc_array:
+    """``int sum_i axes_i u_i v_i dA`` over the upper or lower face of a slab."""
+    z = slab.layer.p[2]
+    height = z.max() if upper else z.min()
+    near = 1e-6 * np.ptp(z)
+    plane = slab.first + (mesh.steps * (slab.count - 1) if upper else 0)
+    facets = slab.layer.facets_satisfying(lambda x: np.abs(x[2] - height) < near)
     basis = FacetBasis(
-        mesh.layer, ElementVector(mesh.element), facets=facets, intorder=2 * mesh.order + 1
+        slab.layer, ElementVector(mesh.element), facets=facets, intorder=2 * mesh.order + 1
     )
-    local = BilinearForm(lambda u, v, _: np.sum(u * v, axis=0)).assemble(basis).tocoo()
+    weight = axes[:, None, None]
+    local = BilinearForm(lambda u, v, _: np.sum(weight * u * v, axis=0)).assemble(basis).tocoo()
     dofs = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
+    dofs = dofs + _AXES * plane * len(mesh.plane)
     size = _AXES * len(mesh.plane) * len(mesh.heights)
     entries = (local.data, (dofs[local.row], dofs[local.col]))
     return sparse.csc_array(sparse.coo_array(entries, shape=(size, size)))
 
 
-def free_displacements(mesh: KickMesh, mounting: str | float = "roller") -> np.ndarray:
+def free_displacements(mesh: KickMesh, kick: Chip) -> np.ndarray:
     """Numbers ``3 node + axis`` of the unconstrained displacements, plane by plane."""
     tolerance = 1e-9 * mesh.heights[-1]
     x, y = np.abs(mesh.plane.T) < tolerance
     free = np.ones((len(mesh.heights), len(mesh.plane), _AXES), dtype=bool)
-    free[:, x, 0] = False
+    for axis in (0,) if kick.poling == "z" else (1, 2):
+        free[:, x, axis] = False
     free[:, y, 1] = False
-    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(mounting), ())
+    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(kick.mounting), ())
     for axis in held:
         free[0, :, axis] = False
     return np.flatnonzero(free)
@@ -241,14 +302,15 @@ def free_displacements(mesh: KickMesh, mounting: str | float = "roller") -> np.n
 
 def _electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
     """Indicator (nodes,) of the anode planes, and the numbers of the free potentials."""
-    plane = np.arange(len(mesh.heights))
-    anode = np.repeat(plane % (2 * mesh.steps) == mesh.steps, len(mesh.plane))
-    inner = np.repeat(plane % mesh.steps != 0, len(mesh.plane))
+    plane = np.arange(len(mesh.heights)) - mesh.active.first
+    live = (plane >= 0) & (plane <= mesh.steps * mesh.layers)
+    anode = np.repeat(live & (plane % (2 * mesh.steps) == mesh.steps), len(mesh.plane))
+    inner = np.repeat(live & (plane % mesh.steps != 0), len(mesh.plane))
     return anode.astype(float), np.flatnonzero(inner)
 
 
-def ring_shapes(mesh: KickMesh) -> np.ndarray:
-    """Columns (3 nodes, rings): force shape of a unit ring force, equal along the circle.
+def ring_shapes(mesh: KickMesh, axis: str = "z") -> np.ndarray:
+    """Columns (3 nodes, rings): shape of a unit ring force along ``axis``, equal along the circle.
 
     Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
     one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
@@ -259,5 +321,5 @@ def ring_shapes(mesh: KickMesh) -> np.ndarray:
         weights = np.ones(len(ring))
         if len(ring) > 1:
             weights[[0, -1]] = 0.5
-        shapes[_AXES * (top + ring) + 2, column] = weights / weights.sum()
+        shapes[_AXES * (top + ring) + "xyz".index(axis), column] = weights / weights.sum()
     return shapes

@@ -52,7 +52,7 @@ def contact_surface(
     plane get half of their neighbours' share.
     """
     mesh = kick_mesh(kick)
-    rings = ring_shapes(mesh)[free_displacements(mesh, kick.mounting)]
+    rings = ring_shapes(mesh, kick.poling)[free_displacements(mesh, kick)]
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
     if not per_node:
         penalty = np.full(rings.shape[1], stiffness)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+from scipy.constants import epsilon_0
 
+from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
     Count,
     Density,
@@ -18,7 +21,9 @@ from kc2spice.core.quantities import (
     Rate,
     Ratio,
     Section,
+    Stiffness,
 )
+from kc2spice.fem.materials import material
 
 
 class Material(Section):
@@ -36,6 +41,19 @@ class Material(Section):
         (3370.0, 3300.0), description="relative, 11 and 33, at constant permittivity_at"
     )
     permittivity_at: Literal["stress", "strain"] = "stress"
+
+    def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
+        c11, c12, c13, c33, c44, c66 = self.stiffness
+        C = np.diag([c11, c11, c33, c44, c44, c66])
+        C[0, 1] = C[1, 0] = c12
+        C[:2, 2] = C[2, :2] = c13
+        e31, e33, e15 = self.coupling
+        e = np.zeros((3, 6))
+        e[0, 4] = e[1, 3] = e15
+        e[2, :3] = e31, e31, e33
+        in_plane, axial = self.permittivity
+        return C, e, epsilon_0 * np.diag([in_plane, in_plane, axial])
 
 
 class ChipMesh(Section):
@@ -62,15 +80,79 @@ class Damping(Section):
         return self.ratio / (math.pi * self.at)
 
 
+def _from_library(given: object) -> object:
+    """A ceramic by its name in the library of materials, as the twelve constants of class 6mm."""
+    if not isinstance(given, str):
+        return given
+    try:
+        named = material(given)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    C, e, eps = named.C, named.e, named.eps_S / epsilon_0
+    c = C[0, 0], C[0, 1], C[0, 2], C[2, 2], C[3, 3], C[5, 5]
+    keys = {
+        "density": named.density, "stiffness": tuple(map(float, c)),
+        "coupling": (float(e[2, 0]), float(e[2, 2]), float(e[0, 4])),
+        "permittivity": (float(eps[0, 0]), float(eps[2, 2])), "permittivity_at": "strain",
+    }  # fmt: skip
+    found = Material(**keys)
+    same = (found.tensors()[0], C), (found.tensors()[1], named.e), (found.tensors()[2], named.eps_S)
+    if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):
+        raise ValueError(f"{given} is no ceramic poled along z (class 6mm)")
+    return keys
+
+
+class Cap(Section):
+    """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
+
+    thickness: Length = Field(gt=0)
+    material: str | dict[str, Any] | None = None
+
+
 class Chip(Section):
-    """Layered piezoelectric chip with square cross-section, one quarter of it modelled."""
+    """Layered piezoelectric stack, one quarter of it modelled: its cross-section is a square of
+    ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a circle of ``diameter``.
+
+    ``height`` is that of the active layers: ``layers`` times ``layer_thickness`` where it is given.
+    ``poling`` along z, the field's axis, makes the stack longer; along x it shears, the rings move
+    along x.
+    """
 
     side: Length = Field(3e-3, gt=0)
+    depth: Length | None = Field(None, gt=0)
+    diameter: Length | None = Field(None, gt=0)
     height: Length = Field(2e-3, gt=0)
     layers: Count = Field(33, ge=1, le=400)
-    material: Material = Material()
+    layer_thickness: Length | None = Field(None, gt=0)
+    bottom_cap: Cap | None = None
+    top_cap: Cap | None = None
+    material: Annotated[Material, BeforeValidator(_from_library)] = Material()
+    poling: Literal["z", "x"] = "z"
     mesh: ChipMesh = ChipMesh()
     damping: Damping = Damping()
     mounting: Mounting = Field(
         "roller", description="of the bottom face: roller, glued, free, or stiffness per area N/m3"
     )
+    preload_spring: Stiffness | None = Field(
+        None, gt=0, description="of the spring that presses evenly on the top face"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Chip:
+        if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
+            raise ValueError("give diameter, or side and depth")
+        if self.layer_thickness is not None:
+            height = self.layers * self.layer_thickness
+            if "height" in self.model_fields_set and not math.isclose(height, self.height):
+                raise ValueError("give height or layer_thickness; height is layers times it")
+            object.__setattr__(self, "height", height)
+        if self.poling == "x" and self.mounting in ("roller", "free"):
+            raise ValueError('a stack that shears needs a mounting that holds it: "glued"')
+        return self
+
+    @property
+    def half(self) -> tuple[float, float]:
+        """Half the extent [m] along x and y."""
+        if self.diameter is not None:
+            return self.diameter / 2, self.diameter / 2
+        return self.side / 2, (self.side if self.depth is None else self.depth) / 2

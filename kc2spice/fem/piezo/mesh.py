@@ -17,22 +17,34 @@ from skfem import ElementHex1, ElementHex2, MeshHex1, MeshHex2
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.gmsh_session import gmsh_session
-from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.keys import Cap, Chip
+
+
+@dataclass(frozen=True)
+class Slab:
+    """``count`` equal layers of nodes from plane ``first`` on; ``layer`` is the lowest of them."""
+
+    layer: MeshHex1
+    first: int
+    count: int
 
 
 @dataclass(frozen=True)
 class KickMesh:
-    """Quarter chip ``0 <= x, y <= side/2``, ``0 <= z <= height``.
+    """Quarter chip ``0 <= x, y``, ``0 <= z``, its bottom cap included.
 
     Attributes
     ----------
-    layer : scikit-fem mesh of the bottom layer; the hexahedra at the axis have one edge collapsed.
+    layer : scikit-fem mesh of the lowest active layer; the hexahedra at the axis have one edge
+        collapsed.
     element, order : scalar element on ``layer``: trilinear, or triquadratic and isoparametric.
     node : (scalar dofs of ``layer``,) their node numbers; the axis has one node per plane.
     plane : (nodes per plane, 2) positions [m], the centre first, then ring by ring.
     heights : (planes,) [m]. Node ``k * len(plane) + i`` is node ``i`` of plane ``k``.
     steps : planes per layer.
     rings : node numbers within the plane for R0 (centre), R1, ... from the x to the y axis.
+    layers : number of piezoelectric layers.
+    bottom, top : slabs without field below and above them.
     """
 
     layer: MeshHex1
@@ -43,11 +55,15 @@ class KickMesh:
     heights: np.ndarray
     steps: int
     rings: tuple[np.ndarray, ...]
+    layers: int
+    bottom: Slab | None = None
+    top: Slab | None = None
 
     @property
-    def layers(self) -> int:
-        """Number of piezoelectric layers."""
-        return (len(self.heights) - 1) // self.steps
+    def active(self) -> Slab:
+        """The piezoelectric layers."""
+        first = self.bottom.count * self.steps if self.bottom else 0
+        return Slab(self.layer, first, self.layers)
 
 
 def kick_mesh(kick: Chip) -> KickMesh:
@@ -60,30 +76,53 @@ def kick_mesh(kick: Chip) -> KickMesh:
     _check(kick)
     steps = kick.mesh.refine * kick.mesh.order
     plane = _in_plane(kick, steps)
-    layer, element, node = _layer(kick, plane, steps)
+    layer, element, node = _layer(kick, plane, steps, kick.height / kick.layers)
     stations = steps * np.arange(kick.mesh.rings + 1)
     spokes = plane.shape[1]
     ring_nodes = [np.array([0])] + [1 + (i - 1) * spokes + np.arange(spokes) for i in stations[1:]]
+    caps = [(cap, cap_layers(kick, cap)) for cap in (kick.bottom_cap, kick.top_cap)]
+    counts = [caps[0][1], kick.layers, caps[1][1]]
+    first = steps * np.concatenate([[0], np.cumsum(counts)])
+    slabs = [
+        Slab(_layer(kick, plane, steps, cap.thickness / count)[0], int(start), count)
+        if cap else None
+        for (cap, count), start in zip(caps, first[[0, 2]], strict=True)
+    ]  # fmt: skip
+    thick = [caps[0][0], kick.height, caps[1][0]]
+    heights = np.zeros(1)
+    for each, count in zip(thick, counts, strict=True):
+        size = each.thickness if isinstance(each, Cap) else each or 0.0
+        heights = np.append(heights[:-1], heights[-1] + np.linspace(0, size, steps * count + 1))
     return KickMesh(
         layer=layer,
         element=element,
         order=kick.mesh.order,
         node=node,
         plane=np.vstack([plane[0, 0], plane[1:].reshape(-1, 2)]),
-        heights=np.linspace(0, kick.height, steps * kick.layers + 1),
+        heights=heights,
         steps=steps,
         rings=tuple(ring_nodes),
+        layers=kick.layers,
+        bottom=slabs[0],
+        top=slabs[1],
     )
 
 
+def cap_layers(kick: Chip, cap: Cap | None) -> int:
+    """Layers of cells in a cap: about as thick as an active layer, sixteen at most."""
+    if cap is None:
+        return 0
+    return int(np.clip(np.ceil(cap.thickness * kick.layers / kick.height - 1e-9), 2, 16))
+
+
 def _check(kick: Chip) -> None:
-    mesh, half = kick.mesh, kick.side / 2
+    mesh, half = kick.mesh, min(kick.half)
     if mesh.rings * mesh.ring_spacing > half * (1 - 1e-6):
         raise UsageError(
             "contact ring beyond the chip",
             where="kick.mesh",
             got=f"outermost ring radius {mesh.rings * mesh.ring_spacing:g} m",
-            expected=f"less than half the side, {half:g} m",
+            expected=f"less than half the smaller side, {half:g} m",
             hint="lower kick.mesh.rings or kick.mesh.ring_spacing",
         )
     if mesh.sectors % 2:
@@ -110,17 +149,23 @@ def _in_plane(kick: Chip, steps: int) -> np.ndarray:
 
 
 def _transfinite_patches(gmsh: ModuleType, kick: Chip, steps: int) -> None:
-    """Two patches (below and above the diagonal) per ring, and two from the last ring to the edge.
+    """Two patches (below and above the corner's spoke) per ring, and two from the last ring out.
 
     Curves carry ``steps`` nodes per ring and sector, so every node is the product of two lines.
     """
-    geo, mesh, half = gmsh.model.geo, kick.mesh, kick.side / 2
+    geo, mesh, half = gmsh.model.geo, kick.mesh, kick.half
     radii = mesh.ring_spacing * np.arange(1, mesh.rings + 1)
     directions = [(1.0, 0.0), (0.5**0.5, 0.5**0.5), (0.0, 1.0)]
     circles = [[geo.addPoint(r * x, r * y, 0) for x, y in directions] for r in radii]
-    square = [geo.addPoint(x, y, 0) for x, y in ((half, 0), (half, half), (0, half))]
+    corners = [(half[0], 0), half, (0, half[1])]
+    if kick.diameter is not None:
+        # chords of linear elements enclose the circle's area
+        angle = np.pi / (2 * mesh.sectors * steps)
+        radius = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0)
+        corners = [(radius * x, radius * y) for x, y in directions]
+    square = [geo.addPoint(x, y, 0) for x, y in corners]
     centre = geo.addPoint(0, 0, 0)
-    growth = _growth(half - radii[-1], mesh.ring_spacing, mesh.outer_rings) ** (1 / steps)
+    growth = _growth(min(half) - radii[-1], mesh.ring_spacing, mesh.outer_rings) ** (1 / steps)
     along = mesh.sectors // 2 * steps + 1
 
     inner, inner_arcs = [centre] * 3, None
@@ -131,13 +176,14 @@ def _transfinite_patches(gmsh: ModuleType, kick: Chip, steps: int) -> None:
         for curve in spokes:
             geo.mesh.setTransfiniteCurve(curve, across, "Progression", growth if last else 1.0)
         pairs = [(outer[0], outer[1]), (outer[1], outer[2])]
-        arcs = [geo.addLine(p, q) if last else geo.addCircleArc(p, centre, q) for p, q in pairs]
+        straight = last and kick.diameter is None
+        arcs = [geo.addLine(p, q) if straight else geo.addCircleArc(p, centre, q) for p, q in pairs]
         for i, curve in enumerate(arcs):
             geo.mesh.setTransfiniteCurve(curve, along)
             loop = [spokes[i], curve, -spokes[i + 1]] + ([-inner_arcs[i]] if inner_arcs else [])
             patch = geo.addPlaneSurface([geo.addCurveLoop(loop)])
-            corners = [inner[i], *pairs[i]] + ([inner[i + 1]] if inner_arcs else [])
-            geo.mesh.setTransfiniteSurface(patch, cornerTags=corners)
+            ends = [inner[i], *pairs[i]] + ([inner[i + 1]] if inner_arcs else [])
+            geo.mesh.setTransfiniteSurface(patch, cornerTags=ends)
             geo.mesh.setRecombine(2, patch)
         inner, inner_arcs = outer, arcs
     geo.synchronize()
@@ -165,9 +211,9 @@ def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:
 
 
 def _layer(
-    kick: Chip, plane: np.ndarray, steps: int
+    kick: Chip, plane: np.ndarray, steps: int, thickness: float
 ) -> tuple[MeshHex1, ElementHex1 | ElementHex2, np.ndarray]:
-    """Bottom layer: a box in (ring, spoke, plane) coordinates whose nodes are then moved in place.
+    """One layer: a box in (ring, spoke, plane) coordinates whose nodes are then moved in place.
 
     The box gives regular hexahedra and their numbering; the nodes of its face ring = 0 become one
     node per plane, which collapses those hexahedra into exact wedges.
@@ -181,6 +227,5 @@ def _layer(
     i, j, k = np.rint(mesh.doflocs * order).astype(int)
     spokes, per_plane = plane.shape[1], 1 + counts[0] * plane.shape[1]
     in_plane = np.where(i == 0, 0, 1 + (i - 1) * spokes + j)
-    thickness = kick.height / kick.layers
     located = np.array([*plane[i, j].T, k * (thickness / steps)])
     return type(mesh)(located, mesh.t), element, in_plane + k * per_plane

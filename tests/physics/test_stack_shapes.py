@@ -1,0 +1,139 @@
+"""Stacks of other shapes: rod theory, plate theory of shear, and solid elements of other code."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from skfem.mesh import MeshHex
+
+from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
+from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.core.errors import UsageError
+from kc2spice.core.schema import validated
+from kc2spice.fem.materials import material
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.solid import Solid
+from kc2spice.rom.linear import Port
+
+PZT = material("PZT-5A")
+S33 = np.linalg.inv(PZT.C)[2, 2]
+SMALL = {"sectors": 4, "rings": 1, "outer_rings": 2, "order": 2}
+
+
+def stack(**keys):
+    return piezo_stack(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys))
+
+
+@pytest.mark.parametrize(
+    ("shape", "area"),
+    [
+        ({"side": 2e-3}, 4e-6),
+        ({"side": 2e-3, "depth": 3e-3}, 6e-6),
+        ({"diameter": 2e-3}, np.pi * 1e-6),
+        ({"diameter": 2e-3, "mesh": {**SMALL, "order": 1}}, np.pi * 1e-6),
+    ],
+)
+def test_a_free_stack_of_any_section_has_uniform_strain_and_field(shape, area):
+    facts = stack(**shape, layers=3, layer_thickness=0.4e-3).facts
+    assert facts["mass_kg"] == pytest.approx(PZT.density * area * 1.2e-3, rel=1e-4)
+    capacitance = 3 * PZT.eps_T[2, 2] * area / 0.4e-3
+    assert facts["capacitance_free_f"] == pytest.approx(capacitance, rel=1e-4)
+    assert facts["free_stroke_m_per_100v"] == pytest.approx(300 * PZT.d[2, 2], rel=1e-6)
+
+
+def test_a_spring_on_the_top_face_takes_its_part_of_the_stroke():
+    """Uniform stress T = -k u / A and u = h (s33 T + d33 E)."""
+    k, area, height = 5e7, 4e-6, 2e-3
+    stroke = stack(side=2e-3, preload_spring=k).facts["free_stroke_m_per_100v"]
+    expected = 200 * PZT.d[2, 2] / (1 + k * S33 * height / area)
+    assert stroke == pytest.approx(expected, rel=1e-6)
+    assert expected < 0.8 * 200 * PZT.d[2, 2]
+
+
+def quarter_wave(sections):
+    """First resonance [Hz] of a rod of sections (modulus, density, length), held at its bottom."""
+
+    def end_force(f):
+        w, state = 2 * np.pi * f, np.array([0.0, 1.0])  # displacement, stress
+        for modulus, density, length in sections:
+            k = w * np.sqrt(density / modulus)
+            c, s, z = np.cos(k * length), np.sin(k * length), modulus * k
+            state = np.array([[c, s / z], [-z * s, c]]) @ state
+        return state[1]
+
+    f = np.linspace(1e3, 1e6, 500)
+    signs = np.sign([end_force(x) for x in f])
+    at = np.flatnonzero(np.diff(signs))[0]
+    return brentq(end_force, f[at], f[at + 1])
+
+
+@pytest.mark.parametrize("cap", [None, "steel", "aluminium"])
+def test_a_slender_stack_with_caps_resonates_as_a_line(cap):
+    """Electrodes shorted, the ceramic is a rod of 1/s33; caps below and above lengthen it."""
+    made_of = material(cap) if cap else PZT
+    modulus = 1 / np.linalg.inv(made_of.C)[2, 2]
+    facts = stack(
+        side=0.6e-3, layers=20, layer_thickness=0.4e-3,
+        bottom_cap={"thickness": 2e-3, "material": cap},
+        top_cap={"thickness": 3e-3, "material": cap},
+    ).facts  # fmt: skip
+    ends = [(modulus, made_of.density, length) for length in (2e-3, 3e-3)]
+    expected = quarter_wave([ends[0], (1 / S33, PZT.density, 8e-3), ends[1]])
+    assert facts["resonance_short_hz"] == pytest.approx(expected, rel=3e-3)
+    mass = 0.36e-6 * (8e-3 * PZT.density + 5e-3 * made_of.density)
+    assert facts["mass_kg"] == pytest.approx(mass, rel=1e-9)
+
+
+def test_a_stack_poled_across_the_field_shears_by_d15_without_stress():
+    """Simple shear S = d E fits a glued bottom: ``n d15 V`` and the permittivity of no stress."""
+    facts = stack(side=1e-3, height=0.8e-3, poling="x", mounting="glued").facts
+    assert facts["free_stroke_m_per_100v"] == pytest.approx(200 * PZT.d[0, 4], rel=1e-6)
+    capacitance = 2 * PZT.eps_T[0, 0] * 1e-6 / 0.4e-3
+    assert facts["capacitance_free_f"] == pytest.approx(capacitance, rel=1e-6)
+
+
+def test_shear_agrees_with_solid_elements_over_the_whole_section():
+    """The same stack without symmetry planes, in the code of ``body``."""
+    side, depth, height, layers = 1.5e-3, 1.0e-3, 0.8e-3, 2
+    x, y = np.linspace(-side / 2, side / 2, 9), np.linspace(-depth / 2, depth / 2, 7)
+    mesh = MeshHex.init_tensor(x, y, np.linspace(0, height, 2 * layers + 1))
+    low, high = (PZT.poled((sign, 0, 0)) for sign in (-1, 1))
+    owner = (mesh.p[2, mesh.t].mean(axis=0) > height / 2).astype(int)
+    solid = Solid(mesh, (low, high), owner)
+    places = solid.basis(1).doflocs
+    z = places[2]
+    top = node_shares(solid, facets=mesh.facets_satisfying(lambda p: p[2] > height - 1e-9))
+    pins = {"anode": np.flatnonzero(abs(z - height / 2) < 1e-9),
+            "cathode": np.flatnonzero((z < 1e-9) | (z > height - 1e-9))}  # fmt: skip
+    shape = Shape(Port("top", "mechanical"), spread(top, np.array([1.0, 0, 0]), solid))
+    setup = Setup(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
+                  shapes=[shape])  # fmt: skip
+    other = make_device(solid, setup).model.facts
+    ours = stack(
+        side=side, depth=depth, height=height, poling="x", mounting="glued",
+        mesh={**SMALL, "sectors": 6, "ring_spacing": 0.15e-3, "outer_rings": 3},
+    ).facts  # fmt: skip
+    for name in ("capacitance_free_f", "capacitance_clamped_f", "resonance_short_hz",
+                 "resonance_open_hz", "mass_kg"):  # fmt: skip
+        assert ours[name] == pytest.approx(other[name], rel=0.01), name
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"diameter": 1e-3, "side": 1e-3}, "side and depth"),
+        ({"height": 1e-3, "layer_thickness": 1e-3}, "height or layer_thickness"),
+        ({"poling": "x"}, "glued"),
+        ({"material": "quartz"}, "6mm"),
+        ({"material": "steel"}, "6mm"),
+        ({"material": "PZT"}, "no such material"),
+        ({"top_cap": {"thickness": 0}}, "greater than 0"),
+    ],
+)
+def test_impossible_stacks_are_refused(keys, says):
+    with pytest.raises(UsageError, match=says):
+        validated(Chip, keys, "stack")
+
+
+def test_rings_must_fit_the_smaller_side():
+    with pytest.raises(UsageError, match="smaller side"):
+        stack(side=3e-3, depth=0.2e-3, mesh={**SMALL, "rings": 3})
