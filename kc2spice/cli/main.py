@@ -125,6 +125,12 @@ def run(
             "and plots.",
         ),
     ] = None,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep", help="Keep the simulator's raw file, for waveform viewers, and its log."
+        ),
+    ] = False,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -138,7 +144,9 @@ def run(
         from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
-            result = study.run(study_scene, directory, progress, trust=trust, deck=deck)
+            result = study.run(
+                study_scene, directory, progress, trust=trust, deck=deck, keep=keep
+            )
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:

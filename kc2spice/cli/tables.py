@@ -35,6 +35,10 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
     _show_attempts(result.get("simulator", {}).get("attempts", ()))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+    for raw in (name for name in result["files"] if name.endswith(".raw")):
+        rows = [("ngspice", f"load {raw}, then plot VECTOR"),
+                ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')")]  # fmt: skip
+        print_table("viewers of the raw file", rows)
 
 
 def contact_error(value: float | None) -> str:

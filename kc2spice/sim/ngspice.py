@@ -28,6 +28,7 @@ from kc2spice.sim.settings import own_reltol
 from kc2spice.spice.deck import Deck, terms
 
 ANSWERS = 20.0  # s that ngspice may take to tell its version
+STALLED = 60.0  # s without processor time after which a run hangs
 SPARE = 1_000_000  # bytes; a disk with less is full
 _PDEATHSIG = 1  # of prctl: the signal that a child gets when its parent dies
 _prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
@@ -202,8 +203,10 @@ def _execute(
 
         waiter = threading.Thread(target=wait, daemon=True)
         waiter.start()
+        alive = begin, _processor_time(process.pid)
         try:
             while not ended.wait(POLL):
+                alive = _still_alive(process.pid, alive, main)
                 if timeout is not None and time.monotonic() - begin > timeout:
                     raise SimulationError(
                         f"ngspice did not finish within {timeout:g} s",
@@ -218,6 +221,33 @@ def _execute(
                 process.kill()
             waiter.join()
         return process.returncode
+
+
+def _still_alive(pid: int, alive: tuple[float, int | None], main: Path) -> tuple[float, int | None]:
+    """When the process was last seen at work, and its processor time then.
+
+    Raises
+    ------
+    SimulationError : it has not worked for ``STALLED`` seconds.
+    """
+    now, spent = time.monotonic(), _processor_time(pid)
+    if spent is None or spent != alive[1]:
+        return now, spent
+    if now - alive[0] > STALLED:
+        raise SimulationError(
+            "ngspice hangs", where=str(main.parent), got=f"no processor time for {STALLED:g} s",
+            hint="does it run by itself? kc2spice doctor checks it",
+        )  # fmt: skip
+    return alive
+
+
+def _processor_time(pid: int) -> int | None:
+    """Clock ticks that a process and its children have used; None where the system does not say."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return sum(map(int, fields[11:15]))
+    except (OSError, ValueError):
+        return None
 
 
 def _judge_log(deck: Deck, directory: Path, code: int, text: str, raw: Path) -> None:

@@ -60,11 +60,12 @@ def run(
     *,
     trust: bool = False,
     deck: Path | None = None,
+    keep: bool = False,
 ) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
 
     ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
-    somebody edited, to be run instead of the scene's own.
+    somebody edited, to be run instead of the scene's own; ``keep`` keeps raw file and log.
 
     Raises
     ------
@@ -78,7 +79,7 @@ def run(
         with kept_on_failure(work, out, scene.name):
             done = complete(scene, work, progress, trust=trust, deck=deck)
         return write_run_files(
-            done, work, lambda figures: plots.draw(draw_all, work, figures).result
+            done, work, lambda figures: plots.draw(draw_all, work, figures).result, keep=keep
         )
 
 
@@ -116,7 +117,11 @@ def complete(
 
 
 def write_run_files(
-    done: Completed, work: Path, draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]]
+    done: Completed,
+    work: Path,
+    draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]],
+    *,
+    keep: bool = False,
 ) -> dict[str, Any]:
     """Write all files of a run into ``work``, where the deck is already; return ``result.json``.
 
@@ -132,11 +137,13 @@ def write_run_files(
         pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
+    spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
+    files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
     write_run(work / "report.html", record, scene, pictures)
     write_record(record, work)
-    for spare in (work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")):
-        spare.unlink(missing_ok=True)
+    for path in spare if not keep else ():
+        path.unlink(missing_ok=True)
     return cast(dict[str, Any], plain(record))
 
 

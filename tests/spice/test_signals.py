@@ -8,10 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from spicelib import RawRead
 
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.scene.load import load_scene
 from kc2spice.sim import ngspice
+from kc2spice.spice.deck import Deck
+from kc2spice.workflow.run import run
 
 LONG = """name = "long"
 [source]
@@ -72,6 +77,49 @@ def test_a_signal_ends_the_simulator_too(number, tmp_path):
     if number != signal.SIGKILL:  # which nothing can clear up after; the next run does
         assert process.returncode == 128 + number
         assert sorted(os.listdir(tmp_path)) == ["long.toml"]
+
+
+def test_a_program_that_stands_still_is_ended(tmp_path, monkeypatch):
+    path = tmp_path / "ngspice"
+    path.write_text("#!/bin/sh\n[ $1 = --version ] && echo ngspice-45 && exit\nexec sleep 60\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setattr(ngspice, "find_ngspice", lambda: ngspice.Simulator("x", "45", str(path)))
+    monkeypatch.setattr(ngspice, "STALLED", 0.3)
+    begin = time.monotonic()
+    with pytest.raises(SimulationError, match="ngspice hangs"):
+        ngspice.run_deck(Deck(name="any", stop=1.0), tmp_path)
+    assert time.monotonic() - begin < 10
+    assert "any.raw" not in os.listdir(tmp_path)
+
+
+def test_what_computes_for_long_is_not_ended(tmp_path, monkeypatch):
+    """Without a new time point for ten times the limit, but at work."""
+    path = tmp_path / "ngspice"
+    path.write_text(
+        "#!/bin/sh\nend=$(($(date +%s) + 3))\nwhile [ $(date +%s) -lt $end ]; do :; done\n"
+    )
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setattr(ngspice, "find_ngspice", lambda: ngspice.Simulator("x", "45", str(path)))
+    monkeypatch.setattr(ngspice, "STALLED", 0.3)
+    with pytest.raises(SimulationError) as caught:
+        ngspice.run_deck(Deck(name="any", stop=1.0), tmp_path)
+    assert "hangs" not in caught.value.message
+
+
+def test_the_raw_file_is_kept_on_request(tmp_path):
+    """Another reader finds in it what the results say."""
+    (tmp_path / "short.toml").write_text(LONG.replace("stop = 10.0", "stop = 1e-6"))
+    scene = load_scene(tmp_path / "short.toml", ["name=short"])
+    for keep in (True, False):
+        record = run(scene, tmp_path / "out", keep=keep)
+        files = sorted(record["files"])
+        assert files == sorted(os.listdir(tmp_path / "out"))
+        assert ("short.raw" in files, "short.log" in files) == (keep, keep)
+        if keep:
+            raw = RawRead(str(tmp_path / "out" / "short.raw"), dialect="ngspice")
+            with np.load(tmp_path / "out" / "waveforms.npz") as waves:
+                found = raw.get_trace("v(source_out)").get_wave()
+                np.testing.assert_allclose(found, waves["source.v"], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def study(monkeypatch):
     """Replaces the study, whose own tests are elsewhere, by one that does as told."""
     fake = types.SimpleNamespace(calls=[], error=None)
 
-    def run(scene, out, progress, *, trust, deck=None):
+    def run(scene, out, progress, *, trust, deck=None, keep=False):
         fake.calls.append((scene, out))
         progress("mesh", None, "building")
         progress("mesh", 0.5, "half [way]")
