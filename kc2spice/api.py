@@ -10,12 +10,11 @@ import itertools
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
+from kc2spice.core.errors import UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -458,7 +457,8 @@ def _units(deck: Deck, waves: Waveforms) -> dict[str, str]:
 class Table:
     """Rows of a sweep: one column for each swept key, each metric that is one number, ``status``.
 
-    ``status`` is ``"ok"`` or the reason why a point has no metrics (they are None then).
+    ``status`` is ``"ok"``, or ``"failed: "`` and the reason why a point has no metrics (they are
+    None then).
     """
 
     columns: tuple[str, ...]
@@ -522,7 +522,8 @@ def sweep(
 ) -> Table:
     """Run a scene at every combination of ``values``, the last key varying fastest.
 
-    For tables that survive a kill, for Slurm and for Dask use ``kc2spice sweep``.
+    The engine is that of ``kc2spice sweep`` with threads of this process as workers; use the
+    command for tables that survive a kill, for Slurm and for Dask.
 
     Parameters
     ----------
@@ -540,48 +541,56 @@ def sweep(
     MissingToolError : no ngspice.
     """
     from kc2spice.sim.ngspice import find_ngspice
+    from kc2spice.workflow.sweep.plan import Grid
+    from kc2spice.workflow.sweep.pool import ThreadEngine, cores
+    from kc2spice.workflow.sweep.run import tabulate
+    from kc2spice.workflow.sweep.study import study_in_memory
 
     if not values or not all(len(found) for found in values.values()):
         raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
     find_ngspice()
-    points = [
-        dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())
-    ]
-    scenes = [load_scene(scene, point) for point in points]
-    done = 0
+    grids = [Grid(key, tuple(map(_override_text, found))) for key, found in values.items()]
+    study = study_in_memory(load_scene(scene), grids)
 
-    def told(row: dict[str, Any]) -> dict[str, Any]:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, len(points))
-        return row
+    def told(stage: str, share: float | None, text: str) -> None:
+        if progress is not None and stage == "sweep" and share is not None:
+            progress(round(share * study.plan.size), study.plan.size)
 
-    # Most of a point's time is spent in a process of its own, ngspice. The first one alone fills
-    # the cache with the models that the others share.
-    first = told(_row(scenes[0]))
-    with ThreadPoolExecutor(workers) as pool:
-        rows = [first, *map(told, pool.map(_row, scenes[1:]))]
-    metrics = dict.fromkeys(name for row in rows for name in row if name != "status")
-    columns = (*values, *metrics, "status")
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = tabulate(study, Path(work), ThreadEngine(workers or cores()), told)
+    points = itertools.product(*values.values())
     return Table(
-        columns,
+        tuple(study.header),
         tuple(
-            {name: (point | row).get(name) for name in columns}
-            for point, row in zip(points, rows, strict=True)
+            dict(zip(values, point, strict=True))
+            | {name: _cell(found[name][k], study.kinds[name]) for name in study.job.metrics}
+            | {"status": str(found["status"][k])}
+            for k, point in enumerate(points)
         ),
     )
 
 
-def _row(scene: Scene) -> dict[str, Any]:
-    """Metrics of one point that are one number, and its status."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            metrics = run(scene).metrics
-    except MissingToolError:
-        raise
-    except Kc2spiceError as error:
-        return {"status": str(error).splitlines()[0]}
-    plain = {k: v for k, v in metrics.items() if v is None or isinstance(v, (int, float, bool))}
-    return {**plain, "status": "ok"}
+def _override_text(value: Any) -> Any:
+    """A value as :func:`load_scene` reads it behind ``key=``: numbers and texts as they are."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + "}"
+    return value if isinstance(value, (int, float, str)) else _toml(value)
+
+
+def _toml(value: Any) -> str:
+    import json
+
+    if isinstance(value, Mapping):
+        return str(_override_text(value))
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value)
+
+
+def _cell(value: Any, kind: type) -> float | bool | None:
+    if value != value:  # no number: the point has no such metric
+        return None
+    return bool(value) if kind is bool else float(value)

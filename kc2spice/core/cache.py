@@ -20,7 +20,8 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -84,7 +85,7 @@ def cached(
         ``classes`` are added.
 
     A directory that cannot be written costs the time of a new build, with a warning, never a
-    failure.
+    failure. Whoever asks for what another process is building waits for it.
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {*sources, *(cls.__module__ for cls in known.values())}
@@ -92,12 +93,41 @@ def cached(
     found, result = _load(path, known)
     if found:
         return cast(T, result), True
-    result = build()
-    try:
-        _store(path, _archive(result, known))
-    except OSError as error:
-        warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=2)
+    with _alone(path):
+        if path.exists():  # somebody else has built it since
+            found, result = _load(path, known)
+            if found:
+                return cast(T, result), True
+        result = build()
+        try:
+            _store(path, _archive(result, known))
+        except OSError as error:
+            warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=2)
     return result, False
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Nobody else builds the same entry meanwhile.
+
+    Where there are no locks, two may build it, which costs time only.
+    """
+    try:
+        import fcntl
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
+        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o600)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(handle)
 
 
 def _digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:

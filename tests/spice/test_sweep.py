@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.workflow.run import run as run_scene
 from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.point import SceneText, scene_text
-from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
+from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine, ThreadEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 # A kick and its first 0.1 ms of flight: 0.2 s of ngspice.
@@ -29,25 +28,12 @@ SHORT = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=150 u
 GAINS = ("control.kd=10,20,30", "kick.drive.voltage=80,100")
 
 
-class Inline:
-    """An engine of this process: no start-up, no copies of the models."""
-
-    workers = 1
-
-    def open(self):
-        self.pool = ThreadPoolExecutor(1)
-        return self.pool
-
-    def close(self):
-        self.pool.shutdown()
-
-
 def study(*sets, **options):
     return make_study(Request(SceneText("kick_and_catch", None), (*sets, *SHORT), **options))
 
 
 def sweep(out, *sets, engine=None, **options):
-    return run.sweep(study(*sets, **options), out, engine or Inline())
+    return run.sweep(study(*sets, **options), out, engine or ThreadEngine(1))
 
 
 def rows(path):
@@ -109,10 +95,10 @@ def test_an_array_of_parts_gives_the_same_bytes(local, tmp_path):
     script = Path(plan["script"]).read_text(encoding="utf-8")
     assert "#SBATCH --array=0-1" in script
     assert subprocess.run(["bash", "-n", plan["script"]]).returncode == 0
-    run.sweep_shard(tmp_path, run.Shard(1, 2), Inline())
+    run.sweep_shard(tmp_path, run.Shard(1, 2), ThreadEngine(1))
     with pytest.raises(SimulationError, match="3 points missing"):
         run.collect(tmp_path)
-    run.sweep_shard(tmp_path, run.Shard(0, 2), Inline())
+    run.sweep_shard(tmp_path, run.Shard(0, 2), ThreadEngine(1))
     table = Path(run.collect(tmp_path)["table"])
     assert table.read_bytes() == Path(local[1]["table"]).read_bytes()
 
@@ -145,7 +131,7 @@ def test_failures_are_rows_with_their_diagnosis(tmp_path):
 def test_a_run_that_takes_too_long_is_a_failure(tmp_path):
     long = ("control.kd=10,20", "solver.stop=1", "kick.drive.voltage=0")
     found = make_study(Request(SceneText("kick_and_catch", None), long, timeout=0.3))
-    summary = run.sweep(found, tmp_path / "o", Inline())
+    summary = run.sweep(found, tmp_path / "o", ThreadEngine(1))
     assert summary["failed"] == 2
     assert all("0.3 s" in row["status"] for row in rows(summary["table"]))
 
@@ -233,7 +219,7 @@ def own_scene(tmp_path):
 def test_a_scene_file_takes_its_netlists_along(own_scene, tmp_path, kind):
     if kind == "array":
         run.write_array(own_scene, tmp_path, 1)
-        run.sweep_shard(tmp_path, run.Shard(0, 1), Inline())  # knows the directory alone
+        run.sweep_shard(tmp_path, run.Shard(0, 1), ThreadEngine(1))  # knows the directory alone
         summary = run.collect(tmp_path)
     else:
         if kind == "dask":

@@ -2,7 +2,6 @@
 
 import csv
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from kc2spice.workflow.sweep.point import (
     task,
     with_parameters,
 )
+from kc2spice.workflow.sweep.pool import ThreadEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 TWO = """
@@ -72,19 +72,6 @@ right_swing = { of = "right.u.R0", take = "peak_to_peak" }
 """
 
 
-class Inline:
-    """An engine of this process: no start-up, no copies of the models."""
-
-    workers = 1
-
-    def open(self):
-        self.pool = ThreadPoolExecutor(1)
-        return self.pool
-
-    def close(self):
-        self.pool.shutdown()
-
-
 @pytest.fixture
 def two(tmp_path):
     path = tmp_path / "two.toml"
@@ -105,7 +92,7 @@ def test_two_stacks_are_swept_with_their_probes_as_columns(two, tmp_path):
     found = study(two, "left.layers=4,6", "bridge.rail=50 V:100 V:2")
     assert found.stages.runs["fe"] == {"left": 2}  # the right one is like the second of these
     assert found.stages.runs["rom"] == {"left": 2}
-    summary = run.sweep(found, tmp_path / "o", Inline())
+    summary = run.sweep(found, tmp_path / "o", ThreadEngine(1))
     assert summary["failed"] == 0
     table = rows(summary)
     points = [(int(row["left.layers"]), float(row["bridge.rail"])) for row in table]
@@ -128,7 +115,7 @@ def test_equal_parts_share_their_models(two):
     assert swept.stages.runs["fe"] == {"left": 2}
     crossed = study(two, "left.layers=4,6", "right.layers=8,10")
     assert crossed.stages.runs["fe"] == {"left": 2, "right": 2}
-    assert [len(points) for _, points in crossed.stages.builds] == [1, 1, 1, 1]
+    assert len(crossed.stages.first) == 3  # of which one point needs two new models
 
 
 @pytest.mark.parametrize(
@@ -144,7 +131,7 @@ def test_equal_parts_share_their_models(two):
     ],
 )
 def test_ranges_are_checked_against_the_parts_before_anything_runs(two, text, word, monkeypatch):
-    monkeypatch.setattr(run, "completed", None)
+    monkeypatch.setattr(run, "WorkerPool", None)
     with pytest.raises(UsageError) as caught:
         study(two, text)
     error = caught.value
@@ -201,9 +188,10 @@ def test_values_outside_a_parameters_range_are_refused(loop, key, value):
 def test_a_range_of_a_parameter_is_refused_at_its_worst_value(tmp_path):
     found = study("kick_and_catch", "param.sphere.mass=3e-5,0", *EARLY)
     with pytest.raises(UsageError, match="outside the range"):
-        run.sweep(found, tmp_path / "o", Inline())
+        run.sweep(found, tmp_path / "o", ThreadEngine(1))
     with pytest.raises(UsageError, match=r"param.pid.offst") as caught:
-        run.sweep(study("kick_and_catch", "param.pid.offst=1,2", *EARLY), tmp_path / "p", Inline())
+        wrong = study("kick_and_catch", "param.pid.offst=1,2", *EARLY)
+        run.sweep(wrong, tmp_path / "p", ThreadEngine(1))
     assert "pid.offset" in caught.value.hint
 
 
@@ -295,7 +283,7 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     (own / "push.csv").write_text("0,0\n1e-4,2\n1,2\n")
     assert study(path, "solver.reltol=1e-3,1e-4").digest != before
     shutil.rmtree(own)  # as on another machine
-    run.sweep_shard(directory, run.Shard(0, 1), Inline())
+    run.sweep_shard(directory, run.Shard(0, 1), ThreadEngine(1))
     summary = run.collect(directory)
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.

@@ -221,3 +221,22 @@ def test_a_user_without_home_gets_a_cache_of_its_own():
     assert made == "True"
     assert "kc2spice-" in path
     assert not os.path.exists(os.path.dirname(os.path.dirname(path)))
+
+
+def test_two_that_need_the_same_build_it_once(folder):
+    """One builds, the other waits for it, be they threads or processes."""
+    code = (
+        "import sys, time\n"
+        "from kc2spice.core.cache import cached\n"
+        "def build():\n"
+        "    open(sys.argv[1], 'a').write('x')\n"
+        "    time.sleep(0.5)\n"
+        "    return 7\n"
+        "assert cached('sums', {'a': 1}, build)[0] == 7\n"
+    )
+    log = folder / "built"
+    command = [sys.executable, "-c", code, str(log)]
+    both = [subprocess.Popen(command) for _ in range(3)]
+    assert [process.wait(60) for process in both] == [0, 0, 0]
+    assert log.read_text() == "x"
+    assert not list(folder.rglob("*.part"))

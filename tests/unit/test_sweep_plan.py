@@ -10,6 +10,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.sweep import plan as plans
+from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.plan import make_plan
 from kc2spice.workflow.sweep.point import SceneText, scene_text
 from kc2spice.workflow.sweep.study import (
@@ -17,7 +18,6 @@ from kc2spice.workflow.sweep.study import (
     make_study,
     read_plan,
     request_of,
-    shared_models,
     studies,
     write_plan,
 )
@@ -116,15 +116,15 @@ def test_a_scene_of_curves_alone_is_refused_with_what_to_do():
     assert "kc2spice run" in caught.value.hint
 
 
-def test_models_are_prepared_once_each_with_one_group_for_each_chip():
+def test_points_that_need_models_of_their_own_come_first():
     found = study("control.kd=10,20,30", "rom.order=20,30", "kick.damping.ratio=0.01,0.02")
-    groups = list(shared_models(found.plan, found.stages))
-    kick = [group for part, group in groups if part == "kick"]
-    assert [len(group) for group in kick] == [2, 2]  # two chips, two orders of each
-    assert [part for part, _ in groups].count("catch") == 1
-    ratios = [{o for point in group for o in point if "ratio" in o} for group in kick]
-    assert [len(r) for r in ratios] == [1, 1]
-    assert ratios[0] != ratios[1]
+    order = list(run._share(found, None))
+    assert sorted(order) == list(range(12))
+    assert set(order[:4]) == set(found.stages.first)
+    models = {found.plan.values(index)[1:] for index in order[:4]}
+    assert models == {(order, ratio) for order in (20, 30) for ratio in (0.01, 0.02)}
+    parts = [index for k in range(5) for index in run._share(found, run.Shard(k, 5))]
+    assert sorted(parts) == list(range(12))
 
 
 def test_points_that_share_a_chip_run_one_after_the_other():

@@ -2,15 +2,10 @@
 
 import ast
 import math
-import os
 import subprocess
 import sys
 
-from kc2spice.workflow.sweep.pool import Call, LocalEngine, completed
-
-
-def results(calls, workers=2):
-    return {call.name: result for call, result in completed(LocalEngine(workers), iter(calls))}
+from kc2spice.workflow.sweep.pool import Call, LocalEngine, WorkerPool
 
 
 def fresh(calls):
@@ -20,8 +15,9 @@ def fresh(calls):
     """
     code = (
         "import math, os\n"
-        "from kc2spice.workflow.sweep.pool import Call, WorkerDied, LocalEngine, completed\n"
-        f"ended = completed(LocalEngine(2), iter({calls}))\n"
+        "from kc2spice.workflow.sweep.pool import Call, WorkerDied, LocalEngine, WorkerPool\n"
+        "with WorkerPool(LocalEngine(2)) as pool:\n"
+        f"    ended = list(pool.run(iter({calls})))\n"
         "print({c.name: 'died' if isinstance(r, WorkerDied) else r for c, r in ended})\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -42,13 +38,6 @@ def test_a_call_whose_worker_dies_once_is_run_again(tmp_path):
     assert flag.exists()
 
 
-def test_none_holds_back_what_follows(tmp_path):
-    flag = tmp_path / "first"
-    first = Call("first", os.system, (f"sleep 0.3; touch {flag}",))
-    second = Call("second", os.path.exists, (str(flag),))
-    assert results([first, None, second]) == {"first": 0, "second": True}
-
-
 def test_calls_are_taken_no_faster_than_they_end():
     taken = []
 
@@ -57,7 +46,6 @@ def test_calls_are_taken_no_faster_than_they_end():
             taken.append(n)
             yield Call(n, math.sqrt, (float(n),))
 
-    ahead = [
-        len(taken) - ended for ended, _ in enumerate(completed(LocalEngine(2), calls()), start=1)
-    ]
+    with WorkerPool(LocalEngine(2)) as pool:
+        ahead = [len(taken) - ended for ended, _ in enumerate(pool.run(calls()), start=1)]
     assert max(ahead) <= 5  # two running, three waiting, whatever the length of the sweep

@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import errno
 import shutil
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import pytest
@@ -14,24 +12,10 @@ import pytest
 from kc2spice.core.errors import SimulationError
 from kc2spice.workflow.sweep import point, run
 from kc2spice.workflow.sweep.point import Job, Outcome, SceneText, Task, run_point
+from kc2spice.workflow.sweep.pool import ThreadEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 SETS = ("impact.velocity=-1:-2:4",)
-
-
-@dataclass
-class Threads:
-    """An engine in this process, so that the points can be made up."""
-
-    workers: int = 1
-    _pool: ThreadPoolExecutor = field(default=None, init=False)
-
-    def open(self):
-        self._pool = ThreadPoolExecutor(1)
-        return self._pool
-
-    def close(self):
-        self._pool.shutdown()
 
 
 @pytest.fixture
@@ -47,7 +31,7 @@ def swept(monkeypatch, tmp_path):
             return outcome(task.index, ran.count(task.index), len(job.metrics))
 
         monkeypatch.setattr(run, "run_point", made_up)
-        summary = run.sweep(study, tmp_path / "out", Threads(), **options)
+        summary = run.sweep(study, tmp_path / "out", ThreadEngine(1), **options)
         rows = csv.DictReader((tmp_path / "out" / "sweep.csv").open(encoding="utf-8", newline=""))
         return summary, [row["status"] for row in rows], ran
 
@@ -66,7 +50,7 @@ def test_an_interrupted_point_is_tried_once_more_in_the_same_sweep(swept, tmp_pa
 
     summary, status, ran = swept(once)
     assert (summary["failed"], status) == (0, ["ok"] * 4)
-    assert ran == [0, 1, 2, 3, 2]
+    assert (sorted(ran[:4]), ran[4:]) == ([0, 1, 2, 3], [2])
     assert not (tmp_path / "out" / run.ROWS).exists()
 
 
@@ -79,7 +63,7 @@ def test_one_that_stays_interrupted_is_run_by_the_next_sweep_alone(swept):
     summary, status, ran = swept(killed)
     assert summary["failed"] == 1
     assert status[1] == "failed: exit code -9"
-    assert ran == [0, 1, 2, 3, 1]
+    assert (sorted(ran[:4]), ran[4:]) == ([0, 1, 2, 3], [1])
     summary, status, ran = swept(good)
     assert (summary["failed"], summary["resumed"], ran) == (0, 3, [1])
     assert status == ["ok"] * 4
@@ -89,7 +73,7 @@ def test_what_failed_by_itself_is_run_again_only_if_asked(swept):
     def failing(index, time, count):
         return Outcome(index, failure="no") if index == 3 else good(index, time, count)
 
-    assert swept(failing)[2] == [0, 1, 2, 3]
+    assert sorted(swept(failing)[2]) == [0, 1, 2, 3]
     summary, status, ran = swept(good)
     assert (summary["failed"], status[3], ran) == (1, "failed: no", [])
     summary, status, ran = swept(good, retry_failed=True)

@@ -1,7 +1,6 @@
 """The tuner against a metric whose best point is known, and what it records."""
 
 import csv
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,24 +10,12 @@ from kc2spice.scene.keys import keys_of
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.sweep import tune
 from kc2spice.workflow.sweep.point import Outcome, SceneText
+from kc2spice.workflow.sweep.pool import ThreadEngine
 from kc2spice.workflow.sweep.study import Request, make_study
 
 KEYS = keys_of(load_scene("kick_and_catch"))
 BOUNDS = ["control.kp=1e4:1e6", "control.kd=2:200"]
 BEST = {90.0: (1e5, 10.0), 110.0: (1e5, 40.0)}  # of each condition alone
-
-
-class Threads:
-    workers = 1
-    pool = None
-
-    def open(self):
-        self.pool = ThreadPoolExecutor(1)
-        return self.pool
-
-    def close(self):
-        if self.pool is not None:
-            self.pool.shutdown()
 
 
 def settling(kp, kd, voltage):
@@ -57,7 +44,7 @@ def tuned(tmp_path, metric="settling_time_s"):
     sets = ("kick.drive.voltage=90,110",)
     study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=(metric,)))
     bounds = [tune.bound(text, study.keys) for text in BOUNDS]
-    return tune.tune(study, bounds, metric, 6, tmp_path, Threads())
+    return tune.tune(study, bounds, metric, 6, tmp_path, ThreadEngine(1))
 
 
 def test_the_worst_condition_decides(calls, tmp_path):
@@ -108,7 +95,8 @@ def test_a_constraint_keeps_the_search_on_its_side(calls, tmp_path, monkeypatch)
     sets = ("kick.drive.voltage=90,110",)
     study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=metrics))
     found = tune.tune(
-        study, [tune.bound(text, KEYS) for text in BOUNDS], metrics[0], 6, tmp_path, Threads(),
+        study, [tune.bound(text, KEYS) for text in BOUNDS], metrics[0], 6, tmp_path,
+        ThreadEngine(1),
         limits=[tune.limit("peak_height_m <= 7")],
     )  # fmt: skip
     assert 6e4 < found.best["control.kp"] <= 7e4
@@ -125,7 +113,7 @@ def test_a_tuning_leaves_its_table_and_figure(calls, tmp_path):
     metrics = ("settling_time_s",)
     study = make_study(Request(SceneText("kick_and_catch", None), sets, metrics=metrics))
     bounds = [tune.bound(text, study.keys) for text in BOUNDS]
-    found = tune.run_tuning(study, bounds, metrics[0], 2, tmp_path / "o", Threads())
+    found = tune.run_tuning(study, bounds, metrics[0], 2, tmp_path / "o", ThreadEngine(1))
     rows = list(csv.DictReader((tmp_path / "o" / tune.TABLE).open(encoding="utf-8", newline="")))
     assert [float(row["kick.drive.voltage"]) for row in rows] == [90.0, 110.0]
     before = [float(row["settling_time_s"]) for row in rows]
@@ -136,7 +124,7 @@ def test_a_tuning_leaves_its_table_and_figure(calls, tmp_path):
     assert found["worst_ratio"] == pytest.approx(max(np.divide(after, before)))
     assert (tmp_path / "o" / "tuned.png").stat().st_size > 1000
     with pytest.raises(UsageError, match="no such metric"):
-        tune.run_tuning(study, bounds, "peak_height_m", 2, tmp_path / "p", Threads())
+        tune.run_tuning(study, bounds, "peak_height_m", 2, tmp_path / "p", ThreadEngine(1))
     with pytest.raises(UsageError, match="cannot be tuned"):
         tune.run_tuning(study, [tune.Bound("kick.drive.voltage", 80, 90)], metrics[0], 2,
-                        tmp_path / "p", Threads())  # fmt: skip
+                        tmp_path / "p", ThreadEngine(1))  # fmt: skip

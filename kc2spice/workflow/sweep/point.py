@@ -29,7 +29,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome as Simulated
 from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import LEAST, Subcircuit
+from kc2spice.spice.circuit import LEAST, Param, Subcircuit
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.included import included_sources
 from kc2spice.workflow.decks import libraries, make_deck, result_vectors
@@ -56,7 +56,7 @@ class SceneText:
 
     Raises
     ------
-    UsageError : a name that could lead elsewhere, or something else than text and bytes.
+    UsageError : a name that could lead elsewhere.
     """
 
     name: str
@@ -64,14 +64,7 @@ class SceneText:
     files: tuple[tuple[str, bytes], ...] = ()
 
     def __post_init__(self) -> None:
-        names = (self.name, *(name for name, _ in self.files))
-        kinds: list[tuple[object, type]]
-        kinds = [(each, str) for each in (*names, self.text or "")]
-        kinds += [(content, bytes) for _, content in self.files]
-        for value, kind in kinds:
-            if not isinstance(value, kind):
-                raise UsageError(f"is no {kind.__name__}", where="scene", got=repr(value)[:80])
-        for name in names:
+        for name in (self.name, *(name for name, _ in self.files)):
             if reason := name_threat(name):
                 hint = "copy it beside the scene"
                 raise UsageError(f"is {reason}", where="name of a scene's file",
@@ -89,6 +82,20 @@ class SceneText:
         except UsageError as error:  # rows say the same wherever they are run
             error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
             raise
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """A scene that this process has loaded."""
+
+    scene: Scene
+
+    def load(self, overrides: Sequence[str]) -> Scene:
+        """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
+        return load_scene(self.scene, overrides)
+
+
+Source = SceneText | LoadedScene
 
 
 @lru_cache(maxsize=_KEPT)
@@ -147,7 +154,7 @@ class Job:
     that of one ngspice run.
     """
 
-    scene: SceneText
+    scene: Source
     fixed: tuple[str, ...]
     parameters: Parameters
     metrics: tuple[str, ...]
@@ -398,8 +405,9 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
     own = library == _library(part)
-    if own:
-        _require_within(part.text, library, name, value)
+    for param in part.params if own else ():
+        if param.name.lower() == name.lower():
+            _require_within(param, library, value)
     names = dict(zip((card[1] for card in _CARD.finditer(part.text)), _cards(part), strict=True))
     default = re.compile(rf"(?<=\s){name}=\S+")
 
@@ -413,21 +421,17 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     return replace(part, text=text)
 
 
-def _require_within(text: str, library: str, name: str, value: float) -> None:
+def _require_within(param: Param, library: str, value: float) -> None:
     """A mass of zero or a negative stiffness has no solution, or a wrong one."""
-    found = re.search(
-        rf"^\* @param {name}=\S+ unit=(\S+)(?: range=(\S+?)\.\.(\S+))?", text, re.MULTILINE
-    )
-    unit, low, high = found.groups() if found else ("", None, None)
-    least, most = float(low or -math.inf), float(high or math.inf)
+    least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
     expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == LEAST else f"at least {least:g}"
     raise UsageError(
-        "outside the range of this parameter", where=f"param.{library}.{name}",
-        got=f"{value:g} {unit}".rstrip(), expected=expected,
+        "outside the range of this parameter", where=f"param.{library}.{param.name}",
+        got=f"{value:g} {param.unit}", expected=expected,
     )  # fmt: skip
 
 
@@ -450,14 +454,3 @@ def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Bui
                 unjudged.add(owner)
     scene = replace(build.scene, parts=parts)
     return replace(build, scene=scene, unjudged=frozenset(unjudged))
-
-
-def prepare(job: Job, part: str, points: Sequence[tuple[str, ...]]) -> None:
-    """Build one part's models for the overrides of some points; all others find them in the cache.
-
-    Points that share the part's full model belong into one call.
-    """
-    for changed in points:
-        with contextlib.suppress(Exception):  # the points themselves will say what is wrong
-            scene = job.load(changed)
-            scene.parts[part].type.build(scene.parts[part], scene, Clock())

@@ -18,9 +18,11 @@ from concurrent.futures import (
     Executor,
     Future,
     ProcessPoolExecutor,
+    ThreadPoolExecutor,
     wait,
 )
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Protocol
 
 from kc2spice.core.errors import MissingToolError
@@ -48,6 +50,26 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Let the workers finish what they run, start nothing else, end them."""
+
+
+@dataclass
+class ThreadEngine:
+    """Threads of this process: most of a point's time is spent in ngspice, another one."""
+
+    workers: int
+    _pool: ThreadPoolExecutor | None = field(default=None, init=False)
+
+    def open(self) -> Executor:
+        """New threads."""
+        self.close()
+        self._pool = ThreadPoolExecutor(self.workers)
+        return self._pool
+
+    def close(self) -> None:
+        """End the threads after the points that they run."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
 
 
 @dataclass
@@ -173,17 +195,8 @@ class WorkerDied:
     """Result of a call whose worker process died twice."""
 
 
-def completed(engine: Engine, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
-    """Results of ``calls`` on a pool that is opened for them and closed after them."""
-    pool = WorkerPool(engine)
-    try:
-        yield from pool.run(calls)
-    finally:
-        engine.close()
-
-
 class WorkerPool:
-    """The workers of an engine, opened once for any number of calls; the owner closes the engine.
+    """The workers of an engine, for any number of calls; leave it as a context.
 
     Where a worker dies, its pool is opened again and every call that was in flight is run once
     more, alone: only the one that ends its worker again is given up; its result is ``WorkerDied``.
@@ -194,26 +207,21 @@ class WorkerPool:
         self._engine = engine
         self._executor = engine.open()
 
-    def run(self, calls: Iterator[Call | None]) -> Iterator[tuple[Call, Any]]:
-        """Results of ``calls`` as they come, with no more in flight than keeps all workers busy.
+    def __enter__(self) -> WorkerPool:
+        return self
 
-        None among the calls holds back those behind it until those before it have ended.
-        """
+    def __exit__(self, *_: object) -> None:
+        self._engine.close()
+
+    def run(self, calls: Iterator[Call]) -> Iterator[tuple[Call, Any]]:
+        """Results of ``calls`` as they come, with no more in flight than keeps all workers busy."""
         pending: dict[Future[Any], Call] = {}
-        exhausted = held = False
         while True:
             suspects: list[Call] = []
-            held = held and bool(pending)
-            while not (exhausted or held or suspects) and len(pending) <= 2 * self._engine.workers:
-                try:
-                    call = next(calls)
-                except StopIteration:
-                    exhausted = True
-                    break
-                if call is None:
-                    held = bool(pending)
-                elif not self._submit(call, pending):
+            for call in islice(calls, max(0, 2 * self._engine.workers + 1 - len(pending))):
+                if not self._submit(call, pending):
                     suspects.append(call)
+                    break
             if not pending and not suspects:
                 return
             done, _ = wait(pending, return_when=FIRST_COMPLETED) if not suspects else (set(), None)

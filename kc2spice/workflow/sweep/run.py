@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.point import Cost, Outcome, cpu_since_last, prepare, run_point, task
-from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, completed
+from kc2spice.workflow.sweep.point import Cost, Outcome, cpu_since_last, run_point, task
+from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, WorkerPool
 from kc2spice.workflow.sweep.study import (
     PLAN,
     SHARDS,
@@ -22,7 +22,6 @@ from kc2spice.workflow.sweep.study import (
     check_parameters,
     make_study,
     read_plan,
-    shared_models,
     write_plan,
 )
 from kc2spice.workflow.sweep.table import (
@@ -93,6 +92,16 @@ def sweep(
     if not found["failed"]:
         path.unlink()
     return {**found, **_conclude(study, out, progress)}
+
+
+def tabulate(
+    study: Study, directory: Path, engine: Engine, progress: Progress = silent
+) -> dict[str, np.ndarray]:
+    """Run all points; the table's columns. ``directory`` is scratch."""
+    path, table = directory / ROWS, directory / "sweep.csv"
+    _filled(study, path, None, engine, progress, False)
+    publish([path], table, study.header, study.kinds)
+    return columns(table, study.kinds)
 
 
 def sweep_shard(
@@ -238,22 +247,18 @@ def _fill(
         return NO_TIME
     meter = _Meter(progress, missing, start)
     for attempt in (1, 2):
-        waiting = _calls(study, rows, _share(study, shard), engine, shared=attempt == 1)
-        for call, result in completed(engine, waiting):
-            if not isinstance(call.name, int):
-                progress("models", None, f"models of {call.name}")
-                meter.start = time.monotonic()  # models took the time so far, points do not
-                continue
-            outcome = result
-            if isinstance(result, WorkerDied):
-                outcome = Outcome(call.name, failure=DIED, interrupted=True)
-            cells = outcome.values or (None,) * len(study.job.metrics)
-            rows.record(
-                call.name, (*study.plan.values(call.name), *cells), outcome.failure,
-                interrupted=outcome.interrupted,
-            )  # fmt: skip
-            spent += outcome.cost
-            meter.count(rows.failed)
+        with WorkerPool(engine) as pool:
+            for call, result in pool.run(_calls(study, rows, _share(study, shard))):
+                outcome = result
+                if isinstance(result, WorkerDied):
+                    outcome = Outcome(call.name, failure=DIED, interrupted=True)
+                cells = outcome.values or (None,) * len(study.job.metrics)
+                rows.record(
+                    call.name, (*study.plan.values(call.name), *cells), outcome.failure,
+                    interrupted=outcome.interrupted,
+                )  # fmt: skip
+                spent += outcome.cost
+                meter.count(rows.failed)
         again = int((rows.state == INTERRUPTED).sum())
         if not again or attempt == 2:
             break
@@ -279,23 +284,21 @@ def _cost(spent: Cost, workers: int, wall: float) -> dict[str, float | None]:
 
 
 def _share(study: Study, shard: Shard | None) -> Iterator[int]:
-    """Points in the order in which they are run."""
+    """Points in the order in which they are run.
+
+    First those that need models of their own, so that these are built side by side, then all that
+    share finite elements one after the other.
+    """
     slow = dict.fromkeys(study.plan.block(key) for key in study.stages.keys)
     order = study.plan.order(list(slow))
     if shard is None:
-        return order
-    first, last = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
-    return islice(order, first, last)
+        first = dict.fromkeys(study.stages.first)
+        return chain(first, (index for index in order if index not in first))
+    start, end = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
+    return islice(order, start, end)
 
 
-def _calls(
-    study: Study, rows: RowStore, points: Iterator[int], engine: Engine, *, shared: bool
-) -> Iterator[Call | None]:
-    """Models that several points share, then the missing points."""
-    if shared and (rows.state == MISSING).sum() > 1 and engine.workers > 1:
-        for part, group in shared_models(study.plan, study.stages):
-            yield Call(part, prepare, (study.job, part, group))
-        yield None
+def _calls(study: Study, rows: RowStore, points: Iterator[int]) -> Iterator[Call]:
     for index in points:
         if rows.state[index] == MISSING:
             yield Call(index, run_point, (study.job, task(study.plan, index)))
@@ -305,12 +308,12 @@ class _Meter:
     """Progress in points since ``start``, with rate and time left."""
 
     def __init__(self, progress: Progress, total: int, start: float) -> None:
-        self._progress, self._total, self._done, self.start = progress, total, 0, start
+        self._progress, self._total, self._done, self._start = progress, total, 0, start
 
     def count(self, failed: int) -> None:
         """One more point is recorded."""
         self._done += 1
-        rate = self._done / max(time.monotonic() - self.start, 1e-9)
+        rate = self._done / max(time.monotonic() - self._start, 1e-9)
         minutes, seconds = divmod(round((self._total - self._done) / rate), 60)
         hours, minutes = divmod(minutes, 60)
         left = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds} s"

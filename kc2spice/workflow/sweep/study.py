@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import hashlib
 import json
-import math
 import os
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
@@ -26,6 +25,7 @@ from kc2spice.scene.keys import Key, keys_of
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.plan import (
     PARAMETER,
+    Grid,
     Plan,
     deck_keys,
     find_key,
@@ -38,7 +38,9 @@ from kc2spice.workflow.sweep.plan import (
 from kc2spice.workflow.sweep.point import (
     BRANCHES,
     Job,
+    LoadedScene,
     SceneText,
+    Source,
     scalar_metrics,
     scene_files,
     scene_text,
@@ -62,7 +64,7 @@ _STUDY: dict[str, type | tuple[type, ...]] = {
 class Request:
     """A sweep as it was asked for; equal requests give equal tables."""
 
-    scene: SceneText
+    scene: Source
     sets: tuple[str, ...]
     zipped: bool = False
     latin: bool = False
@@ -148,18 +150,34 @@ def make_study(request: Request) -> Study:
     )  # fmt: skip
     plan = make_plan(ranges, zipped=request.zipped, latin=request.latin, seed=request.seed)
     job = Job(request.scene, fixed, fixed_parameters, (), request.timeout)
+    return study_of(request, base, job, plan, keys)
+
+
+def study_of(
+    request: Request, base: Scene, job: Job, plan: Plan, keys: Mapping[str, Key]
+) -> Study:
+    """The study of ``plan``; raises as :func:`make_study` does."""
     available = scalar_metrics(job.load(overrides(plan.keys, plan.values(0))))
     wanted = tuple(dict.fromkeys(request.metrics)) or tuple(available)
     _check_metrics(wanted, available, base)
-    kinds = {key: type(plan.values(0)[i]) for i, key in enumerate(plan.keys)}
+    kinds = {key: str if _worded(plan, key) else type(plan.column(key)[0]) for key in plan.keys}
     kinds |= {name: available.get(name, float) for name in wanted} | {"status": str}
     study = Study(request, base, replace(job, metrics=wanted), plan, keys, kinds)
     _ = study.stages  # tries the ends of all ranges
     return study
 
 
+def study_in_memory(scene: Scene, grids: Sequence[Grid]) -> Study:
+    """The study of a loaded scene over the product of ``grids``, for the Python interface.
+
+    Raises as :func:`make_study` does.
+    """
+    source, plan = LoadedScene(scene), make_plan(grids)
+    return study_of(Request(source, ()), scene, Job(source, (), (), (), None), plan, {})
+
+
 def _at_first(
-    scene: SceneText, fixed: Sequence[str], swept: Sequence[str], keys: Mapping[str, Key]
+    source: Source, fixed: Sequence[str], swept: Sequence[str], keys: Mapping[str, Key]
 ) -> Scene:
     """The scene with the first value of every swept key that it does not have by itself.
 
@@ -169,7 +187,7 @@ def _at_first(
     """
     more = [text for text in swept if text.partition("=")[0].strip() not in keys]
     try:
-        return scene.load((*fixed, *more))
+        return source.load((*fixed, *more))
     except UsageError:
         for text in more:
             name = text.partition("=")[0].strip()
@@ -272,13 +290,13 @@ def _definition(name: str) -> Mapping[str, Any] | None:
 class Stages:
     """Swept ``keys`` that cost models, those of the finite elements first, and what there is to do.
 
-    ``builds`` has a part and points for each model: the points of one entry differ in the reduction
-    alone. ``runs`` counts ``fe`` and ``rom`` by part, ``netlists`` and ``ngspice``; a model that
-    several parts share counts for the first of them.
+    ``first`` are points that need a model which no point before them needs. ``runs`` counts ``fe``
+    and ``rom`` by part, ``netlists`` and ``ngspice``; a model that several parts share counts for
+    the first of them.
     """
 
     keys: tuple[str, ...]
-    builds: tuple[tuple[str, tuple[int, ...]], ...]
+    first: tuple[int, ...]
     runs: dict[str, Any]
 
 
@@ -291,16 +309,17 @@ def stages(plan: Plan, job: Job) -> Stages:
     ------
     UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
     """
-    first = list(plan.values(0))
-    tried = [("", job.load(overrides(plan.keys, first)))]
+    start = list(plan.values(0))
+    tried = [("", job.load(overrides(plan.keys, start)))]
     for key in deck_keys(plan.keys):
         for other in _extremes(plan, key):
-            values = list(first)
+            values = list(start)
             values[plan.keys.index(key)] = other
             tried.append((key, job.load(overrides(plan.keys, values))))
     reached: list[dict[str, None]] = [{}, {}]  # by the full models, by the final ones
-    groups: dict[str, tuple[str, dict[str, int]]] = {}
-    runs: dict[str, Any] = {"fe": {}, "rom": {}}
+    known: tuple[set[str], set[str]] = (set(), set())
+    first: list[int] = []
+    fe, rom = {}, {}
     for name, part in tried[0][1].parts.items():
         (_, base), *others = ((key, _texts(name, scene)) for key, scene in tried)
         if base is None:
@@ -309,37 +328,34 @@ def stages(plan: Plan, job: Job) -> Stages:
             tuple(dict.fromkeys(k for k, text in others if text is None or text[i] != base[i]))
             for i in (0, 1)
         ]
-        for keys, known in zip(differ, reached, strict=True):
-            known.update(dict.fromkeys(keys))
-        new = _found(plan, job, name, differ, groups)
-        runs["fe"][name], models = new
+        for keys, level in zip(differ, reached, strict=True):
+            level.update(dict.fromkeys(keys))
+        every = tuple(dict.fromkeys((*differ[0], *differ[1])))
+        if plan.distinct(every) > _COUNTED:
+            fe[name], models = plan.distinct(differ[0]), plan.distinct(every)
+        else:
+            before = tuple(map(len, known))
+            first += _new_models(plan, job, name, every, known)
+            fe[name], models = (len(now) - then for now, then in zip(known, before, strict=True))
         if part.type.reduced:
-            runs["rom"][name] = models
-    runs |= {"netlists": plan.distinct(deck_keys(plan.keys)), "ngspice": plan.size}
-    for kind in ("fe", "rom"):
-        runs[kind] = {name: count for name, count in runs[kind].items() if count}
-    builds = tuple((part, tuple(models.values())) for part, models in groups.values())
-    return Stages(tuple(reached[0] | reached[1]), builds, runs)
+            rom[name] = models
+    fe, rom = ({name: n for name, n in counts.items() if n} for counts in (fe, rom))
+    runs = {"fe": fe, "rom": rom, "netlists": plan.distinct(deck_keys(plan.keys)),
+            "ngspice": plan.size}  # fmt: skip
+    return Stages(tuple(reached[0] | reached[1]), tuple(dict.fromkeys(first)), runs)
 
 
-def _found(
-    plan: Plan, job: Job, name: str, keys: Sequence[tuple[str, ...]],
-    groups: dict[str, tuple[str, dict[str, int]]],
-) -> tuple[int, int]:  # fmt: skip
-    """Put the models of a part into ``groups``, by full and final model; how many are new."""
-    every = tuple(dict.fromkeys((*keys[0], *keys[1])))
-    if plan.distinct(every) > _COUNTED:
-        return plan.distinct(keys[0]), plan.distinct(every)
-    full = models = 0
-    for index in plan.representatives(every):
+def _new_models(
+    plan: Plan, job: Job, name: str, keys: Sequence[str], known: tuple[set[str], set[str]]
+) -> Iterator[int]:
+    """Points at which the part needs a full or final model that is not among the ``known`` yet."""
+    for index in plan.representatives(keys):
         with contextlib.suppress(UsageError):  # its row will say what is wrong
             texts = _texts(name, job.load(task(plan, index).overrides))
-            if texts is not None:
-                full += texts[0] not in groups
-                _, known = groups.setdefault(texts[0], (name, {}))
-                models += texts[1] not in known
-                known.setdefault(texts[1], index)
-    return full, models
+            if texts is not None and texts[1] not in known[1]:
+                for text, level in zip(texts, known, strict=True):
+                    level.add(text)
+                yield index
 
 
 def _texts(name: str, scene: Scene) -> tuple[str, str] | None:
@@ -356,28 +372,41 @@ def _texts(name: str, scene: Scene) -> tuple[str, str] | None:
 def _extremes(plan: Plan, key: str) -> Sequence[Any]:
     """Smallest and largest value of a number, all of words."""
     column = plan.column(key)
-    ends = column if isinstance(column[0], str) else (min(column), max(column))
-    return list(dict.fromkeys(ends))
+    return list(dict.fromkeys(column if _worded(plan, key) else (min(column), max(column))))
 
 
-def shared_models(plan: Plan, found: Stages) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
-    """Part and points for :func:`prepare`: each model that several points share, once."""
-    counts = Counter(part for part, points in found.builds for _ in points)
-    for part, points in found.builds:
-        if counts[part] < plan.size or counts[part] == 1:
-            yield part, [task(plan, index).overrides for index in points]
+def _worded(plan: Plan, key: str) -> bool:
+    return any(isinstance(value, str) for value in plan.column(key))
 
 
 # --- on disk ------------------------------------------------------------------------------------
 
 
+class _Plan(BaseModel):
+    """What ``plan.json`` holds: the request, and the hash by which a sweep knows its own table."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, ser_json_bytes="base64", val_json_bytes="base64"
+    )
+
+    digest: str
+    points: int
+    scene: SceneText
+    sets: tuple[str, ...]
+    zipped: bool
+    latin: bool
+    seed: Annotated[int, Field(ge=0)]
+    metrics: tuple[str, ...]
+    timeout: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+    format: str
+
+
 def write_plan(study: Study, directory: Path, digest: str) -> None:
-    """``plan.json``: the request and the hash by which a later sweep knows its own table."""
-    content = {"digest": digest, "points": study.plan.size, **asdict(study.request)}
-    files = study.request.scene.files
-    content["scene"]["files"] = [(name, base64.b64encode(data).decode()) for name, data in files]
+    """Write ``plan.json`` of ``study``, which then goes by ``digest``."""
+    asked = {field.name: getattr(study.request, field.name) for field in fields(study.request)}
+    content = _Plan(digest=digest, points=study.plan.size, **asked)
     partial = directory / f"{PLAN}.part"
-    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    partial.write_text(content.model_dump_json(indent=2) + "\n", encoding="utf-8")
     partial.replace(directory / PLAN)
 
 
@@ -391,36 +420,13 @@ def read_plan(directory: Path) -> tuple[Request, str]:
     path = directory / PLAN
     no_links(directory)
     try:
-        content: dict[str, Any] = json.loads(text_of(read_bounded(path, MAX_PLAN)))
-        digest, _ = content.pop("digest"), content.pop("points")
-        scene = content.pop("scene")
-        scene["files"] = tuple(
-            (name, base64.b64decode(data, validate=True)) for name, data in scene["files"]
-        )
-        sets, metrics = tuple(content.pop("sets")), tuple(content.pop("metrics"))
-        request = Request(SceneText(**scene), sets, metrics=metrics, **content)
-        _check_types(request, digest)
-        return request, digest
+        found = _Plan.model_validate_json(read_bounded(path, MAX_PLAN))
     except FileNotFoundError:
         raise UsageError("holds no sweep", where=str(directory), expected=f"a {PLAN}") from None
-    except UsageError as error:
-        raise UsageError("not the plan of a sweep", where=str(path), got=str(error)) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (UsageError, OSError, ValueError) as error:
         raise UsageError("not the plan of a sweep", where=str(path), got=str(error)[:200]) from None
-
-
-def _check_types(request: Request, digest: Any) -> None:
-    """ValueError for a field that holds something else than the command line could have given."""
-    words = (digest, request.format, *request.sets, *request.metrics)
-    limit = request.timeout
-    if (
-        not all(isinstance(word, str) for word in words)
-        or not all(isinstance(flag, bool) for flag in (request.zipped, request.latin))
-        or type(request.seed) is not int
-        or request.seed < 0
-        or not (limit is None or (type(limit) in (int, float) and 0 < limit < math.inf))
-    ):
-        raise ValueError("a field of the wrong type")
+    asked = {field.name: getattr(found, field.name) for field in fields(Request)}
+    return Request(**asked), found.digest
 
 
 def no_links(directory: Path) -> None:
