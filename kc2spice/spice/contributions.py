@@ -138,7 +138,15 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
         case "r":
             return [f"{through} <+ {across}/{value};"]
         case "c":
-            return [f"{through} <+ ddt({value}*{across});", *_initial(part, through, across, names)]
+            charge = names.module.identifier(f"charge_{names.prefix}{part.name.lower()}")
+            names.module.declarations.append(f"real {charge};")
+            return [
+                # of equal products inside of ddt, OpenVAF (Reloaded, 2026-08) now and then gives
+                # the derivative of one to the node of another
+                f"{charge} = {value}*{across};",
+                f"{through} <+ ddt({charge});",
+                *_initial(part, through, across, names),
+            ]
         case "g":
             return [f"{through} <+ {value}*{names.across(part.nodes[2:])};"]
         case "f":

@@ -18,7 +18,8 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests" / "spice"))
 import device
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "kc2spice-clients"
@@ -32,7 +33,7 @@ def program():
     def find(name: str, *, own: bool = False) -> str:
         path = shutil.which(name, path=str(OWN)) or (None if own else shutil.which(name))
         if path is None:
-            pytest.skip(f"{name} is not installed: tools/clients.sh fetches it")
+            pytest.skip(f"{name} is not installed; tools/clients.sh fetches all but Xyce")
         return path
 
     return find
@@ -43,7 +44,11 @@ def deck_of():
     """``deck_of(scene, **solver)``: a gallery scene around made-up chip and magnets, exported."""
 
     def make(name: str, **solver):
-        scene = load_scene(name, {f"solver.{key}": value for key, value in solver.items()})
+        stops = load_scene(name).analysis.stop is not None and "stop" in solver
+        given = {f"solver.{key}": value for key, value in solver.items()}
+        if stops:
+            given["analysis.stop"] = given.pop("solver.stop")
+        scene = load_scene(name, given)
         build = device.built(scene, device.chip(), device.magnets())
         others = {
             part.name: part.type.build(part, scene, Clock(silent))
@@ -60,7 +65,10 @@ def run():
     """``run(command, folder)``: its output; it must succeed."""
 
     def execute(command: list[str], folder: Path) -> str:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
         return done.stdout + done.stderr
 

@@ -1,4 +1,4 @@
-"""Runs our deck and an example of another client in one process: FIRST EXAMPLE LIBRARY."""
+"""Runs our deck and an example of another client in one process: FIRST EXAMPLE CLIENT LIBRARY."""
 
 import runpy
 import sys
@@ -25,7 +25,7 @@ def theirs():
     runpy.run_path(example)
 
 
-first, example, library = sys.argv[1:]
-sys.argv = [example, library]
+first, example, *arguments = sys.argv[1:]
+sys.argv = [example, *arguments]
 for run in (ours, theirs, ours) if first == "ours" else (theirs, ours, theirs):
     run()

@@ -5,8 +5,6 @@ import pytest
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
 
-pytestmark = pytest.mark.slow  # minutes: other programs, every scene
-
 
 def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):
     newer = program("ngspice", own=True)

@@ -1,5 +1,6 @@
-"""PySpice reads our libraries and shares a process with our own use of libngspice."""
+"""PySpice and its fork InSpice read our libraries, beside our own use of libngspice."""
 
+import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -8,18 +9,25 @@ import numpy as np
 import pytest
 
 HERE = Path(__file__).parent
-EXAMPLE = HERE.parents[1] / "docs" / "examples" / "impedance_pyspice.py"
+EXAMPLE = HERE.parents[1] / "docs" / "examples" / "impedance_library.py"
 CLIENT = HERE / "python_client.py"
 STEP = 1e3  # Hz, of the example's sweep
 
 
+@pytest.fixture
+def interpreter(client, program):
+    """A Python that has the client; InSpice needs 3.12."""
+    return sys.executable if importlib.util.find_spec(client) else program(f"python-{client}")
+
+
 @pytest.mark.parametrize("first", ["ours", "theirs"])
-def test_impedance_from_a_library_beside_our_own_simulation(first, deck_of, run, model, tmp_path):
-    pytest.importorskip("PySpice.Spice.Netlist")
-    deck = deck_of("harmonic")
-    (chip,) = deck.parts
+@pytest.mark.parametrize("client", ["PySpice", "InSpice"])
+def test_impedance_from_a_library_beside_our_own_simulation(
+    client, first, interpreter, deck_of, run, model, tmp_path
+):
+    (chip,) = deck_of("harmonic").parts
     (tmp_path / "kick.lib").write_text(chip.text)
-    said = run([sys.executable, str(CLIENT), first, str(EXAMPLE), "kick.lib"], tmp_path)
+    said = run([interpreter, str(CLIENT), first, str(EXAMPLE), client, "kick.lib"], tmp_path)
     assert said.count("ours 1.0000") == (2 if first == "ours" else 1)
     # free rings: the admittance is s times the modal charge per volt
     frequency = np.arange(1e5, 5e5 + 1, STEP)
