@@ -1,4 +1,4 @@
-"""From a library to an impedance plot, with either: impedance_library.py PySpice|InSpice kick.lib"""
+"""Impedance from a library, with either client: impedance_library.py PySpice|InSpice kick.lib"""
 
 import sys
 from importlib import import_module

@@ -18,10 +18,10 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "spice"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "spice"))
 import device
 
+ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "kc2spice-clients"
 OWN = Path(os.environ.get("KC2SPICE_CLIENTS", CACHE)) / "bin"
 
