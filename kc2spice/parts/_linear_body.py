@@ -149,13 +149,15 @@ class LinearBody(PartType):
         rom = self.settings(part, scene)
         kept = [port.name for port in self.kept(part, scene)]
         own = rom.model_dump(mode="json")
-        return {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
+        found = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
+        return found | {"massless": massless(part, scene)}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         kept = [port.name for port in self.kept(part, scene)]
         target = self.settings(part, scene)
 
         def build() -> LinearModel:
+            from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import reduce
 
             full = self.full(part, scene, clock)
@@ -164,11 +166,11 @@ class LinearBody(PartType):
                 order = None if target.order is None else min(target.order, chosen.order)
                 small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
             modal = modal_form(small)  # whose later use needs no eigenvalues
-            return (
-                small
-                if modal is None
-                else replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
-            )
+            if modal is None:
+                return small
+            if massless(part, scene):
+                modal = without_inertia(modal, target.tolerance)
+            return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
@@ -250,6 +252,7 @@ class LinearBody(PartType):
         found: dict[str, Any] = {
             "order": model.order,
             "ports": [port.name for port in model.ports],
+            "massless": int(np.count_nonzero(model.M.diagonal() == 0.0)) if model.M is not None else 0,
         }
         if certificate is not None:
             found |= {
@@ -289,7 +292,7 @@ class LinearBody(PartType):
         )
         if modal is not None:
             law = laws.LinearBody(
-                n, np.ones(modal.order), modal.damp, modal.omega**2, modal.gain, modal.gain.T,
+                n, modal.inertia, modal.damp, modal.omega**2, modal.gain, modal.gain.T,
                 modal.D, own,
             )  # fmt: skip
         else:
@@ -390,6 +393,12 @@ def wanted(part: Part, scene: Scene) -> set[str]:
         if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
             found.add(probe.of.rpartition(".")[2])
     return found
+
+
+def massless(part: Part, scene: Scene) -> bool:
+    """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
+    ports = (p for other in scene.parts.values() for p in other.type.massless(other, scene))
+    return any(port.startswith(f"{part.name}.") for port in ports)
 
 
 def part_starts_moving(part: Part, scene: Scene) -> bool:

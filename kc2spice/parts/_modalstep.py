@@ -27,26 +27,50 @@ def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipRes
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
     with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``.
-    Exact for such loads whatever the step. The chip starts in equilibrium with ``load[0]``.
+    Exact for such loads whatever the step. A state without inertia is one such state by itself.
+    The chip starts in equilibrium with ``load[0]``.
     """
-    drive = load @ model.gain.T
-    a, b = _roots(model.omega, model.damp)
-    paired = bool((b == a.conj()).all())  # then x_b is the conjugate of x_a
-    roots = a if paired else np.concatenate([a, b])
-    drive = drive if paired else np.tile(drive, 2)
-    state = drive[0] / -roots
+    drive, heavy = load @ model.gain.T, model.order - model.massless
+    z = np.empty_like(drive)
+    z[:, :heavy], rate = _resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
+    z[:, heavy:] = _relaxing(model.omega[heavy:], model.damp[heavy:], t, drive[:, heavy:])
+    stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
+    stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
+    return ChipResponse(z @ model.gain + load @ model.D, stored)
+
+
+def _resonant(
+    omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements and rates (n, modes)."""
+    a, b = _roots(omega, damp)
+    if (b == a.conj()).all():  # then x_b is the conjugate of x_a
+        x_a = _march(a, t, drive)
+        x_b = x_a.conj()
+    else:
+        both = _march(np.concatenate([a, b]), t, np.tile(drive, 2))
+        x_a, x_b = both[:, : a.size], both[:, a.size :]
+    return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
+
+
+def _relaxing(omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Displacements (n, modes) of ``d z' + w^2 z = r``; undamped ones follow at once."""
+    z = drive / omega**2
+    slow = damp > 0
+    z[:, slow] = _march(-(omega[slow] ** 2) / damp[slow], t, drive[:, slow] / damp[slow]).real
+    return z
+
+
+def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """(n, roots) of ``x' = a x + r`` from equilibrium."""
     states = np.empty((t.size, roots.size), dtype=complex)
-    states[0] = state
+    states[0] = state = drive[0] / -roots
     for begin in range(0, t.size - 1, _BLOCK):
         part = slice(begin, min(begin + _BLOCK, t.size - 1) + 1)
         for k, (grow, push) in enumerate(zip(*_steps(roots, t[part], drive[part]), strict=True)):
             state = grow * state + push
             states[begin + k + 1] = state
-    x_a, x_b = states[:, : a.size], states.conj() if paired else states[:, a.size :]
-    z, rate = ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
-    stored = (rate**2 + (model.omega * z) ** 2).sum(axis=1) / 2
-    stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
-    return ChipResponse(z @ model.gain + load @ model.D, stored)
+    return states
 
 
 def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

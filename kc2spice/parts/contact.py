@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -52,6 +52,9 @@ class ContactKeys(Section):
     )
     b: str | None = Field(None, description="sphere, or a port of a body; the only sphere")
     gap: Length = Field(0.0, description="at rest, on top of that of the geometry")
+    inertia: Literal["massless", "lumped"] = Field(
+        "massless", description="of the residual modes behind the ports: left out, or a mass each"
+    )
 
 
 class Contact(PartType):
@@ -82,6 +85,9 @@ class Contact(PartType):
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         (one, _), (other, b) = _names(part, scene)
         return (*(f"{one}.{port}" for port in kept_ports(part, scene)), f"{other}.{b.force[0]}")
+
+    def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return self.wants(part, scene) if part.keys.inertia == "massless" else ()
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         a, b = sides(part, scene)
@@ -201,6 +207,13 @@ class Contact(PartType):
                 f"one force per port of {one} stands for it",
                 "run again with a finer mesh to see it",
             )
+        if part.keys.inertia == "massless":
+            yield LeftOut(
+                f"inertia of the residual modes behind the ports of {part.name}",
+                "stiff modes above the band that keep the ports' compliance exact; their mass is "
+                "the mesh's and rattles behind the springs",
+                "part of the reduced model's certified error",
+            )  # fmt: skip
         what = f"friction, adhesion and plastic flow between {one} and {other}"
         yield LeftOut(what, "the law is elastic and normal to the surface", "not estimated")
         if kept < len(a.ports):

@@ -52,7 +52,7 @@ class Term:
     """``sum weight y^2`` (energy already halved) or, for ``linear``, ``weight y``, of a law."""
 
     law: str
-    kind: str  # "energy" or "loss"
+    kind: str  # "energy", "loss", or "drag": a loss by the rates of the form
     rows: Rows
     weight: np.ndarray
     linear: bool = False
@@ -134,6 +134,7 @@ class _Assembly:
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
+        self.drag = np.zeros((self.nq, self.nq))  # damping of displacements without inertia
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, int]] = []
@@ -324,6 +325,17 @@ class _Assembly:
         free[mixed, others.size :] = vt[rank:].T
         return sizes[:, None] * free, sizes[:, None] * R
 
+    def _relaxed(self, Nq: np.ndarray, vel: slice) -> tuple[np.ndarray, np.ndarray]:
+        """:func:`_split` of the displacements; damped ones without inertia that nothing else moves
+        are states of first order, the others need a velocity."""
+        pattern = self.M[: self.nq, vel] - self.A[: self.nq, vel] + self.moving
+        basis, moving = _split(Nq, pattern)
+        if not (self.drag @ basis)[:, moving].any():
+            self.M[: self.nq, : self.nq] += self.drag
+            return basis, moving
+        self.A[: self.nq, vel] -= self.drag
+        return _split(Nq, pattern + self.drag)
+
     def system(self) -> System:
         """Eliminate the constraints, split off what has no inertia, and scale."""
         nq, n = self.nq, self.size
@@ -331,7 +343,7 @@ class _Assembly:
         Nq, Rq = self._null(slice(0, nq), self.sizes)
         Nv, Rv = self._null(vol, rest[: len(self.node)])
         mass = self.M[:nq, vel]
-        Nq, moving = _split(Nq, mass - self.A[:nq, vel] + self.moving)
+        Nq, moving = self._relaxed(Nq, vel)
         charge = self.M[vol, :]
         Nv, _ = _split(Nv, charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1)))
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
@@ -470,9 +482,13 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     M, E, K = _square(law.M), _square(law.E), _square(law.K)
+    light = ~M.any(axis=0) & ~M.any(axis=1)
+    alone = light & ~E[:, ~light].any(axis=1) & ~E[~light].any(axis=0)
+    drag = np.where(np.outer(alone, alone), E, 0.0)
     into.M[x, v] += M
     into.A[x, x] -= K
-    into.A[x, v] -= E
+    into.A[x, v] -= E - drag
+    into.drag[x, x] += drag
     B, C = np.asarray(law.B, dtype=float), np.asarray(law.C, dtype=float)
     D = np.zeros((len(law.ports),) * 2) if law.D is None else np.asarray(law.D, dtype=float)
     motion, volts = np.zeros((C.shape[1], n)), {}
@@ -505,7 +521,8 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     moving[:, v] = np.eye(C.shape[1])
     _quadratic(law, into, "energy", motion, 0.5 * K)
     _quadratic(law, into, "energy", moving, 0.5 * M)
-    _quadratic(law, into, "loss", moving, E)
+    _quadratic(law, into, "loss", moving, E - drag)
+    _quadratic(law, into, "drag", motion, drag)
     if volts:
         keys = list(volts)
         _quadratic(law, into, "energy", np.array([volts[k] for k in keys]),

@@ -454,12 +454,14 @@ def _balance(result: Result) -> Balance:
                 supplied[supply.law] = supplied.get(supply.law, 0.0) + float(row @ w)
         s, d = system.inputs(t, piece.within)
         for term in system.terms:
-            if term.kind == "loss":
+            if term.kind in ("loss", "drag"):
                 value = None
                 if part.flight is not None:
                     value = flown_loss(part.flight, part.end, term, s[:, 0], d[:, 0])
                 if value is None:
-                    value = float(term.weight @ (term.rows.at(z, s, d) ** 2) @ w)
+                    rows = term.rows
+                    y = rows.at(z, s, d) if term.kind == "loss" else rows.z @ r + rows.s @ d
+                    value = float(term.weight @ y**2 @ w)
                 lost[term.law] = lost.get(term.law, 0.0) + value
         for k in losing:
             device, mode = system.devices[k], piece.modes[k]

@@ -69,11 +69,14 @@ class Flight:
         now = m.guards @ (self.at(np.array([t]))[:, 0] - m.rest)
         return np.abs(m.guards @ m.shapes) @ size + now
 
-    def squares(self, rows: np.ndarray, weight: np.ndarray, offset: np.ndarray, t1: float) -> float:
-        """``int sum weight (rows z + offset)^2 dt`` from the start to ``t1``, in closed form."""
+    def squares(
+        self, rows: np.ndarray, weight: np.ndarray, offset: np.ndarray, t1: float, rate: bool
+    ) -> float:
+        """``int sum weight (rows z + offset)^2 dt`` from the start to ``t1``, or of the ``rate`` of
+        that form, in closed form."""
         m, span = self.modes, t1 - self.start
-        c = (rows @ m.shapes) * self.amplitudes
-        base = rows @ m.rest + offset
+        c = (rows @ m.shapes) * self.amplitudes * (m.rates if rate else 1.0)
+        base = (rows @ m.rest + offset) * (not rate)
         rates, waves = np.append(m.rates, 0.0), np.column_stack((c, base.astype(complex)))
         gram = waves.T @ (weight[:, None] * waves)
         cross = waves.T @ (weight[:, None] * waves.conj())
@@ -226,7 +229,8 @@ def flown_loss(
     if term.rows.z[:, flight.modes.others].any():
         return None
     offset = term.rows.s @ s + term.rows.d @ d
-    return flight.squares(term.rows.z[:, flight.modes.where], term.weight, offset, end)
+    rows, rate = term.rows.z[:, flight.modes.where], term.kind == "drag"
+    return flight.squares(rows, term.weight, offset, end, rate)
 
 
 def _integral(rate: np.ndarray, span: float) -> np.ndarray:

@@ -18,11 +18,12 @@ COUPLING_LIMIT = 1e-8
 
 @dataclass(frozen=True)
 class Resonators:
-    """``z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``,
+    """``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``,
     ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
-    ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). Reciprocal by
-    form, stable for ``damp >= 0`` and passive for ``D`` positive semi-definite.
+    ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). ``m_j`` is one,
+    but zero of the last ``massless`` states, which relax within ``damp_j / omega_j^2``. Reciprocal
+    by form, stable for ``damp >= 0`` and passive for ``D`` positive semi-definite.
     For an electrical port u is the voltage and y the charge.
     """
 
@@ -32,22 +33,28 @@ class Resonators:
     D: np.ndarray
     ports: tuple[Port, ...]
     certificate: Certificate | None
+    massless: int = 0
 
     @property
     def order(self) -> int:
-        """Number of second-order states."""
+        """Number of states, each a displacement and its velocity or, without inertia, only that."""
         return self.omega.size
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """(q,) ``m_j``: 1 or 0."""
+        return (np.arange(self.order) < self.order - self.massless).astype(float)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
         """``H(j 2 pi f)`` (frequencies, outputs, inputs), as a sum over modes."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)[:, None]
-        inverse = 1 / (s**2 + self.damp * s + self.omega**2)
+        inverse = 1 / (self.inertia * s**2 + self.damp * s + self.omega**2)
         return np.einsum("jo,fj,ji->foi", self.gain, inverse, self.gain) + self.D
 
     def linear(self) -> LinearModel:
         """The same model as matrices; :func:`resonators` takes it back to the bit."""
         return LinearModel(
-            M=np.eye(self.order), E=np.diag(self.damp), K=np.diag(self.omega**2), B=self.gain,
+            M=np.diag(self.inertia), E=np.diag(self.damp), K=np.diag(self.omega**2), B=self.gain,
             D=self.D, ports=self.ports, certificate=self.certificate,
         )  # fmt: skip
 
@@ -64,11 +71,13 @@ def resonators(rom: LinearModel) -> Resonators:
     if rom.first_order or not rom.symmetric:
         raise _unfit("not a symmetric second-order model", "M, K > 0, E >= 0 and C = B'")
     K, E, M = rom.pencil.dense().coefficients
-    one = np.eye(rom.order)
-    if np.array_equal(M, one) and all(np.array_equal(P, P * one) for P in (E, K)):
+    one, massless = np.eye(rom.order), int(np.count_nonzero(np.diag(M) == 0.0))
+    form = one * (np.arange(rom.order) < rom.order - massless)
+    if np.array_equal(M, form) and all(np.array_equal(P, P * one) for P in (E, K)):
         return Resonators(
-            np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate
-        )
+            np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate,
+            massless,
+        )  # fmt: skip
     try:
         mu, phi = linalg.eigh(M, K)
     except np.linalg.LinAlgError:

@@ -199,6 +199,10 @@ class PartType:
         """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
         return ()
 
+    def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Ports of other bodies (``"part.port"``) that meet something without inertia there."""
+        return ()
+
     def coil_currents(self, part: Part, scene: Scene) -> float | None:
         """Largest current [A] if it feeds two coils each on their own, else None."""
         return None

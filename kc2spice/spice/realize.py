@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
+SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
 FAST = 3.0  # times the lowest frequency; slower modes need less care, see kick.j2
 SHARE = 0.01  # of the clamped capacitance that step control sees; its charge is the modes' own
 SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
@@ -228,6 +229,7 @@ class _Mode:
     farad: float
     stiffness: float
     damping: float
+    massless: bool
     drives: list[_Card]
     charges: list[_Card]
 
@@ -243,21 +245,28 @@ def _resonators(
 
     with ``C = 1 uF min(1, (w / 3 w_1)^2)``: step control sees an error of charge, ``C`` times that
     of the displacement, and slow modes decide nothing in a contact, but ring long after it.
+    A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
+    ``C = G d / w^2``.
     """
     kept = _audible(model)
     terminals = _terminals(model.ports, model.D, name)
     pins, base = _pins(terminals, model.ports)
     _check_names(pins, terminals, name)
-    order = np.argsort(kept.omega)
+    order = np.lexsort((kept.omega, kept.inertia == 0.0))
     omega, damp, gain = kept.omega[order], kept.damp[order], kept.gain[order]
+    heavy = kept.order - kept.massless
     mechanical = [t.kind == "mechanical" for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
     scale = np.where(scale > 0, scale, 1.0)
-    farads = _farad(omega)
+    farads = _farad(omega[:heavy])
     modes = [
         _mode(j, omega[j], damp[j], gain[j], scale[j], float(farads[j]), terminals, base)
-        for j in range(omega.size)
+        for j in range(heavy)
+    ]
+    modes += [
+        _relaxing(j, omega[j], damp[j], gain[j], scale[j], terminals, base)
+        for j in range(heavy, omega.size)
     ]
     wired = [
         _wired(t, k, terminals, model.D, (omega, damp, gain, scale), mass, base)
@@ -287,8 +296,28 @@ def _mode(
     j: int, omega: float, damp: float, gain: np.ndarray, scale: float, farad: float,
     terminals: list[_Terminal], base: str,
 ) -> _Mode:  # fmt: skip
-    index = j + 1
     drive = farad * scale * gain / (omega * MICRO)  # A into p per newton or volt
+    return _Mode(
+        j + 1, omega / (2 * np.pi), damp / (2 * omega), farad, farad * omega, farad * damp, False,
+        *_coupled(j + 1, drive, gain / scale, terminals, base),
+    )  # fmt: skip
+
+
+def _relaxing(
+    j: int, omega: float, damp: float, gain: np.ndarray, scale: float,
+    terminals: list[_Terminal], base: str,
+) -> _Mode:  # fmt: skip
+    drive = SIEMENS * scale * gain / (omega**2 * MICRO)  # A into q per newton or volt
+    return _Mode(
+        j + 1, omega / (2 * np.pi), damp / omega**2, SIEMENS * damp / omega**2, SIEMENS, 0.0, True,
+        *_coupled(j + 1, drive, gain / scale, terminals, base),
+    )  # fmt: skip
+
+
+def _coupled(
+    index: int, drive: np.ndarray, share: np.ndarray, terminals: list[_Terminal], base: str
+) -> tuple[list[_Card], list[_Card]]:
+    """What ports drive a state with, and the charge that it moves."""
     drives, charges = [], []
     for kind in ("motion", "electrical", "acceleration"):
         for k, t in enumerate(terminals):
@@ -299,11 +328,8 @@ def _mode(
             drives.append(_Card(card, *t.control(base), drive[k]))
             if kind == "electrical" and t.clamped:  # uC per um
                 node = f"charge{t.tag}"
-                charges.append(_Card(f"Gc{index}{t.tag}", f"q{index}", node, gain[k] / scale))
-    return _Mode(
-        index, omega / (2 * np.pi), damp / (2 * omega), farad, farad * omega, farad * damp,
-        drives, charges,
-    )  # fmt: skip
+                charges.append(_Card(f"Gc{index}{t.tag}", f"q{index}", node, share[k]))
+    return drives, charges
 
 
 def _wired(
@@ -331,7 +357,9 @@ def _wired(
 
 def _states(node: str, values: np.ndarray, base: str, mark: str = "") -> tuple[_Card, ...]:
     return tuple(
-        _Card(f"{mark}{j}", f"{node}{j}", base, float(value)) for j, value in enumerate(values, 1)
+        _Card(f"{mark}{j}", f"{node}{j}", base, float(value))
+        for j, value in enumerate(values, 1)
+        if value
     )
 
 
@@ -342,7 +370,11 @@ def _audible(model: Resonators) -> Resonators:
     kept = share.max(axis=1, initial=0.0) > SILENT
     if kept.all() or not kept.any():
         return model
-    return replace(model, omega=model.omega[kept], damp=model.damp[kept], gain=model.gain[kept])
+    massless = int(np.count_nonzero(kept & (model.inertia == 0.0)))
+    return replace(
+        model, omega=model.omega[kept], damp=model.damp[kept], gain=model.gain[kept],
+        massless=massless,
+    )  # fmt: skip
 
 
 def _farad(omega: np.ndarray) -> np.ndarray:

@@ -246,11 +246,11 @@ def law(build: Build) -> Law:
     (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
     static = model.D.copy()
     static[anode, anode] = 0.0
-    if np.any(static) or np.any(model.omega <= 0.0):
+    if np.any(static) or np.any(model.omega <= 0.0) or model.massless:
         raise SimulationError(
-            "the laboratory needs positive frequencies and no feed-through but the capacitance",
-            where="kick model",
-        )
+            "the laboratory needs inertia, positive frequencies and no feed-through but the "
+            "capacitance", where="kick model", hint='set contact.inertia = "lumped"',
+        )  # fmt: skip
     gain, drive = model.gain[:, rings], model.gain[:, anode]
     radii = np.arange(len(rings)) * kick.mesh.ring_spacing
     floor = np.abs(gain).max() / max(np.abs(drive).max(), 1e-300)
