@@ -252,7 +252,7 @@ class LinearBody(PartType):
         found: dict[str, Any] = {
             "order": model.order,
             "ports": [port.name for port in model.ports],
-            "massless": int(np.count_nonzero(model.M.diagonal() == 0.0)) if model.M is not None else 0,
+            "massless": 0 if model.M is None else int((model.M.diagonal() == 0).sum()),
         }
         if certificate is not None:
             found |= {

@@ -1,4 +1,4 @@
-"""Contact ports without inertia: exact statics, passivity, and the same bounce by plain equations."""
+"""Contact ports without inertia: exact statics, passivity, a bounce by plain equations."""
 
 from __future__ import annotations
 
@@ -144,11 +144,12 @@ Xsphere v bottom y 0 sphere
 .tran 1e-08 {stop} 0 5e-08 uic"""
     waves = run_deck(bench(parts, cards, {"v": ("v(v)", 1.0)}, stop), tmp_path)
     assert waves["v"][-1] == pytest.approx(states[4, -1], rel=2e-5)
-    scene = load_scene(
-        {"name": "impact", "impact": {"velocity": -1.0, "gap": 1e-7}, "contact": {"rings": 1},
-         "kick": {"electrical": "short"}, "sphere": {"radius": 1e-3, "density": MASS / (4 / 3 * np.pi * 1e-9)},
-         "gravity": 0.0, "solver": {"stop": stop}},
-    )  # fmt: skip
+    density = MASS / (4 / 3 * np.pi * 1e-9)
+    scene = load_scene({
+        "name": "impact", "impact": {"velocity": -1.0, "gap": 1e-7}, "contact": {"rings": 1},
+        "kick": {"electrical": "short"}, "sphere": {"radius": 1e-3, "density": density},
+        "gravity": 0.0, "solver": {"stop": stop},
+    })  # fmt: skip
     exact = solve(built(scene, model), waves).results
     assert exact["sphere.v"][-1] == pytest.approx(states[4, -1], rel=1e-7)
 
