@@ -11,15 +11,17 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import BodyKeys, LinearBody
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme
     from kc2spice.bodies.recover import Motion
 
+MOST = 20  # instants that one run writes
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
 ADVICE = (
     "look at the VTU file: edges of clamps and re-entrant corners exceed any limit when refined"
@@ -55,6 +58,12 @@ class Recovered:
         return max(limited, key=lambda each: each.value / (each.limit or 1.0))
 
 
+class FieldKeys(BodyKeys):
+    """Whether a run recovers what happens inside the body; instants become VTU files."""
+
+    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] = False
+
+
 class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass gives its :meth:`device`."""
 
@@ -68,6 +77,13 @@ class MeshedBody(LinearBody):
             yield UsageError(
                 "fields are recovered from waveforms over time", where=f"{part.name}.fields",
                 got=f"analysis {scene.analysis.type}", expected="a transient, or fields = false",
+            )  # fmt: skip
+            return
+        outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
+        if outside:
+            yield UsageError(
+                "instant outside the run", where=f"{part.name}.fields", got=f"{outside[0]:g} s",
+                expected=f"0 to {scene.stop:g} s",
             )  # fmt: skip
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -95,7 +111,11 @@ class MeshedBody(LinearBody):
         recovered = self.recovered(part, build, waves)
         if recovered is not None:
             yield _over_time(part.name, recovered)
-            yield _deformed(part.name, recovered)
+            worst = recovered.worst
+            said = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
+            yield _deformed(part.name, "deformed", recovered, worst.instant, said + worst.material)
+            for k, instant in enumerate(chosen(part), 1):
+                yield _deformed(part.name, f"deformed_{k}", recovered, instant, "as chosen")
 
     def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterator[str]:
         recovered = self.recovered(part, build, waves)
@@ -104,9 +124,12 @@ class MeshedBody(LinearBody):
         from kc2spice.bodies.vtu import write_vtu
 
         motion = recovered.motion
-        name = f"{part.name}_fields.vtu"
-        write_vtu(folder / name, motion.device, *motion.at(recovered.worst.instant))
-        yield name
+        instants = {"fields": recovered.worst.instant}
+        instants |= {f"fields_{k}": t for k, t in enumerate(chosen(part), 1)}
+        for stem, instant in instants.items():
+            name = f"{part.name}_{stem}.vtu"
+            write_vtu(folder / name, motion.device, *motion.at(instant))
+            yield name
 
     def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
         """What the run says of the body's inside; None where nobody asks.
@@ -151,6 +174,11 @@ class MeshedBody(LinearBody):
         return found
 
 
+def chosen(part: Part) -> tuple[float, ...]:
+    """Instants [s] that the user asks for."""
+    return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
+
+
 def _slug(material: str) -> str:
     """Part of a metric's name: letters, digits and single underscores."""
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
@@ -173,13 +201,13 @@ def _over_time(name: str, found: Recovered) -> Figure:
     return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))
 
 
-def _deformed(name: str, found: Recovered) -> Figure:
-    """The surface mesh at the instant of the worst stress, displacements enlarged."""
-    motion, worst = found.motion, found.worst
+def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str) -> Figure:
+    """The surface mesh at an instant, displacements enlarged."""
+    motion = found.motion
     solid = motion.device.solid
     mesh = solid.mesh
     basis = solid.basis(1)
-    moves = (motion.device.displacement @ motion.at(worst.instant)[0]).reshape(-1, solid.components)
+    moves = (motion.device.displacement @ motion.at(instant)[0]).reshape(-1, solid.components)
     moves = moves[basis.nodal_dofs[0]].T
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
     factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
@@ -192,12 +220,9 @@ def _deformed(name: str, found: Recovered) -> Figure:
         _wires("at rest", mesh.p, edges, ":"),
         _wires(f"displacement x {factor:g}", mesh.p + factor * moves, edges, "-"),
     )
-    caption = (
-        f"At {1e3 * worst.instant:.4g} ms, the instant of the worst stress: "
-        f"{1e-6 * worst.value:.3g} MPa in {worst.material}."
-    )
+    caption = f"At {1e3 * instant:.4g} ms, {what}."
     panel = Panel("mm", "mm", curves, equal=True)
-    return Figure(f"{name}_deformed", f"Deformed {name}", caption, (panel,))
+    return Figure(f"{name}_{stem}", f"Deformed {name}", caption, (panel,))
 
 
 def _wires(label: str, points: np.ndarray, edges: np.ndarray, style: str) -> Curve:

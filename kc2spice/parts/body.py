@@ -10,18 +10,14 @@ from kc2spice.bodies import body
 from kc2spice.bodies.device import Device
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import file_stamp
-from kc2spice.parts._meshed import MeshedBody
+from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Rom
 
 
-class BodyKeys(body.Body):
+class BodyKeys(body.Body, FieldKeys):
     """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
-
-    rom: Rom | None = None
-    fields: bool = False
 
 
 class Body(MeshedBody):

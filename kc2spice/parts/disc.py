@@ -7,17 +7,14 @@ from typing import Any
 
 from kc2spice.bodies import disc
 from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import LinearBody, layered
+from kc2spice.parts._linear_body import BodyKeys, LinearBody, layered
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Rom
 
 
-class DiscKeys(disc.Disc):
+class DiscKeys(disc.Disc, BodyKeys):
     """Keys of the body, and its own reduction if it has one."""
-
-    rom: Rom | None = None
 
 
 class Disc(LinearBody):

@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from kc2spice.bodies import langevin
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import BodyKeys, LinearBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Rom
 
 
-class LangevinKeys(langevin.Langevin):
+class LangevinKeys(langevin.Langevin, BodyKeys):
     """Keys of the body, and its own reduction if it has one."""
-
-    rom: Rom | None = None
 
 
 class Langevin(LinearBody):

@@ -13,20 +13,17 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.core.quantities import Section
-from kc2spice.parts._linear_body import LinearBody, file_stamp
+from kc2spice.parts._linear_body import BodyKeys, LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Rom
 
 
-class MatricesKeys(Section):
+class MatricesKeys(BodyKeys):
     """Files beside the scene; ports as their sidecar TOML names them."""
 
     file: FileName
     sidecar: FileName | None = Field(None, description="TOML with the ports; NAME.toml unless told")
-    rom: Rom | None = None
 
 
 class Matrices(LinearBody):

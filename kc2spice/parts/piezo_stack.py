@@ -17,7 +17,7 @@ from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts._linear_body import BodyKeys, LinearBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -61,10 +61,9 @@ class Drive(Section):
         return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
-class Stack(Chip):
+class Stack(Chip, BodyKeys):
     """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
 
-    rom: Rom | None = None
     electrical: Literal["open", "short", "driven"] = "driven"
     drive: Drive | None = Field(None, description="pulse of an ideal source on the anode")
     driver: dict[str, dict[str, Any]] | None = Field(

@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.rom.archive import read_archive
 from kc2spice.rom.linear import Certificate, LinearModel, Port, PortKind
-from kc2spice.rom.matrix_market import read_body, read_header
+from kc2spice.rom.matrix_market import read_market
 
 MAX_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # of one matrix
@@ -85,10 +85,13 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
     for letter in "MEKABCD":
         file = Path(f"{base}.{letter}")
         if file.is_file():
-            if file.stat().st_size > MAX_BYTES:
-                raise UsageError("too large", where=str(file), expected=f"{MAX_BYTES} bytes")
-            matrices[letter] = read_body(file, read_header(file))
+            matrices[letter] = read_market(read_bounded(file, MAX_BYTES), _bounded)
     return matrices, text_of(read_bounded(record, MAX_BYTES))
+
+
+def _bounded(shape: tuple[int, int], entries: int) -> None:
+    if max(shape[0] * shape[1], entries) > MAX_ENTRIES:
+        raise ValueError(f"a matrix of {shape[0]} x {shape[1]}, {entries} entries")
 
 
 def _port(name: str, kind: str, across: str, flow: str, pins: Sequence[str] = ()) -> Port:

@@ -8,84 +8,67 @@ Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
 
 from kc2spice.rom.operators import Matrix
 
+BANNER = b"%%matrixmarket"
 _FORMS = ("coordinate", "array")
 _FIELDS = ("real", "double", "integer")
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
+_FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
 
 
-@dataclass(frozen=True)
-class MarketHeader:
-    """What stands before the numbers; ``numbers`` is how many must follow."""
+def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
+    """The matrix of a file's content: csc for 'coordinate', dense for 'array'.
 
-    form: str
-    symmetry: str
-    rows: int
-    columns: int
-    entries: int
-    offset: int
-
-    @property
-    def numbers(self) -> int:
-        """Numbers in the body of the file."""
-        return 3 * self.entries if self.form == "coordinate" else self.entries
-
-
-def read_header(path: Path) -> MarketHeader:
-    """Header of ``path``.
+    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
 
     Raises
     ------
-    ValueError : not a real matrix in Matrix Market format, with the reason.
+    ValueError : not a real matrix in this format, with the reason: numbers missing, too many or
+        unreadable, or an index outside the matrix.
     """
-    with path.open("rb") as stream:
-        banner = stream.readline(1000).decode("ascii", "replace").lower().split()
-        if banner[:2] != ["%%matrixmarket", "matrix"] or len(banner) != 5:
-            raise ValueError("the first line is not that of a Matrix Market file")
-        form, field, symmetry = banner[2:]
-        if form not in _FORMS or symmetry not in _SYMMETRIES:
-            raise ValueError(f"'{form} {symmetry}' is not read")
-        if field not in _FIELDS:
-            raise ValueError(f"it is a {field} matrix")
-        line = stream.readline(100_000)
-        while line.startswith(b"%") or (line and not line.strip()):
-            line = stream.readline(100_000)
-        sizes = [int(word) for word in line.split()]
-        if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
-            raise ValueError("the line of sizes is damaged")
-        rows, columns = sizes[:2]
-        if symmetry != "general" and rows != columns:
-            raise ValueError(f"{symmetry}, but {rows} x {columns}")
-        entries = sizes[2] if form == "coordinate" else _stored(rows, columns, symmetry)
-        return MarketHeader(form, symmetry, rows, columns, entries, stream.tell())
+    end = data.find(b"\n", 0, 1000)
+    banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
+    if banner[:2] != ["%%matrixmarket", "matrix"] or len(banner) != 5:
+        raise ValueError("the first line is not that of a Matrix Market file")
+    form, field, symmetry = banner[2:]
+    if form not in _FORMS or symmetry not in _SYMMETRIES:
+        raise ValueError(f"'{form} {symmetry}' is not read")
+    if field not in _FIELDS:
+        raise ValueError(f"it is a {field} matrix")
+    sizes, start = _sizes(data, end + 1)
+    if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
+        raise ValueError("the line of sizes is damaged")
+    rows, columns = sizes[:2]
+    if symmetry != "general" and rows != columns:
+        raise ValueError(f"{symmetry}, but {rows} x {columns}")
+    entries = sizes[2] if form == "coordinate" else _stored(rows, columns, symmetry)
+    allowed((rows, columns), entries)
+    count = 3 * entries if form == "coordinate" else entries
+    if 2 * count > len(data) - start + 2:
+        raise ValueError(f"{len(data)} bytes cannot hold {entries} entries: it is cut off")
+    values = numbers(data[start:])
+    if values.size != count:
+        raise ValueError(f"{values.size} numbers instead of {count}: is it cut off?")
+    make = _coordinate if form == "coordinate" else _array
+    return make(rows, columns, symmetry, values)
 
 
-def read_body(path: Path, header: MarketHeader) -> Matrix:
-    """The matrix behind ``header``: csc for 'coordinate', dense for 'array'.
-
-    Raises
-    ------
-    ValueError : numbers are missing, too many or unreadable, or an index is outside the matrix.
-    """
-    with path.open("rb") as stream:
-        stream.seek(header.offset)
-        text = stream.read()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy stops at damage with a warning only
-        try:
-            numbers = np.fromstring(text, dtype=float, sep=" ") if text.strip() else np.empty(0)
-        except (DeprecationWarning, ValueError):
-            raise ValueError("something in it is not a number") from None
-    if numbers.size != header.numbers:
-        raise ValueError(f"{numbers.size} numbers instead of {header.numbers}: is it cut off?")
-    return _coordinate(header, numbers) if header.form == "coordinate" else _array(header, numbers)
+def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
+    """The line of sizes behind the comments, and where the numbers begin."""
+    while start < len(data):
+        end = data.find(b"\n", start)
+        end = len(data) if end < 0 else end
+        line = data[start:end].strip()
+        start = end + 1
+        if line and not line.startswith(b"%"):
+            return [int(word) for word in line[:200].split()], start
+    raise ValueError("the line of sizes is missing")
 
 
 def _stored(rows: int, columns: int, symmetry: str) -> int:
@@ -94,29 +77,62 @@ def _stored(rows: int, columns: int, symmetry: str) -> int:
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
 
 
-def _coordinate(header: MarketHeader, numbers: np.ndarray) -> sparse.csc_array:
-    place, value = numbers.reshape(-1, 3)[:, :2], numbers[2::3]
-    limit = (header.rows, header.columns)
-    if not ((place >= 1) & (place <= limit) & (place == np.floor(place))).all():
-        raise ValueError("an index is outside the matrix")
-    row, column = (place.T - 1).astype(np.int64)
-    matrix = sparse.csc_array((value, (row, column)), shape=limit)
-    if header.symmetry == "general":
+def _coordinate(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+    row, column = indices(values[0::3], rows), indices(values[1::3], columns)
+    matrix = sparse.csc_array((values[2::3], (row, column)), shape=(rows, columns))
+    if symmetry == "general":
         return matrix
-    if (row < column).any() or (header.symmetry != "symmetric" and (row == column).any()):
-        raise ValueError(f"{header.symmetry}, but an entry is not in the lower triangle")
-    off = row != column
-    sign = 1 if header.symmetry == "symmetric" else -1
-    mirrored = (sign * value[off], (column[off], row[off]))
-    return sparse.csc_array(matrix + sparse.csc_array(mirrored, shape=limit))
+    skew = symmetry != "symmetric"
+    if (row < column).any() or (skew and (row == column).any()):
+        raise ValueError(f"{symmetry}, but an entry is not in the lower triangle")
+    return mirrored(matrix, -1 if skew else 1)
 
 
-def _array(header: MarketHeader, numbers: np.ndarray) -> np.ndarray:
-    if header.symmetry == "general":
-        return numbers.reshape(header.columns, header.rows).T.copy()
-    skew = header.symmetry != "symmetric"
-    upper = np.zeros((header.rows, header.rows))
-    upper[np.triu_indices(header.rows, k=int(skew))] = numbers  # columns of the lower triangle
-    if skew:
-        return upper.T - upper
-    return upper.T + np.triu(upper, 1)
+def _array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+    if symmetry == "general":
+        return values.reshape(columns, rows).T.copy()
+    skew = symmetry != "symmetric"
+    upper = np.zeros((rows, rows))
+    upper[np.triu_indices(rows, k=int(skew))] = values  # columns of the lower triangle
+    return upper.T - upper if skew else upper.T + np.triu(upper, 1)
+
+
+# --- what readers of other text formats use as well -----------------------------------------------
+
+
+def numbers(text: bytes) -> np.ndarray:
+    """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
+
+    Fortran's ``1.5D+3`` is a number.
+
+    Raises
+    ------
+    ValueError : something else stands among them.
+    """
+    if not text.strip():
+        return np.empty(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # numpy stops at damage with a warning only
+        try:
+            return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise ValueError("something in it is not a number") from None
+
+
+def indices(values: np.ndarray, size: int) -> np.ndarray:
+    """``values`` counted from 1 as integers counted from 0.
+
+    Raises
+    ------
+    ValueError : one is not a whole number from 1 to ``size``.
+    """
+    sound = (values >= 1) & (values <= size) & (values == np.floor(values))
+    if not sound.all():
+        raise ValueError(f"an index is {values[~sound][0]:g}, the matrix has {size} rows")
+    return values.astype(np.int64) - 1
+
+
+def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
+    """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
+    diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
+    return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)

@@ -160,6 +160,19 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
     assert moved == pytest.approx(abs(waves["beam.u.tip"][k]), rel=0.02)
 
 
+def test_fields_at_chosen_instants_are_written_and_drawn(results):
+    short = ("solver.stop=0.03", "analysis.stop=0.03", 'beam.fields=["10 ms", "20 ms"]')
+    record, waves, out = results("harvester_bridge", *short)
+    for k, instant in ((1, 10e-3), (2, 20e-3)):
+        found = meshio.read(out / f"beam_fields_{k}.vtu").point_data
+        sample = np.argmin(np.abs(waves["time"] - instant))
+        tip = abs(waves["beam.u.tip"][sample])
+        assert np.abs(found["displacement"][:, 2]).max() == pytest.approx(tip, rel=0.03)
+        assert f"beam_deformed_{k}.png" in record["files"]
+    with pytest.raises(UsageError, match="outside the run"):
+        load_scene("harvester_bridge", [short[0], short[1], 'beam.fields=["40 ms"]'])
+
+
 def test_fields_cost_nothing_and_say_nothing_unless_asked_for(results):
     record, _, out = results("harvester_bridge", "solver.stop=0.05", "analysis.stop=0.05")
     assert not any("stress" in name for name in record["metrics"])

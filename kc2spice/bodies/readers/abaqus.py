@@ -20,13 +20,12 @@ from kc2spice.bodies.readers.limits import (
     checked,
     content,
     guarded,
-    indices,
-    numbers,
     present,
     refused,
     whole,
 )
 from kc2spice.bodies.readers.raw import DOFS, Raw, labelled
+from kc2spice.rom.matrix_market import indices, numbers
 
 NAME = re.compile(r"(.*)_(STIF|MASS|DMPV)(\d*)\.mtx", re.IGNORECASE)
 _LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E"}

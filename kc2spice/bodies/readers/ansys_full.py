@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import checked, existing, guarded, mirrored
+from kc2spice.bodies.readers.limits import checked, existing, guarded
 from kc2spice.bodies.readers.raw import CODES, Dofs, Raw
 from kc2spice.core.errors import MissingToolError
+from kc2spice.rom.matrix_market import mirrored
 
 # Ansys counts freedoms from 0 in this file: UX UY UZ ROTX ROTY ROTZ AX AY AZ VX VY VZ ... TEMP VOLT
 _KINDS = dict(enumerate(("ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz")))

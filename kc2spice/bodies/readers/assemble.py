@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import mirrored
 from kc2spice.bodies.readers.mesh import Mesh, read_mesh
 from kc2spice.bodies.readers.raw import DOFS, ROTATIONS, TRANSLATIONS, VOLT, Dofs
 from kc2spice.bodies.readers.sidecar import Place, PortEntry
 from kc2spice.bodies.readers.source import Source
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
+from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
 

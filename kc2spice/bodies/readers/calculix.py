@@ -17,13 +17,12 @@ from kc2spice.bodies.readers.limits import (
     checked,
     content,
     guarded,
-    indices,
-    numbers,
     present,
     refused,
     whole,
 )
 from kc2spice.bodies.readers.raw import CODES, Dofs, Raw
+from kc2spice.rom.matrix_market import indices, numbers
 from kc2spice.rom.operators import Matrix
 
 SUFFIXES = (".sti", ".mas", ".dof")

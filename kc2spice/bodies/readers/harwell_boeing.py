@@ -13,16 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import (
-    bounded,
-    checked,
-    content,
-    guarded,
-    indices,
-    mirrored,
-    refused,
-)
+from kc2spice.bodies.readers.limits import bounded, checked, content, guarded, refused
 from kc2spice.bodies.readers.raw import CODES, Dofs
+from kc2spice.rom.matrix_market import indices, mirrored
 from kc2spice.rom.operators import Matrix
 
 _EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"

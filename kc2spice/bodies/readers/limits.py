@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
@@ -19,7 +19,6 @@ MAX_SIZE = 5_000_000  # rows or columns
 MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
 MAX_DENSE = 50_000_000  # entries of a full matrix
 MAX_BYTES = 4_000_000_000  # one file, unpacked
-_FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
 _BOM = b"\xef\xbb\xbf"
 
 T = TypeVar("T")
@@ -75,25 +74,6 @@ def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
         raise UsageError("cannot be read", where=str(path), got=reason, expected=expected) from None
 
 
-def numbers(text: bytes) -> np.ndarray:
-    """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
-
-    Fortran's ``1.5D+3`` is a number.
-
-    Raises
-    ------
-    ValueError : something else stands among them.
-    """
-    if not text.strip():
-        return np.empty(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy stops at damage with a warning only
-        try:
-            return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
-        except (DeprecationWarning, ValueError):
-            raise ValueError("something in it is not a number") from None
-
-
 def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
     """Refuse a matrix by its declared size, before memory is taken for it.
 
@@ -113,25 +93,6 @@ def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:
         raise refused(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
-
-
-def indices(values: np.ndarray, size: int) -> np.ndarray:
-    """``values`` counted from 1 as integers counted from 0.
-
-    Raises
-    ------
-    ValueError : one is not a whole number from 1 to ``size``.
-    """
-    sound = (values >= 1) & (values <= size) & (values == np.floor(values))
-    if not sound.all():
-        raise ValueError(f"an index is {values[~sound][0]:g}, the matrix has {size} rows")
-    return values.astype(np.int64) - 1
-
-
-def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
-    diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
-    return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
 
 def whole(matrix: sparse.csc_array) -> sparse.csc_array:

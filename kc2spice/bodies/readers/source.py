@@ -19,19 +19,20 @@ from kc2spice.bodies.readers.harwell_boeing import (
 )
 from kc2spice.bodies.readers.limits import (
     LETTERS,
+    bounded,
+    checked,
     content,
     existing,
     guarded,
-    numbers,
     present,
     refused,
 )
-from kc2spice.bodies.readers.market import BANNER, read_market
 from kc2spice.bodies.readers.matfile import read_mat
 from kc2spice.bodies.readers.nastran import read_dmig, read_op4
 from kc2spice.bodies.readers.raw import DOFS, Dofs, Raw
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.matrix_market import BANNER, numbers, read_market
 from kc2spice.rom.operators import Matrix
 
 # What may stand behind NAME.K or NAME_K.
@@ -157,13 +158,21 @@ def _matrices(files: dict[str, Path]) -> Raw:
     found: dict[str, Matrix] = dict(raw.matrices)
     for letter, path in files.items():
         if letter in market:
-            found[letter] = read_market(path, letter)
+            found[letter] = _market(path, letter)
         elif letter in boeing:
             found[letter] = read_harwell_boeing(path, letter)
     dofs = raw.dofs
     if boeing and dofs is None:
         dofs = _mapping([files[k] for k in sorted(boeing, key="KMEABCD".index)], found)
     return Raw(found, dofs, raw.held)
+
+
+def _market(path: Path, letter: str) -> Matrix:
+    def read() -> Matrix:
+        return read_market(content(path), lambda shape, n: bounded(path, letter, shape, n))
+
+    expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
+    return checked(guarded(path, expected, read), letter, path)
 
 
 def _tables(files: dict[str, Path]) -> dict[str, Path]:

@@ -20,6 +20,7 @@ from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import Ball, transient
+from kc2spice.parts._mesh_study import as_system, on_reduced
 from kc2spice.parts.contact import ContactKeys
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
@@ -30,7 +31,6 @@ from kc2spice.rom.response import relative_error
 from kc2spice.rom.subspace import subspace
 from kc2spice.rom.surrogate import surrogate
 from laboratory.candidate_figure import candidate_figure
-from laboratory.fullmodel import as_system, on_reduced
 from laboratory.reductions import Candidate, candidates, leading, of_pencil
 
 BAND = (0.0, 500e3)

@@ -1,12 +1,10 @@
-"""The full model of a scene's chip: contact transients, what usual code costs, a stand-in."""
+"""The full model of a scene's chip: contact transients, what usual code costs."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import sparse
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.assembly import assemble_kick
@@ -15,7 +13,6 @@ from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import TransientResult
 from kc2spice.parts.piezo_stack import chip_of
-from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.model import Scene
 from laboratory.setup import keys_of
 
@@ -71,25 +68,3 @@ def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
     }  # fmt: skip
     data |= {f"kick.u.R{k}": row for k, row in enumerate(result.spring_displacement.T)}
     return Waveforms(data, {})
-
-
-def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:
-    """The reduced device as one sector in the form that the full-model solvers take: states for
-    displacements."""
-    n = full.sectors
-    return replace(
-        full,
-        M=sparse.csc_array(rom.M / n),
-        K_uu=sparse.csc_array(rom.K / n),
-        K_up=sparse.csc_array((rom.order, 0)),
-        K_pp=sparse.csc_array((0, 0)),
-        k_uV=-rom.B[:, -1] / n,
-        k_pV=np.zeros(0),
-        c_VV=float(rom.D[-1, -1]) / n,
-        B=rom.B[:, :-1],
-    )
-
-
-def on_reduced(surface: ContactSurface, rom: LinearModel) -> ContactSurface:
-    """A surface with one spring per ring, as the reduced model's ring ports see it."""
-    return replace(surface, shapes=rom.B[:, :-1])
