@@ -137,6 +137,39 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Recorded:
+    """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970).
+
+    Every ``stride``-th sample is a corner: no step of an integrator is longer than what was sampled
+    there, so that an event after a long rest is not stepped over.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    stride: int = 16
+
+    @cached_property
+    def _curve(self) -> tuple[Any, Any]:
+        from scipy.interpolate import Akima1DInterpolator
+
+        curve = Akima1DInterpolator(self.times, self.values)
+        return curve, curve.derivative()
+
+    def value(self, t: Any) -> Any:
+        """Value at the times ``t``, constant before and after the samples."""
+        return self._curve[0](np.clip(t, self.times[0], self.times[-1]))
+
+    def rate(self, t: Any, within: float) -> Any:
+        """Slope at the times ``t``."""
+        return self._curve[1](np.clip(t, self.times[0], self.times[-1]))
+
+    def corners(self, stop: float) -> np.ndarray:
+        """Every ``stride``-th sample up to ``stop``."""
+        times = self.times[:: self.stride]
+        return times[(times > 0.0) & (times < stop)]
+
+
+@dataclass(frozen=True)
 class Sine:
     """``offset + amplitude sin(2 pi frequency (t - start))`` from ``start`` on."""
 

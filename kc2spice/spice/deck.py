@@ -126,6 +126,14 @@ class Deck:
         own = re.findall(rf"(?im)^\s*\.opt\w*\b.*\b{key}\s*=\s*([-+0-9.eE]+)", self.text)
         return own[-1] if own else None
 
+    def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
+        """The same deck with these results besides its own."""
+        more = replace(self, vectors={**self.vectors, **vectors})
+        if self.text is None or not re.search(r"(?im)^\s*\.save\b", self.text):
+            return more
+        line = ".save " + " ".join(vector for vector, _ in vectors.values()) + "\n"
+        return replace(more, text=_ANALYSIS.sub(lambda m: line + m[0], self.text, count=1))
+
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
         """The same deck with these options instead of its own."""
         kept = tuple(option for option in self.options if option.key not in options)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import mmwrite
+from kicked import kicked as write_kicked
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
@@ -40,57 +40,10 @@ max_step = "1 us"
 top = { of = "c.v", take = "max" }
 """
 
-KICKED = """
-name = "kicked"
-gravity = 0.0
-[beam]
-part = "matrices"
-file = "beam.M.mtx"
-sidecar = "beam.toml"
-rom = { tolerance = 1e-6, band = ["0 Hz", "100 kHz"] }
-[push]
-part = "source"
-kind = "force"
-pulse = { high = "0.2 N", width = "20 us", edge = "4 us", start = "5 us" }
-pins = { out = "beam.tip" }
-[contact]
-penalty = "1e6 N/m"
-a = "beam.tip"
-b = "ball.a"
-[ball]
-part = "mass"
-mass = "5 mg"
-[hold]
-part = "spring"
-stiffness = "2e3 N/m"
-pins = { a = "ball.a" }
-[solver]
-reltol = 1e-5
-stop = "150 us"
-max_step = "0.5 us"
-[gates]
-launch_velocity = 5e-4            # measured 1.7e-4 at this speed of 8 cm/s
-metrics = 5e-4                    # measured 2.5e-4: 3.6 ns of launch time between two steps
-"""
-
 
 @pytest.fixture
 def kicked(tmp_path: Path) -> Path:
-    """A chain of six masses that kicks a mass on a spring."""
-    n, k, m = 6, 4e6, 2e-6
-    K = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    K[-1, -1] = k
-    B = np.zeros((n, 1))
-    B[-1] = 1.0
-    matrices = {"M": m * np.eye(n), "K": K, "E": 1e-8 * K, "B": B, "C": B.T}
-    for letter, values in matrices.items():
-        mmwrite(tmp_path / f"beam.{letter}.mtx", values)
-    (tmp_path / "beam.toml").write_text(
-        '[[port]]\nname = "tip"\nkind = "mechanical"\ndirection = "both"\n'
-    )
-    path = tmp_path / "kicked.toml"
-    path.write_text(KICKED)
-    return path
+    return write_kicked(tmp_path)
 
 
 def failed(record: dict) -> list[str]:

@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import Equations, Law, Reading, Source
+from kc2spice.core.laws import (
+    Device,
+    Equations,
+    Law,
+    Reading,
+    Recorded,
+    Sensor,
+    SignalBlock,
+    Source,
+)
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import System, assemble
@@ -16,6 +25,9 @@ from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import replacements, swept
 
 RTOL = 1e-8  # of the integrator
+# Kind of a pin: the source that can stand for a part there, and the factor to SI of ngspice's node.
+SOURCES = {"electrical": ("voltage", 1.0), "displacement": ("displacement", 1e-6),
+           "signal": ("signal", 1.0)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,30 +67,70 @@ def without_law(build: Build) -> tuple[str, ...]:
     )
 
 
-def circuits(build: Build) -> tuple[Circuit, ...]:
-    """The scene's independent circuits.
-
-    Raises
-    ------
-    UsageError : the laws do not fit each other; a part without law is for the caller to find.
-    """
+def _equations(build: Build) -> dict[str, Equations]:
     replaced = replacements(build)
     found: dict[str, Equations] = {}
     for part in build.scene.parts.values():
         equations = None if part.name in replaced else part.type.law(part, build)
         if equations is not None:
             found[part.name] = equations
+    return found
+
+
+def taken_nets(build: Build) -> dict[str, str] | None:
+    """Nets on which parts without a law meet others, and their kind; None if one has no source.
+
+    What a part without law does to the rest of a transient is then known from ngspice: its voltage,
+    displacement or signal on these nets. Nets that a law holds by itself are not among them.
+    """
+    missing, found = set(without_law(build)), _equations(build)
     joins = _joins(build, found)
+    laws = {law.name: law for equations in found.values() for law in equations.laws}
+    kinds = {f"{law.name}.{pin.name}": pin.kind for law in laws.values() for pin in law.pins}
+    met: dict[str, str] = {}
+    for name, equations in found.items():
+        for pin, target in equations.pins:
+            net = build.scene.nets[name, pin]
+            others = {part for part, _ in build.scene.joined(name, pin)}
+            joined = next((pins for pins in joins.values() if target in pins), (target,))
+            if others & missing and not any(_holds(laws, each) for each in joined):
+                met[net] = kinds[target]
+    return met if set(met.values()) <= set(SOURCES) else None
+
+
+def _holds(laws: Mapping[str, Law], pin: str) -> bool:
+    """Whether the law of a pin prescribes what its net has."""
+    name, _, own = pin.partition(".")
+    law = laws[name]
+    if isinstance(law, Source):
+        return own == "out" and law.kind not in ("current", "force")
+    if isinstance(law, SignalBlock):
+        return own in law.outputs
+    return own in (law.drives if isinstance(law, Device) else ("out",) * isinstance(law, Sensor))
+
+
+def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
+    """The scene's independent circuits; ``taken`` are sources on nets of parts without a law.
+
+    Raises
+    ------
+    UsageError : the laws do not fit each other; a part without law is for the caller to find.
+    """
+    found, taken = _equations(build), taken or {}
+    joins = _joins(build, found, taken)
+    found |= {source.name: Equations((source,)) for source in taken.values()}
     laws = [law for equations in found.values() for law in equations.laws]
     readings = {k: r for equations in found.values() for k, r in equations.results.items()}
     sweeps = {(n, k): s for n, equations in found.items() for k, s in equations.sweeps.items()}
     return tuple(_apart(laws, joins, readings, sweeps))
 
 
-def _joins(build: Build, found: Mapping[str, Equations]) -> dict[str, tuple[str, ...]]:
+def _joins(
+    build: Build, found: Mapping[str, Equations], taken: Mapping[str, Source] | None = None
+) -> dict[str, tuple[str, ...]]:
     """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
     nets: list[tuple[bool, set[str]]] = []
-    by_net: dict[str, set[str]] = {}
+    by_net = {net: {f"{source.name}.out"} for net, source in (taken or {}).items()}
     for name, equations in found.items():
         for pin, target in equations.pins:
             by_net.setdefault(build.scene.nets[name, pin], set()).add(target)
@@ -133,15 +185,19 @@ def _owner(reading: Reading) -> str:
 # --- analyses -------------------------------------------------------------------------------------
 
 
-def solve(build: Build, waves: Waveforms) -> Reference:
+def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None) -> Reference:
     """The analysis of the scene at the points of ``waves``, those of ngspice.
+
+    On the nets ``taken`` (see :func:`taken_nets`) it is given what ngspice has there.
 
     Raises
     ------
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    parts = [c for c in circuits(build) if not all(isinstance(law, Source) for law in c.laws)]
+    sources = {net: _replayed(net, kind, waves) for net, kind in (taken or {}).items()}
+    whole = circuits(build, sources)
+    parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
     kind = build.scene.analysis.type
     if kind == "transient":
         return _transients(parts, build, waves)
@@ -155,6 +211,16 @@ def solve(build: Build, waves: Waveforms) -> Reference:
     values = np.linspace(first, last, build.scene.analysis.points)
     solved = (_points(c, (c.sweeps.get((part.name, key)), values)) for c in parts)
     return _gathered(scale, waves[scale], solved)
+
+
+def taken_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+    """Results of a deck that hold what it has on these nets."""
+    return {f"net {net}": (f"v({net})", SOURCES[kind][1]) for net, kind in nets.items()}
+
+
+def _replayed(net: str, kind: str, waves: Waveforms) -> Source:
+    times, first = np.unique(waves["time"], return_index=True)
+    return Source(f"net_{net}", SOURCES[kind][0], Recorded(times, waves[f"net {net}"][first]))
 
 
 def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Reference:

@@ -83,7 +83,7 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     names = _named(gate.of, ours.waves, exact.waves)
     if not names:
         return _ABSENT
-    pairs = [_aligned(ours.waves, exact.waves, name) for name in names]
+    pairs = [_aligned(ours.waves, exact.waves, name)[1:] for name in names]
     if gate.share < 1.0:
         scale = next(iter(exact.waves.data.values()))
         low = scale <= gate.share * scale[-1]
@@ -113,17 +113,19 @@ def _named(pattern: str, *all_waves: Waveforms) -> list[str]:
     return [pattern] if pattern in common else []
 
 
-def _aligned(waves: Waveforms, exact: Waveforms, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """A wave of both at the points that both cover."""
+def _aligned(
+    waves: Waveforms, exact: Waveforms, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The points that both cover, and a wave of both there."""
     a, b = waves[name], exact[name]
     if "time" not in waves:
-        return a, b
+        return np.arange(float(a.size)), a, b
     t, u = np.unique(waves["time"], return_index=True)
     s, w = np.unique(exact["time"], return_index=True)
     a, b = a[u], b[w]
     at = t if t.size <= s.size else s
     at = at[(at >= max(t[0], s[0])) & (at <= min(t[-1], s[-1]))]
-    return _at(at, t, a, waves, u, name), _at(at, s, b, exact, w, name)
+    return at, _at(at, t, a, waves, u, name), _at(at, s, b, exact, w, name)
 
 
 def _at(
@@ -140,18 +142,23 @@ def _at(
 
 
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
-    """Every wave that both have; those that never move are left out."""
+    """Every wave that both have; those that never move are left out.
+
+    The rms is one over time: points that a solver crowds into a contact weigh what they last.
+    """
     found = []
     scale = next(iter(exact.data))
     for name in exact.data:
         if name == scale or name not in waves:
             continue
-        a, b = _aligned(waves, exact, name)
+        at, a, b = _aligned(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
         if size == 0.0:
             continue
         error = np.abs(a - b)
-        rms = math.sqrt(float(np.mean(error**2)) / float(np.mean(np.abs(b) ** 2)))
+        power = (np.trapezoid(np.abs(x) ** 2, at) if at.size > 1 else np.abs(x).max() ** 2
+                 for x in (error, b))  # fmt: skip
+        rms = math.sqrt(float(np.divide(*power)))
         found.append(OutputError(pair, name, float(error.max()) / size, rms))
     return found
 
@@ -161,8 +168,10 @@ def metric_errors(
 ) -> Iterator[tuple[str, float | None]]:
     """Each number that both have, by its size or by ``SMALL`` of the largest wave of its unit."""
     for name, b in exact.metrics.items():
-        a = ours.metrics.get(name)
-        if isinstance(b, bool) or (b is None and a is None):
+        if name not in ours.metrics or isinstance(b, bool):
+            continue
+        a = ours.metrics[name]
+        if b is None and a is None:
             continue
         if a is None or b is None:
             yield name, None

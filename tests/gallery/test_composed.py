@@ -1,0 +1,48 @@
+"""Scenes of a user's own, from one TOML file to run, sweep and verify, by the command line."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kicked import kicked
+
+ROOT = Path(__file__).parents[2]
+TWO_STACKS = ROOT / "docs" / "examples" / "two_stacks.toml"
+
+
+def kc2spice(*words, cwd):
+    """What the command says under ``--json``; it must end with exit code 0."""
+    done = subprocess.run(
+        [sys.executable, "-m", "kc2spice", *words, "--json"], cwd=cwd, capture_output=True,
+        text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr + done.stdout
+    return json.loads(done.stdout)
+
+
+@pytest.mark.slow  # 20 s of the independent integrator for the two stacks
+@pytest.mark.parametrize(
+    ("write", "swept", "metric"),
+    [
+        (lambda folder: TWO_STACKS, "bridge.resistance=2:20:3", "large_top"),
+        (kicked, "push.pulse.high=0.2:0.3:3", "launch_velocity_m_s"),
+    ],
+    ids=["two stacks on one half-bridge", "mass on a spring kicked by matrices"],
+)
+def test_a_scene_from_scratch_runs_sweeps_and_verifies(write, swept, metric, tmp_path):
+    scene = str(write(tmp_path))
+    run = kc2spice("run", scene, "--out", "run", cwd=tmp_path)
+    assert run["metrics"][metric] > 0
+    sweep = kc2spice("sweep", scene, "--set", swept, "--out", "sweep", cwd=tmp_path)
+    assert (sweep["points"], sweep["failed"]) == (3, 0)
+    rows = np.genfromtxt(tmp_path / sweep["table"], delimiter=",", names=True)
+    assert np.ptp(rows[metric]) > 0.05 * rows[metric].max()
+    verified = kc2spice("verify", scene, "--out", "verify", cwd=tmp_path)
+    assert verified["passed"]
+    names = [check["name"] for check in verified["checks"]]
+    assert any(name.startswith("every wave") for name in names)
+    assert any("netlist to ROM" in name for name in names)
