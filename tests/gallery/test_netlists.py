@@ -14,9 +14,9 @@ from kc2spice.workflow.run import export
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_])")
-# Another mesher moves the field by some 1e-5. What is zero by symmetry is noise compared to its
-# like, the cards of one kind.
-RELATIVE, OF_ITS_KIND = 1e-4, 1e-5
+# Another mesher moves the field by some 1e-5. Each number is compared to itself; only values of a
+# lookup, which pass through zero, count beside the largest of their table.
+RELATIVE, OF_ITS_TABLE = 1e-4, 1e-5
 # Another processor's arithmetic turns the last states of a reduced model, and may even keep one
 # more: cards change by a tenth, what the part answers by a few times its tolerance of 1e-6.
 RESPONSE = 1e-5
@@ -32,20 +32,26 @@ def parts(text):
             yield NUMBER.sub("#", line), [float(x) for x in NUMBER.findall(line)]
 
 
-def kind(line):
-    return line[:2].lower()
+def sizes(text):
+    """The largest value of the lookup of each line, 0 elsewhere."""
+    tables, largest, table = [], {None: 0.0}, 0
+    for row, line in enumerate(text.splitlines()):
+        lookup = re.match(r"\+ -?[0-9]+,", line)
+        table = table if lookup else row
+        tables.append(table if lookup else None)
+        if lookup:  # heights stand before their values
+            values = [abs(float(x)) for x in NUMBER.findall(line)[1::2]]
+            largest[table] = max(largest.get(table, 0.0), *values)
+    return [largest[table] for table in tables]
 
 
 def assert_same(name, ours, theirs):
+    allowed = sizes(theirs)
     ours, theirs = list(parts(ours)), list(parts(theirs))
     assert [words for words, _ in ours] == [words for words, _ in theirs], name
-    largest = {}
-    for words, values in theirs:
-        size = max(map(abs, values), default=0.0)
-        largest[kind(words)] = max(largest.get(kind(words), 0.0), size)
-    for (words, a), (_, b) in zip(ours, theirs, strict=True):
-        allowed = RELATIVE * np.abs(b) + OF_ITS_KIND * largest[kind(words)]
-        assert np.all(np.abs(np.subtract(a, b)) <= allowed), f"{name}: {words} {a} {b}"
+    for (words, a), (_, b), size in zip(ours, theirs, allowed, strict=True):
+        limit = RELATIVE * np.abs(b) + OF_ITS_TABLE * size
+        assert np.all(np.abs(np.subtract(a, b)) <= limit), f"{name}: {words} {a} {b}"
 
 
 def head(text):
@@ -108,3 +114,49 @@ def test_committed_netlists_are_current(scene, tmp_path):
             assert_answers_alike(path, file, tmp_path / "response")
         else:
             assert_same(f"{scene}/{path.name}", ours, theirs)
+
+
+def changed(text, rng, factor):
+    """``text`` with one of its numbers that is not zero times ``factor``, and the line."""
+    lines = text.splitlines()
+    rows = [k for k, line in enumerate(lines)
+            if not line.startswith(("* tool:", "* scene:")) and "uuid" not in line]  # fmt: skip
+    places = [(k, m) for k in rows for m in NUMBER.finditer(lines[k]) if float(m[0])]
+    row, match = places[rng.integers(len(places))]
+    start, end = match.span()
+    lines[row] = f"{lines[row][:start]}{factor * float(match[0])!r}{lines[row][end:]}"
+    return "\n".join(lines), lines[row]
+
+
+@pytest.mark.parametrize("path", sorted((NETLISTS / "kick_and_catch").glob("*.[cl]i[rb]")),
+                         ids=lambda path: path.name)  # fmt: skip
+def test_one_changed_number_is_noticed(path):
+    """Negative control of the comparison: any number 1 % larger, but for small ones of a lookup."""
+    text = path.read_text(encoding="utf-8")
+    rng = np.random.default_rng(0)
+    missed = []
+    for _ in range(5):
+        other, line = changed(text, rng, 1.01)
+        try:
+            assert_same(path.name, other, text)
+            missed.append(line)
+        except AssertionError:
+            continue
+    assert all(line.startswith("+") for line in missed), missed
+    assert len(missed) < 5
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("sphere.lib", "mass=3.288", "mass=9.864"),
+        ("kick_and_catch.cir", "2.49e-05", "9e-02"),
+        ("pid.lib", "kd=20", "kd=20.4"),
+        ("contact.lib", "eps=4", "eps=4.001"),
+    ],
+)
+def test_a_changed_scene_is_noticed(name, before, after):
+    text = (NETLISTS / "kick_and_catch" / name).read_text(encoding="utf-8")
+    assert before in text
+    with pytest.raises(AssertionError):
+        assert_same(name, text.replace(before, after), text)
