@@ -17,6 +17,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
 FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
+ROUNDING = 1e-9
 
 
 def random_case(seed):
@@ -60,36 +61,49 @@ def fine(matrices, band):
     for _ in range(3):  # into the notches, where relative errors are largest
         size = np.abs(direct(matrices, every)).reshape(len(every), -1)
         lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
-        at = np.flatnonzero(lowest.any(axis=1))
-        spans = [np.linspace(every[k], every[k + 2], 6) for k in at]
-        every = np.unique(np.concatenate([every, *spans]))
+        every = zoomed(every, np.flatnonzero(lowest.any(axis=1)))
     return every
 
 
+def zoomed(frequency, at):
+    """``frequency`` with more points in the two gaps beside the inner point of each index ``at``."""
+    return np.unique(np.r_[frequency, *(np.linspace(*frequency[[k, k + 2]], 7) for k in at)])
+
+
+def largest_error(matrices, reduced, band):
+    """Of all entries over the band: at the points of :func:`fine`, then where it still grows."""
+    frequency = fine(matrices, band)
+    peak = np.abs(direct(matrices, frequency)).max(axis=0)
+    for _ in range(4):
+        exact = direct(matrices, frequency)
+        error = np.abs(direct(reduced, frequency) - exact) / np.maximum(abs(exact), FLOOR * peak)
+        error = error.max(axis=(1, 2))
+        tops = np.flatnonzero((error[1:-1] >= error[:-2]) & (error[1:-1] > error[2:]))
+        frequency = zoomed(frequency, tops[np.argsort(error[1:-1][tops])[-20:]])
+    return float(error.max())
+
+
 def check(seed):
+    """The estimate is one to three times the error and never above the tolerance."""
     matrices, band, tolerance = random_case(seed)
     M, E, K, B, C = matrices
     rom = reduce(LinearModel(M=M, E=E, K=K, B=B, C=C), tolerance=tolerance, band=band)
-    frequency = fine(matrices, band)
-    exact = direct(matrices, frequency)
-    found = direct((rom.M, rom.E, rom.K, rom.B, rom.C), frequency)
-    base = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
-    error = float((np.abs(found - exact) / base).max())
+    error = largest_error(matrices, (rom.M, rom.E, rom.K, rom.B, rom.C), band)
     estimate = rom.certificate.error_estimate
     # Rounding of either solution is no error of the reduction.
-    assert error <= estimate + 1e-9, (seed, error, estimate)
+    assert error <= estimate + ROUNDING, (seed, error, estimate)
     assert estimate <= tolerance, (seed, estimate, tolerance)
-    assert estimate <= 4 * error + 1e-9, (seed, error, estimate)
+    assert estimate <= 3 * error + ROUNDING, (seed, error, estimate)
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_estimate_is_between_the_error_and_four_times_it(seed):
+def test_estimate_is_between_the_error_and_three_times_it(seed):
     check(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40, 500))
-def test_estimate_is_between_the_error_and_four_times_it_in_all(seed):
+def test_estimate_is_between_the_error_and_three_times_it_in_all(seed):
     check(seed)
 
 
