@@ -48,9 +48,10 @@ def resonances(matrices, band):
     return found[(found > 1e-4 * band[1]) & (found < band[1])]
 
 
-def worst(found, expected):
+def worst(found, expected, peak=None):
+    """Largest relative error where an entry is above its floor, by its own peak unless told."""
     size = np.abs(expected)
-    counted = size > FLOOR * size.max(axis=0)
+    counted = size > FLOOR * (size.max(axis=0) if peak is None else peak)
     return (np.abs(found - expected)[counted] / size[counted]).max()
 
 
@@ -95,7 +96,7 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
 
 @pytest.mark.parametrize("dense", [False, True], ids=["blocks", "dense"])
 @pytest.mark.parametrize("name", FAMILIES)
-def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, tmp_path):
+def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):
     tolerance = 1e-5
     matrices, model, band = built(name)
     rom = reduce(model, band=band, tolerance=tolerance)
@@ -104,7 +105,8 @@ def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, tmp_path):
     found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
     own = families.full_response(reduced_matrices(rom), frequency)
     assert (np.abs(found - own) / np.abs(own).max(axis=0)).max() < 1e-9
-    assert worst(found, families.full_response(matrices, frequency)) <= tolerance
+    peak = np.abs(truth(name)[1]).max(axis=0)  # 80 frequencies miss it
+    assert worst(found, families.full_response(matrices, frequency), peak) <= tolerance
 
 
 def chain(n=40, k=1.0):
