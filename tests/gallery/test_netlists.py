@@ -143,7 +143,6 @@ def test_one_changed_number_is_noticed(path):
         except AssertionError:
             continue
     assert all(line.startswith("+") for line in missed), missed
-    assert len(missed) < 5
 
 
 @pytest.mark.parametrize(
