@@ -66,7 +66,7 @@ def fine(matrices, band):
 
 
 def zoomed(frequency, at):
-    """``frequency`` with more points in the two gaps beside the inner point of each index ``at``."""
+    """``frequency`` with more points in the gaps beside the inner point of each ``at``."""
     return np.unique(np.r_[frequency, *(np.linspace(*frequency[[k, k + 2]], 7) for k in at)])
 
 

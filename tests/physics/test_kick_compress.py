@@ -32,7 +32,7 @@ def default():
 
 @pytest.fixture(scope="module")
 def truth(default):
-    """Ten Krylov blocks equal the full model to 1e-12 up to 500 kHz (checked with the surrogate)."""
+    """Ten Krylov blocks equal the full model to 1e-12 up to 500 kHz (surrogate)."""
     frequency = np.linspace(0, 500e3, 463)
     return frequency, reduce(default, order=70, band=BAND).transfer(frequency)
 
