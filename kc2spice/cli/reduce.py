@@ -87,12 +87,13 @@ def reduce(
 def export_rom(
     rom: Path, out: Path | None, dialect: str, dense: bool, as_json: bool, quiet: bool
 ) -> None:
-    """Write the subcircuit of a reduced model and say where it is."""
+    """Write subcircuit, symbols and first deck of a reduced model and say where they are."""
     from kc2spice.workflow.reduce import export_rom as export_study
 
     written = export_study(rom, out, dialect=dialect, dense=dense)
     if as_json:
-        where = str(written.parent.absolute())
-        print(json.dumps({"rom": str(rom), "directory": where, "files": [written.name]}))
+        where = str(written[0].parent.absolute())
+        files = [path.name for path in written]
+        print(json.dumps({"rom": str(rom), "directory": where, "files": files}))
     elif not quiet:
-        print_table("files", [(str(written),)])
+        print_table("files", [(str(path),) for path in written])

@@ -18,11 +18,13 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
+from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.dialect import DIALECTS, translate_text
+from kc2spice.spice.deck import Block, Deck, ac
+from kc2spice.spice.dialect import DIALECTS, dialect_files
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
-from kc2spice.spice.veriloga import library
+from kc2spice.spice.symbol import symbol_files
 
 TOLERANCE = 1e-4
 
@@ -122,9 +124,9 @@ def _solver(name: str) -> Solver:
 
 def export_rom(
     path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
-) -> Path:
-    """Write the subcircuit of the reduced model at ``path`` into ``out`` as ``NAME.lib``, for
-    Verilog-A as ``NAME.va``.
+) -> list[Path]:
+    """Write the reduced model at ``path`` into ``out``: its subcircuit ``NAME.lib`` (``NAME.va``
+    for Verilog-A), symbols, and a first deck that measures its response.
 
     Raises
     ------
@@ -139,17 +141,47 @@ def export_rom(
     name = identifier(path.stem, "rom")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
+    deck = first_deck(reduced, part)
     directory = Path(name) if out is None else Path(out)
+    files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
     with staged(directory) as work:
-        filename, text = _spelled(part, dialect)
-        (work / filename).write_text(text, encoding="utf-8")
-    return directory / filename
+        write_files(files, work)
+    return [directory / file for file in sorted(files)]
 
 
-def _spelled(part: Subcircuit, dialect: str) -> tuple[str, str]:
-    """File name and text of ``part`` in the words of ``dialect``."""
-    if dialect == "ngspice":
-        return part.filename, part.text
-    if dialect == "verilog-a":
-        return next(iter(library([part]).items()))
-    return part.filename, translate_text(part.text, part.filename, dialect)
+def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
+    """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band.
+
+    The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
+    are zero, as in :meth:`LinearModel.transfer`.
+    """
+    drivable = [port for port in model.ports if port.kind != "output"]
+    order = ("electrical", "mechanical", "rotational", "acceleration", "input")
+    driven = min(drivable, key=lambda port: order.index(port.kind))
+    grounds = {port.terminals[1] for port in model.ports if port.kind == "electrical"}
+    grounds |= {"base", "ref", "ground"} - {port.terminals[0] for port in model.ports}
+    nodes = ["0" if pin.name in grounds else pin.name for pin in part.pins]
+    sources, vectors = [], {}
+    for port in model.ports:
+        pin, size = port.terminals[0], "AC 1" if port is driven else ""
+        if port.kind in ("mechanical", "rotational"):
+            unit = 1e-6 if port.kind == "mechanical" else 1.0
+            vectors[f"{port.name}.moved"] = (f"v({pin})", unit)
+            sources += [f"I{pin} 0 {pin} DC 0 {size}"] if size else []
+        elif port.kind == "output":
+            vectors[port.name] = (f"v({pin})", 1.0)
+        else:
+            sources.append(f"V{pin} {pin} 0 DC 0 {size}".rstrip())
+        if port.kind == "electrical":
+            vectors[f"{port.name}.current"] = (f"i(v{pin.lower()})", -1.0)
+    low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
+    low = max(low, high / 1e3)
+    what = {"electrical": "1 V", "mechanical": "1 N", "rotational": "1 N m"}
+    title = f"{part.name}: response to {what.get(driven.kind, 'one unit')} at {driven.name}"
+    return Deck(
+        name=f"{part.name}_response", title=title, parts=(part,), vectors=vectors,
+        notes=f"* Over the band of the certificate, {low:g} to {high:g} Hz.",
+        blocks=(Block("the model", (f"X{part.name} {' '.join(nodes)} {part.name}",)),
+                Block("what drives it, and what holds the other ports", tuple(sources))),
+        command=ac(low, high, 400, "log"),
+    )  # fmt: skip

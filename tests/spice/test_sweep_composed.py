@@ -288,3 +288,15 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.
     assert all(3e-4 < float(row["top"]) < 6e-4 for row in rows(summary))
+
+
+def test_every_number_of_a_result_may_be_a_column(tmp_path):
+    scene = scene_text("buzzer_7bb_20_6")
+    names = ("bvd.c0_f", "model.disc.mass_kg", "rom.order", "resonance_hz")
+    asked = Request(scene, ("disc.damping.quality=40,50",), metrics=names)
+    summary = run.sweep(make_study(asked), tmp_path / "o", ThreadEngine(1))
+    found = rows(summary)
+    record = run_scene(load_scene("buzzer_7bb_20_6", ["disc.damping.quality=50"]), tmp_path / "r")
+    wanted = [record["metrics"]["bvd"]["c0_f"], record["model"]["disc"]["mass_kg"],
+              record["rom"]["order"], record["metrics"]["resonance_hz"]]  # fmt: skip
+    assert [float(found[1][name]) for name in names] == wanted

@@ -284,7 +284,7 @@ def test_command_line_reduces_and_exports(tmp_path):
         ran = CliRunner().invoke(app, [*other, "--dialect", dialect])
         assert ran.exit_code == 0, ran.output
         written = json.loads(ran.stdout)["files"]
-        assert written == ["model_rom.va" if dialect == "verilog-a" else "model_rom.lib"]
+        assert ("model_rom.va" if dialect == "verilog-a" else "model_rom.lib") in written
     text = (out / "model_rom.lib").read_text()
     assert "* @pin 1 u1 unit=- flow=-\n" in text
     assert f"order={found['order']}" in text
@@ -295,7 +295,8 @@ def test_conservative_ports_become_conservative_pins(tmp_path):
     port = '[[port]]\nname = "{}"\ndirection = "both"\nkind = "mechanical"\n'
     (tmp_path / "model.toml").write_text("band = [0, 0.1]\n" + port.format("a") + port.format("b"))
     found = reduce(base, tmp_path / "out")
-    text = export_rom(found["rom"], tmp_path / "out").read_text()
+    export_rom(found["rom"], tmp_path / "out")
+    text = (tmp_path / "out" / "model_rom.lib").read_text()
     assert "* @pin 1 a unit=um flow=N\n* @pin 2 b unit=um flow=N\n" in text
     (tmp_path / "other.toml").write_text((tmp_path / "model.toml").read_text())
     other = write_family(tmp_path, rod(), "other")

@@ -289,14 +289,14 @@ def _numbers(build: Build, simulated: Simulated) -> dict[str, Metric]:
         "energy_j": {name: balance.entries for name, balance in simulated.verdict.balances},
         "simulator_cpu_s": stats.get("cpu_s"),
     }
-    return dict(_leaves("", facts)) | metrics(simulated.waves, build)
+    return dict(_leaves("", facts)) | dict(_leaves("", metrics(simulated.waves, build)))
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Metric]]:
     if isinstance(value, Mapping):
         for name, each in value.items():
             yield from _leaves(f"{path}.{name}" if path else str(name), each)
-    elif value is None or isinstance(value, (bool, int, float, np.number)):
+    elif value is None or isinstance(value, (bool, np.bool_, int, float, np.number)):
         yield path, _plain(value)
 
 
@@ -316,7 +316,9 @@ def _cell(found: Mapping[str, Any], name: str) -> Metric:
 
 
 def _plain(value: Any) -> Metric:
-    return value if value is None or isinstance(value, bool) else float(value)
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    return None if value is None else float(value)
 
 
 def scalar_metrics(scene: Scene) -> dict[str, type]:
@@ -332,7 +334,7 @@ def scalar_metrics(scene: Scene) -> dict[str, type]:
     build = Build(scene, {}, libraries(scene))
     with np.errstate(all="ignore"):
         found = metrics(_made_up_run(build), build)
-    numbers = {n: v for n, v in found.items() if v is None or isinstance(v, (bool, int, float))}
+    numbers = dict(_leaves("", found))
     return {name: bool if isinstance(value, bool) else float for name, value in numbers.items()}
 
 
