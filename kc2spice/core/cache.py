@@ -155,12 +155,19 @@ def _plain(value: Any) -> Any:
 
 
 def _source_digest(module: str) -> str:
-    """Hash of a module's text, or of all modules of a package."""
-    spec = importlib.util.find_spec(module)
-    if spec is None or spec.origin is None:
-        raise ModuleNotFoundError(module)
-    origin = Path(spec.origin)
-    package = spec.submodule_search_locations is not None
+    """Hash of a module's text, or of all modules of a package; never the same twice for one that
+    has no file, such as a notebook's."""
+    loaded = sys.modules.get(module)
+    if loaded is None:
+        spec = importlib.util.find_spec(module)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(module)
+        file, package = spec.origin, spec.submodule_search_locations is not None
+    else:
+        file, package = getattr(loaded, "__file__", None), hasattr(loaded, "__path__")
+    if file is None:
+        return os.urandom(16).hex()
+    origin = Path(file)
     files = sorted(origin.parent.rglob("*.py")) if package else [origin]
     digest = hashlib.sha256()
     for file in files:

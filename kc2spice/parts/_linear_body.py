@@ -40,6 +40,13 @@ POINTS = 600  # of an impedance, besides those near resonances
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
+# Packages and modules that every full and reduced model depends on.
+SOURCES = (
+    "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
+    "kc2spice.core.units", "kc2spice.core.quantities", "kc2spice.core.schema",
+)  # fmt: skip
+
+
 class BodyKeys(Section):
     """Keys of every linear body."""
 
@@ -155,6 +162,7 @@ class LinearBody(PartType):
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         kept = [port.name for port in self.kept(part, scene)]
         target = self.settings(part, scene)
+        without = massless(part, scene)
 
         def build() -> LinearModel:
             from kc2spice.rom.massless import without_inertia
@@ -168,13 +176,13 @@ class LinearBody(PartType):
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None:
                 return small
-            if massless(part, scene):
+            if without:
                 modal = without_inertia(modal, target.tolerance)
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
-            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
+            sources=self.sources(),
         )  # fmt: skip
         return model
 
@@ -327,6 +335,11 @@ class LinearBody(PartType):
             why = f"not estimated: takes about {found.seconds:.0f} s"
         yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
 
+    def sources(self) -> tuple[str, ...]:
+        """Modules whose text the models of this type depend on, for the cache."""
+        own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
+        return (*SOURCES, *own)
+
     def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
         """Error of the headline number on this mesh, None where there is no mesh."""
 
@@ -336,7 +349,7 @@ class LinearBody(PartType):
         key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
         found, _ = cached(
             "mesh_error", key, estimate, classes=(MeshError,),
-            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.bodies"),
+            sources=self.sources(),
         )  # fmt: skip
         return found
 

@@ -371,7 +371,7 @@ class RingMagnetCoils(PartType):
 
         table, _ = cached(
             "catch", self.model_key(part, scene), build, classes=(EMTable,),
-            sources=("kc2spice.linalg", "kc2spice.fem"),
+            sources=("kc2spice.linalg", "kc2spice.fem", __name__),
         )  # fmt: skip
         return mounted(table, keys.remanence, keys.shift)
 

@@ -1,20 +1,28 @@
 """The cache: equal back, rebuilt when anything it depends on changes or the entry is damaged."""
 
+import json
 import os
 import resource
 import signal
 import subprocess
 import sys
 import time
+import types
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import kc2spice
 from kc2spice.core import cache
 from kc2spice.core.cache import cached
+from kc2spice.core.progress import Clock, silent
 from kc2spice.fem.piezo.keys import Chip
+from kc2spice.parts import _linear_body, ring_magnet_coils
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.models import build_models
 
 
 @dataclass(frozen=True)
@@ -240,3 +248,79 @@ def test_two_that_need_the_same_build_it_once(folder):
     assert [process.wait(60) for process in both] == [0, 0, 0]
     assert log.read_text() == "x"
     assert not list(folder.rglob("*.part"))
+
+
+# Of what a build runs, these cannot change its result: they count time and hand out keys.
+NEUTRAL = {
+    "kc2spice.core.cache", "kc2spice.core.lazy", "kc2spice.core.progress",
+    "kc2spice.scene.model", "kc2spice.scene.parttype",
+}  # fmt: skip
+SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
+         "rom.order=6", "contact.rings=all", "catch.positions=4")  # fmt: skip
+BODIES = {"kick_and_catch": SMALL, "harvester": ()}
+
+
+@pytest.mark.parametrize("scene", BODIES)
+def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
+    """Watched while it runs, so that a module that joins the build later cannot be forgotten."""
+    missed, root = {}, Path(kc2spice.__file__).parents[1]
+
+    def watched(kind, key, build, *, classes=(), sources=()):
+        files = set()
+
+        def note(frame, event, _):
+            if event == "call" and frame.f_code.co_filename.startswith(str(root / "kc2spice")):
+                files.add(frame.f_code.co_filename)
+
+        sys.setprofile(note)
+        try:
+            result = build()
+        finally:
+            sys.setprofile(None)
+        ran = {".".join(Path(f).relative_to(root).with_suffix("").parts) for f in files}
+        known = {*sources, *(cls.__module__ for cls in classes)}
+        assert ran
+        missed[kind] = sorted(
+            name for name in ran - NEUTRAL
+            if not any(name == one or name.startswith(f"{one}.") for one in known)
+        )  # fmt: skip
+        return result, False
+
+    for module in (_linear_body, ring_magnet_coils):
+        monkeypatch.setattr(module, "cached", watched)
+    build_models(load_scene(scene, list(BODIES[scene])), Clock(silent))
+    assert missed
+    assert not any(missed.values()), missed
+
+
+MATTERS = ("kick.damping.ratio=0.02", "kick.mesh.refine=2", "kick.material.density=7800",
+           "kick.side=2e-3", "kick.layers=3", "rom.order=7", "rom.band=[0, 4e5]",
+           "contact.inertia=lumped", "catch.mu_r=1.2", "catch.refine=2",
+           "catch.polarity=antiparallel", "catch.positions=5", "catch.ring.height=0.7e-3",
+           "sphere.radius=0.9e-3")  # fmt: skip
+MATTERS_NOT = ("kick.drive.voltage=50", "solver.reltol=1e-3", "control.kd=10",
+               "catch.remanence=0.1", "sphere.density=7000")  # fmt: skip
+
+
+def keys(*overrides):
+    scene = load_scene("kick_and_catch", [*SMALL, *overrides])
+    parts = scene.parts
+    found = {name: parts[name].type.model_key(parts[name], scene) for name in ("kick", "catch")}
+    return json.dumps(found, sort_keys=True, default=cache._plain)
+
+
+@pytest.mark.parametrize("override", MATTERS)
+def test_a_key_of_the_model_demands_a_new_one(override):
+    assert keys(override) != keys()
+
+
+@pytest.mark.parametrize("override", MATTERS_NOT)
+def test_a_key_beside_the_model_does_not(override):
+    assert keys(override) == keys()
+
+
+def test_a_module_without_a_file_is_never_taken_from_the_cache(monkeypatch):
+    monkeypatch.setitem(sys.modules, "typed_in", types.ModuleType("typed_in"))
+    build = Builder(1)
+    cached("kind", {}, build, sources=("typed_in",))
+    assert not cached("kind", {}, build, sources=("typed_in",))[1]

@@ -286,8 +286,7 @@ def _solved(
         return {"real": response.real.copy(), "imag": response.imag.copy(), "seconds": spent}
 
     found, _ = cached(
-        "response", depends, solve,
-        sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies"),
+        "response", depends, solve, sources=part.type.sources()
     )  # fmt: skip
     return found["real"] + 1j * found["imag"], float(found["seconds"])
 
