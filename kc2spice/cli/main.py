@@ -144,9 +144,7 @@ def run(
         from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
-            result = study.run(
-                study_scene, directory, progress, trust=trust, deck=deck, keep=keep
-            )
+            result = study.run(study_scene, directory, progress, trust=trust, deck=deck, keep=keep)
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:

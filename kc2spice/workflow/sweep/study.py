@@ -153,9 +153,7 @@ def make_study(request: Request) -> Study:
     return study_of(request, base, job, plan, keys)
 
 
-def study_of(
-    request: Request, base: Scene, job: Job, plan: Plan, keys: Mapping[str, Key]
-) -> Study:
+def study_of(request: Request, base: Scene, job: Job, plan: Plan, keys: Mapping[str, Key]) -> Study:
     """The study of ``plan``; raises as :func:`make_study` does."""
     available = scalar_metrics(job.load(overrides(plan.keys, plan.values(0))))
     wanted = tuple(dict.fromkeys(request.metrics)) or tuple(available)

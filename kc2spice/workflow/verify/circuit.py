@@ -11,6 +11,7 @@ from kc2spice.core.laws import (
     Device,
     Equations,
     Law,
+    LinearBody,
     Reading,
     Recorded,
     Sensor,
@@ -19,7 +20,7 @@ from kc2spice.core.laws import (
 )
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference import equilibrium
-from kc2spice.reference.assemble import System, assemble
+from kc2spice.reference.assemble import System, assemble, has_store
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import replacements, swept
@@ -78,7 +79,10 @@ def _equations(build: Build) -> dict[str, Equations]:
 
 
 def taken_nets(build: Build) -> dict[str, str] | None:
-    """Nets on which parts without a law meet others, and their kind; None if one has no source.
+    """Nets on which parts without a law meet others, and their kind.
+
+    None if one of them has no source that could stand for the part, or if real coils follow an
+    elastic body: their flux makes every step of its ringing one of Newton's method, for hours.
 
     What a part without law does to the rest of a transient is then known from ngspice: its voltage,
     displacement or signal on these nets. Nets that a law holds by itself are not among them.
@@ -95,7 +99,9 @@ def taken_nets(build: Build) -> dict[str, str] | None:
             joined = next((pins for pins in joins.values() if target in pins), (target,))
             if others & missing and not any(_holds(laws, each) for each in joined):
                 met[net] = kinds[target]
-    return met if set(met.values()) <= set(SOURCES) else None
+    coils = any(isinstance(law, Device) and has_store(law) for law in laws.values())
+    elastic = any(isinstance(law, LinearBody) for law in laws.values())
+    return met if set(met.values()) <= set(SOURCES) and not (coils and elastic) else None
 
 
 def _holds(laws: Mapping[str, Law], pin: str) -> bool:
@@ -219,8 +225,14 @@ def taken_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
 
 
 def _replayed(net: str, kind: str, waves: Waveforms) -> Source:
-    times, first = np.unique(waves["time"], return_index=True)
-    return Source(f"net_{net}", SOURCES[kind][0], Recorded(times, waves[f"net {net}"][first]))
+    times, values = waves["time"], waves[f"net {net}"]
+    # Where a contact closes, points lie picoseconds apart: their differences are rounding.
+    apart = 1e-6 * float(np.ptp(times))
+    kept = [0]
+    for k in range(1, times.size):
+        if times[k] - times[kept[-1]] >= apart:
+            kept.append(k)
+    return Source(f"net_{net}", SOURCES[kind][0], Recorded(times[kept], values[kept]))
 
 
 def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Reference:
