@@ -158,6 +158,7 @@ def _source_digest(module: str) -> str:
     """Hash of a module's text, or of all modules of a package; never the same twice for one that
     has no file, such as a notebook's."""
     loaded = sys.modules.get(module)
+    file: str | None
     if loaded is None:
         spec = importlib.util.find_spec(module)
         if spec is None or spec.origin is None:
@@ -170,8 +171,8 @@ def _source_digest(module: str) -> str:
     origin = Path(file)
     files = sorted(origin.parent.rglob("*.py")) if package else [origin]
     digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
+    for path in files:
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -41,16 +41,16 @@ class CurrentCases(PartType):
         return (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
 
     def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (_sphere(scene),)
+        return (_sphere(part, scene),)
 
     def coil_currents(self, part: Part, scene: Scene) -> float | None:
         return max(abs(current) for current in part.keys.currents)
 
     def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
-        return {_coils(build.scene).name: ()}
+        return {_coils(part, build.scene).name: ()}
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        library, cards = build.libraries[_coils(build.scene).name], []
+        library, cards = build.libraries[_coils(part, build.scene).name], []
         cards.append(f"Vheight {build.net(part, 'y')} 0 0")
         y = build.net(part, "y")
         for k, (lower, upper) in enumerate(cases(part)):
@@ -67,28 +67,28 @@ class CurrentCases(PartType):
         return ("Vheight", 1e6) if key == "height" else None
 
     def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
-        keys = _coils(scene).keys
+        keys = _coils(part, scene).keys
         return (keys.y_min + keys.shift, keys.y_max + keys.shift)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {f"{_sphere(build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
+        found = {f"{_sphere(part, build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
         for k in range(len(cases(part))):
-            found[f"{_coils(build.scene).name}.force.{k}"] = Vector(f"v(force{k})", 1.0, "N")
+            found[f"{_coils(part, build.scene).name}.force.{k}"] = Vector(f"v(force{k})", 1.0, "N")
         return found
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        name = _coils(build.scene).name
+        name = _coils(part, build.scene).name
         forces = [waves[f"{name}.force.{k}"] for k in range(len(cases(part)))]
         return {
             "force_max_n": max(float(np.abs(force).max()) for force in forces),
-            "position_m": waves[f"{_sphere(build.scene)}.y"].tolist(),
+            "position_m": waves[f"{_sphere(part, build.scene)}.y"].tolist(),
             "current_pairs_a": [list(case) for case in cases(part)],
             "force_n": [force.tolist() for force in forces],
         }
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         limits = dict.fromkeys(PAIRS, build.scene.gates.lookup)
-        of = f"{_coils(build.scene).name}.force.*"
+        of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
     def full_solution(self, part: Part, build: Build, clock: Any, whole: bool) -> FullSolution:
@@ -100,7 +100,7 @@ class CurrentCases(PartType):
         from kc2spice.fem.magnetics.table import em_cases, force
         from kc2spice.parts.ring_magnet_coils import field_keys, mounted, sphere_of
 
-        coils = _coils(build.scene)
+        coils = _coils(part, build.scene)
         table, catch = build.model(coils), field_keys(coils)
         radius = sphere_of(coils, build.scene).keys.radius
         pairs = np.array(cases(part))
@@ -120,7 +120,7 @@ class CurrentCases(PartType):
         exact = mounted(found, 1.0, coils.keys.shift)
         y = np.linspace(*self.sweep_range(part, build.scene), HEIGHTS)
         y = np.clip(y, exact.y[0], exact.y[-1])
-        data = {f"{_sphere(build.scene)}.y": y}
+        data = {f"{_sphere(part, build.scene)}.y": y}
         data |= {f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)}
         gates = build.scene.gates
         return FullSolution(
@@ -134,11 +134,11 @@ class CurrentCases(PartType):
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         from kc2spice.parts.ring_magnet_coils import force_table
 
-        n, coils = part.name, _coils(build.scene)
+        n, coils = part.name, _coils(part, build.scene)
         table, still = force_table(build.model(coils)), laws.Line.constant
         found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
         nets = [(f"{n}.out", *(f"{coils.name}{k}.y" for k in range(len(cases(part)))))]
-        results = {f"{_sphere(build.scene)}.y": laws.reading(f"{n}.out")}
+        results = {f"{_sphere(part, build.scene)}.y": laws.reading(f"{n}.out")}
         for k, pair in enumerate(cases(part)):
             own = f"{coils.name}{k}"
             found.append(laws.PositionForce(own, table, (1.0, 1.0)))
@@ -153,8 +153,8 @@ class CurrentCases(PartType):
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """Largest change of slope from one segment of the lookup to the next, of the largest slope;
         the heights are finer than the lookup, so that a jump shows at full size."""
-        coils = _coils(build.scene).name
-        y = waves[f"{_sphere(build.scene)}.y"]
+        coils = _coils(part, build.scene).name
+        y = waves[f"{_sphere(part, build.scene)}.y"]
         forces = np.array([waves[f"{coils}.force.{k}"] for k in range(len(cases(part)))])
         slope = np.diff(forces, axis=1) / np.diff(y)
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
@@ -173,20 +173,12 @@ def cases(part: Part) -> list[tuple[float, float]]:
     return [(lower, upper) for lower in currents for upper in currents]
 
 
-def _coils(scene: Scene) -> Part:
-    from kc2spice.core.errors import UsageError
-
-    found = scene.only("ring_magnet_coils")
-    if found is None:
-        raise UsageError(
-            "needs one pair of coils", where="catch",
-            hint="add [catch]; an empty table takes the defaults",
-        )  # fmt: skip
-    return found
+def _coils(part: Part, scene: Scene) -> Part:
+    return scene.meant(part, "ring_magnet_coils", table="catch")
 
 
-def _sphere(scene: Scene) -> str:
-    coils = _coils(scene)
+def _sphere(part: Part, scene: Scene) -> str:
+    coils = _coils(part, scene)
     from kc2spice.parts.ring_magnet_coils import sphere_of
 
     return sphere_of(coils, scene).name

@@ -300,21 +300,8 @@ def _ball(part: Part, scene: Scene) -> Part | None:
 
 
 def _coils(part: Part, scene: Scene) -> Part:
-    """The coils that it feeds.
-
-    Raises
-    ------
-    UsageError : none are named and there are not exactly one pair.
-    """
-    if part.keys.coils is not None:
-        return scene.part(part.keys.coils, f"{part.name}.coils")
-    found = scene.only("ring_magnet_coils")
-    if found is None:
-        raise UsageError(
-            f"{part.name} needs this part", where="catch",
-            hint="add [catch]; an empty table takes the defaults, or name one with coils = NAME",
-        )  # fmt: skip
-    return found
+    """The coils that it feeds."""
+    return scene.meant(part, "ring_magnet_coils", key="coils", table="catch")
 
 
 def _remote(part: Part, scene: Scene) -> bool:

@@ -568,22 +568,8 @@ def label(part: Part) -> str:
 
 
 def sphere_of(part: Part, scene: Scene) -> Part:
-    """The sphere that it pulls.
-
-    Raises
-    ------
-    UsageError : none is named and there is not exactly one.
-    """
-    if part.keys.of is not None:
-        return scene.part(part.keys.of, f"{part.name}.of")
-    found = scene.only("sphere")
-    if found is None:
-        names = ", ".join(each.name for each in scene.of("sphere")) or "no sphere"
-        raise UsageError(
-            f"{part.name} needs to know which sphere it pulls", where=f"{part.name}.of", got=names,
-            expected="the name of a part of type sphere", hint="add [sphere], or of = NAME",
-        )  # fmt: skip
-    return found
+    """The sphere that it pulls."""
+    return scene.meant(part, "sphere", key="of")
 
 
 def real(part: Part, scene: Scene) -> bool:

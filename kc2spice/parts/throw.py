@@ -97,21 +97,8 @@ class Throw(PartType):
 
 
 def sphere(part: Part, scene: Scene) -> Part:
-    """The sphere that is thrown.
-
-    Raises
-    ------
-    UsageError : none is named and there is not exactly one.
-    """
-    if part.keys.of is not None:
-        return scene.part(part.keys.of, f"{part.name}.of")
-    found = scene.only("sphere")
-    if found is None:
-        raise UsageError(
-            f"{part.name} needs this part", where="sphere",
-            hint="add [sphere]; an empty table takes the defaults",
-        )  # fmt: skip
-    return found
+    """The sphere that is thrown."""
+    return scene.meant(part, "sphere", key="of")
 
 
 def sectors(scene: Scene) -> int:

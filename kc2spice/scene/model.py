@@ -160,6 +160,29 @@ class Scene:
             )
         return self.parts[name]
 
+    def meant(self, part: Part, kind: str, key: str = "", table: str = "") -> Part:
+        """The part of type ``kind`` that ``part`` names under ``key``, else the only one.
+
+        Raises
+        ------
+        UsageError : none is named and there is not exactly one; ``table`` is what would bring it.
+        """
+        name, table = getattr(part.keys, key, None) if key else None, table or kind
+        if name is not None:
+            return self.part(name, f"{part.name}.{key}")
+        found = self.of(kind)
+        if not found:
+            raise UsageError(
+                f"{part.name} needs this part", where=table,
+                hint=f"add [{table}]; an empty table takes the defaults",
+            )  # fmt: skip
+        if len(found) > 1:
+            raise UsageError(
+                f"{part.name} needs to know which {kind} is meant", where=f"{part.name}.{key}",
+                got=", ".join(each.name for each in found), expected=f"{key or 'one'} = NAME",
+            )  # fmt: skip
+        return found[0]
+
     def named(self, part: str, pin: str) -> bool:
         """Whether the ``pins`` of another part name this one, so that no default joins it."""
         target = f"{part}.{pin}"

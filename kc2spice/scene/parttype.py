@@ -354,6 +354,10 @@ class PartType:
         """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
         return None
 
+    def sources(self) -> tuple[str, ...]:
+        """Modules whose text its models depend on, for the cache."""
+        return (type(self).__module__,)
+
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None

@@ -199,7 +199,7 @@ def test_errors_in_a_file_give_the_line(scene_file):
         ("[kick]\n[sphere]\n", "key contact: nothing touches the sphere"),
         ("[harmonic]\n", "key harmonic.of: harmonic needs to know which body it loads"),
         ("[imprint]\n[sphere]\n", "key contact: imprint needs this part"),
-        ("[em_force]\n[sphere]\n", "key catch: needs one pair of coils"),
+        ("[em_force]\n[sphere]\n", "key catch: em_force needs this part"),
         ("[impact]\n[kick]\n", "key sphere: impact needs this part"),
         ("kick = 10 V", "not valid TOML"),
         ("a = " + "[" * 50_000, "not valid TOML"),

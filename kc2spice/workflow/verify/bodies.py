@@ -285,9 +285,7 @@ def _solved(
         spent = np.array(time.perf_counter() - started)
         return {"real": response.real.copy(), "imag": response.imag.copy(), "seconds": spent}
 
-    found, _ = cached(
-        "response", depends, solve, sources=part.type.sources()
-    )  # fmt: skip
+    found, _ = cached("response", depends, solve, sources=part.type.sources())
     return found["real"] + 1j * found["imag"], float(found["seconds"])
 
 
