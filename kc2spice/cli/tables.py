@@ -49,10 +49,12 @@ def contact_error(value: float | None) -> str:
 
 
 def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
+    from kc2spice.report.words import check_name
+
     rows = [
         (
             "ok" if check["passed"] else "VIOLATED",
-            check["name"],
+            check_name(check["name"]),
             f"{check['value']:.3g} {check['unit']}",
             f"limit {check['limit']:.3g}",
         )

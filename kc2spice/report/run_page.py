@@ -9,7 +9,7 @@ from typing import Any
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import Picture
 from kc2spice.report.sketch import circuit, devices
-from kc2spice.report.words import fact, quantity, worded
+from kc2spice.report.words import check_name, fact, quantity, worded
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import plan
 
@@ -57,7 +57,7 @@ def _checks(result: Mapping[str, Any]) -> Section:
     rows = [
         (
             "ok" if check["passed"] else "VIOLATED",
-            check["name"],
+            check_name(check["name"]),
             f"{check['value']:.3g} {check['unit']}",
             f"{check['limit']:.3g}",
             check["action"],
