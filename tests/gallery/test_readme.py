@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.report.html import quantity
+from kc2spice.report.words import quantity
 from laboratory.page import bench_tables
 
 ROOT = Path(__file__).parents[2]

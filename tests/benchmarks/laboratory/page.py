@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kc2spice.report.html import Section, quantity, write_page
+from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import Picture
+from kc2spice.report.words import quantity
 
 Record = Mapping[str, Any]
 
