@@ -70,3 +70,8 @@ def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     inside = np.zeros(t.size, dtype=bool)
     inside[max(low - 1, 0) : high + 1] = True
     return inside
+
+
+def time_axis(t: np.ndarray) -> tuple[str, float]:
+    """Label of an axis with these times [s] and the factor to its unit: µs, or ms from 1 ms on."""
+    return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)

@@ -15,7 +15,7 @@ from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, Shape, window
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, time_axis, window
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
@@ -537,7 +537,8 @@ def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
         return
     t = waves["time"]
     inside = busy(t, np.sum([np.abs(v) for v in moved.values()], axis=0))
-    x = 1e6 * t[inside]
+    label, factor = time_axis(t[inside])
+    x = factor * t[inside]
     curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
     panels = [Panel("", "displacement in µm", curves)]
     voltage, current = (waves.data.get(f"{part.name}.{n}") for n in ("voltage", "current"))
@@ -545,7 +546,7 @@ def port_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
         panels.append(Panel("", "voltage in V", (Curve("", x, voltage[inside]),)))
     if current is not None:
         panels.append(Panel("", "current in A", (Curve("", x, current[inside]),)))
-    panels[-1] = replace(panels[-1], x="time in µs")
+    panels[-1] = replace(panels[-1], x=label)
     caption = f"Ports of {part.name} while they move most."
     yield Figure(f"{part.name}_ports", f"Motion of {part.name}", caption, tuple(panels))
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, time_axis
 from kc2spice.core.quantities import Length, Rings, Section, Stiffness
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
@@ -157,16 +157,18 @@ class Contact(PartType):
         if force is None:
             return
         ports = kept_ports(part, build.scene)
-        scale, (x, factor) = next(iter(waves.data.values())), ("time in µs", 1e6)
+        inside = _loaded(force) if "time" in waves else slice(None)
+        scale = next(iter(waves.data.values()))
+        x, factor = time_axis(scale[inside])
         if "imprint.depth" in waves:
             scale, (x, factor) = waves["imprint.depth"], ("depth in µm", 1e6)
-        inside = _loaded(force) if "time" in waves else slice(None)
         curves = [
             Curve(port, factor * scale[inside], waves[f"{part.name}.force.{port}"][inside])
             for port in ports
             if waves[f"{part.name}.force.{port}"].max() > 0
         ]
-        curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
+        if len(ports) > 1:
+            curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
         (one, _), (other, _) = _names(part, build.scene)
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
