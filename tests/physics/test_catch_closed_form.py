@@ -152,3 +152,36 @@ def test_force_converges_with_the_fourth_power_of_the_mesh_size() -> None:
         errors.append(worst(table.c1, coil_force(catch, catch.lower, table.y)))
     # P2 with curved edges: energy, and with it virtual work, is of order 4; 8 would be order 3.
     assert errors[1] < errors[0] / 8
+
+
+# A permeable sphere between the coils of a catch whose ring is a thread of magnet far outside.
+SOFT_RADIUS = 0.4e-3
+SOFT = Catch(
+    mu_r=3.0, air_radius=0.1, air_height=0.3, positions=9, y_min=-1e-3, y_max=6e-3,
+    ring={"height": 0.1e-3, "outer": 8.1e-3, "inner": 8e-3, "y": 2.5e-3},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def soft():
+    return catch_table(SOFT, SOFT_RADIUS)
+
+
+def test_the_moment_of_a_permeable_magnet(soft):
+    """A magnetised sphere of any mu_r is a dipole outside, of 3 B_r V / mu0 (mu_r + 2)."""
+    moment = 4 * np.pi * SOFT_RADIUS**3 * SOFT.remanence / (MU0 * (SOFT.mu_r + 2))
+    step = 1e-6
+    above, below = (coil_field(SOFT.lower, SOFT.turns, soft.y + s) for s in (step, -step))
+    force = moment * (above - below) / (2 * step)
+    assert np.abs(soft.c1 - force).max() < 5e-4 * np.abs(force).max()  # 8e-5
+
+
+def test_a_permeable_sphere_in_the_field_of_a_coil(soft):
+    """It has the moment 4 pi R^3 / mu0 (mu_r - 1) / (mu_r + 2) B, as in a uniform field (Jackson,
+    5.11), and the force half its product with B; curvature of the field over its size is left out.
+    """
+    share = (SOFT.mu_r - 1) / (SOFT.mu_r + 2)
+    step = 1e-6
+    above, below = (coil_field(SOFT.lower, SOFT.turns, soft.y + s) for s in (step, -step))
+    force = 2 * np.pi * SOFT_RADIUS**3 / MU0 * share * (above**2 - below**2) / (2 * step)
+    assert np.abs(soft.c11 - force).max() < 3e-2 * np.abs(force).max()  # 1.8e-2

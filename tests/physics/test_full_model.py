@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.sparse import block_array
 from scipy.sparse.linalg import splu
 
@@ -278,3 +279,44 @@ def test_a_resting_sphere_stays():
         resting=True,
     )  # fmt: skip
     np.testing.assert_allclose(result.force, MASS * 9.81, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def mass_damped():
+    """A small chip whose damping is mostly alpha M, and its matrices."""
+    kick = Chip(layers=3, mesh=SMALL, damping={"alpha": 3e5, "ratio": 1e-3})
+    system = assemble_kick(kick)
+    assert system.K_pp.shape[0] == 0  # one element a layer: nothing to eliminate
+    M, K = system.M.toarray(), system.K_uu.toarray()
+    return kick, system, (M, 3e5 * M + 1e-3 / (np.pi * 250e3) * K, K, -system.k_uV)
+
+
+def test_mass_damping_reaches_the_response_and_its_reduction(mass_damped):
+    _, system, (M, E, K, b) = mass_damped
+    model = from_sector(system)
+    frequency = np.array([50e3, 230e3, 270e3, 400e3])
+    s = 2j * np.pi * frequency
+    R0 = system.B[:, 0]
+    direct = np.array([R0 @ np.linalg.solve(x * x * M + x * E + K, b) for x in s])
+    rom = reduce(model, tolerance=1e-6, band=(0.0, 500e3))
+    for found in (model, rom):
+        row, column = found.outputs.index("R0"), found.inputs.index("anode")
+        H = found.transfer(frequency)[:, row, column]
+        np.testing.assert_allclose(H, direct, rtol=2e-6)
+
+
+def test_mass_damping_reaches_the_steps(mass_damped):
+    """A voltage step against the matrix exponential of the same matrices."""
+    kick, system, (M, E, K, b) = mass_damped
+    surface = contact_surface(kick, 1e8, 1e-3)
+    stop, n = 6e-6, len(M)
+    rest = np.linalg.solve(K, b)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, np.hstack([K, E]))]])
+    x = expm(stop * A) @ np.r_[-rest, np.zeros(n)]
+    exact = surface.shapes.T @ (100.0 * (rest + x[:n]))
+    result = transient(
+        system, surface, Ball(MASS, 1e-3, 0.0), step=5e-9, stop=stop,
+        voltage=lambda t: 100.0 * (t > 0),
+    )  # fmt: skip
+    # Half a step of the jump, and the mean acceleration rule, cost 2e-3 at this step.
+    np.testing.assert_allclose(result.spring_displacement[-1], exact, rtol=5e-3)
