@@ -59,6 +59,6 @@ def test_every_prefix_of_a_quantity():
 
 def test_a_pulse_keeps_its_edges():
     drive = Drive(voltage=50.0, width=20e-6, edge=1e-6, start=1e-6)
-    for time, value in ((0.9e-6, 0.0), (1.5e-6, 25.0), (2e-6, 50.0), (20.9e-6, 50.0), (21.5e-6, 25.0),
-                        (23e-6, 0.0)):  # fmt: skip
-        assert drive.waveform(time) == pytest.approx(value, abs=1e-9)
+    corners = [(0.9, 0.0), (1.5, 25.0), (2.0, 50.0), (20.9, 50.0), (21.5, 25.0), (23.0, 0.0)]
+    for time, value in corners:
+        assert drive.waveform(1e-6 * time) == pytest.approx(value, abs=1e-9)
