@@ -130,12 +130,12 @@ def make_device(solid: Solid, setup: Setup) -> Device:
 def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
     """Rayleigh damping, or of each material's elastic stiffness by its quality."""
     facts = model.facts
-    first = damping.at or facts.get("resonance_short_hz", facts.get("resonance_hz"))
+    first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
         raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
     if not damping.per_material:
-        beta = damping.beta(first) if damping.zeta and first else 0.0
-        return replace(model, E=None, rayleigh=(damping.alpha, beta))
+        rayleigh = damping.rayleigh(first) if damping.zeta and first else (damping.alpha, 0.0)
+        return replace(model, E=None, rayleigh=rayleigh)
     assert first is not None
     omega = 2 * np.pi * first
     E = damping.alpha * model.M

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from pydantic import Field, model_validator
 from scipy import sparse
 
@@ -21,33 +22,66 @@ class Damping(Section):
     """Viscous damping matrix E.
 
     ``E = alpha M + beta K`` with ``beta = 2 zeta / omega`` so that the ratio ``zeta`` (or the
-    quality ``Q = 1/(2 zeta)``) is met at ``at``, by default the body's first resonance. With
-    ``per_material`` it is the sum of ``K_i/(Q_i omega)`` over the materials i instead.
+    quality ``Q = 1/(2 zeta)``, or the loss factor ``2 zeta``) is met at ``at``, by default the
+    body's first resonance. Two ratios at two frequencies fix alpha and beta both:
+    ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material`` E is the sum of
+    ``K_i/(Q_i omega)`` over the materials i instead.
     """
 
-    ratio: Ratio | None = Field(None, ge=0)
+    ratio: Ratio | tuple[Ratio, Ratio] | None = None
     quality: Ratio | None = Field(None, gt=0)
+    loss_factor: Ratio | None = Field(None, ge=0)
     per_material: bool = False
-    at: Frequency | None = Field(None, gt=0)
+    at: Frequency | tuple[Frequency, Frequency] | None = None
     alpha: Rate = Field(0.0, ge=0)
 
     @model_validator(mode="after")
     def _one(self) -> Damping:
-        given = [self.ratio is not None, self.quality is not None, self.per_material]
-        if sum(given) > 1:
-            raise ValueError("give one of ratio, quality, per_material")
+        given = [self.ratio, self.quality, self.loss_factor]
+        if sum(each is not None for each in given) + self.per_material > 1:
+            raise ValueError("give one of ratio, quality, loss_factor, per_material")
+        two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
+        if two[0] != two[1]:
+            raise ValueError("two ratios belong to two frequencies 'at'")
+        values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
+        if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
+            raise ValueError("ratios are at least 0, frequencies greater than 0")
+        if two[0] and (self.at[0] == self.at[1] or min(self._pair()) < 0 or self.alpha):  # type: ignore[index]
+            raise ValueError(
+                "no alpha and beta of at least 0 give these ratios: at two frequencies f1 < f2 "
+                "their quotient zeta2/zeta1 lies from f1/f2 to f2/f1"
+            )
         return self
+
+    def _pair(self) -> tuple[float, float]:
+        """alpha and beta that two ratios fix."""
+        omega = 2 * math.pi * np.asarray(self.at, dtype=float)
+        ratios = np.asarray(self.ratio, dtype=float)
+        alpha, beta = np.linalg.solve(np.column_stack([0.5 / omega, 0.5 * omega]), ratios)
+        return float(alpha), float(beta)
 
     @property
     def zeta(self) -> float:
         """Damping ratio at ``at``; 1 % where nothing is given."""
         if self.quality is not None:
             return 0.5 / self.quality
+        if self.loss_factor is not None:
+            return 0.5 * self.loss_factor
+        if isinstance(self.ratio, tuple):
+            return max(self.ratio)
         return 0.01 if self.ratio is None else self.ratio
 
-    def beta(self, resonance_hz: float) -> float:
-        """Stiffness coefficient [s] of ``E = alpha M + beta K``: ``2 zeta/omega``."""
-        return self.zeta / (math.pi * (self.at or resonance_hz))
+    def frequency(self, resonance_hz: float | None) -> float | None:
+        """Where :attr:`zeta` is met [Hz]: ``at``, or the body's resonance."""
+        return resonance_hz if self.at is None else float(np.min(self.at))
+
+    def rayleigh(self, resonance_hz: float) -> tuple[float, float]:
+        """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``."""
+        if isinstance(self.ratio, tuple):
+            return self._pair()
+        at = self.frequency(resonance_hz)
+        assert at is not None
+        return self.alpha, self.zeta / (math.pi * at)
 
     def matrix(
         self,
@@ -58,10 +92,11 @@ class Damping(Section):
         resonance_hz: float,
     ) -> sparse.csc_array:
         """E of a model with stiffness K, whose ``parts`` belong to materials of ``qualities``."""
-        E = self.alpha * M
+        alpha, beta = self.rayleigh(resonance_hz)
+        E = alpha * M
         if not self.per_material:
-            return (E + self.beta(resonance_hz) * K).tocsc()
-        omega = 2 * math.pi * (self.at or resonance_hz)
+            return (E + beta * K).tocsc()
+        omega = 2 * math.pi * float(self.frequency(resonance_hz) or resonance_hz)
         for part, quality in zip(parts, qualities, strict=True):
             E = E + part / (quality * omega)
         return E.tocsc()

@@ -11,13 +11,15 @@ from kc2spice.scene.model import Scene
 def scene_hash(scene: Scene) -> str:
     """First 16 hex digits of the SHA-256 of all numbers and choices that a netlist depends on.
 
-    Names and titles are free, and so is what is done about a run that fails. Floats enter with
-    all their digits, so equal hashes mean bit-equal netlists.
+    Names and titles are free, and so is what is done about a run that fails; keys that are not
+    given do not count, so that a new one changes no old scene. Floats enter with all their digits,
+    so equal hashes mean bit-equal netlists.
     """
-    content = scene.frame.model_dump(mode="json", exclude={"name", "title", "checks", "bench"})
+    without = {"name", "title", "checks", "bench"}
+    content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
     del content["solver"]["retries"]
     content["parts"] = {
-        part.name: [part.type.name, part.keys.model_dump(mode="json"), dict(part.pins)]
+        part.name: [part.type.name, part.keys.model_dump(mode="json", exclude_none=True), dict(part.pins)]
         for part in scene.parts.values()
     }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -9,12 +9,14 @@ import gmsh
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.sparse.linalg import eigsh
 
 from kc2spice.bodies.bimorph import Bimorph
 from kc2spice.bodies.bimorph import build as build_bimorph
 from kc2spice.bodies.body import Body, build, device
 from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import build as build_disc
+from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
 from kc2spice.rom.reduce import reduce
@@ -230,6 +232,48 @@ def test_refining_moves_towards_one_answer(coarse):
     once, twice = (build(keys(), coarse, refine=n).facts["resonance_short_hz"] for n in (1, 2))
     assert twice < once  # displacement elements are too stiff
     assert twice == pytest.approx(once, rel=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("damping", "wanted"),
+    [
+        ({"loss_factor": 0.04}, lambda f: 0.02 * f / f[0]),
+        ({"loss_factor": 0.04, "at": 5e3}, lambda f: 0.02 * f / 5e3),
+        ({"quality": 25}, lambda f: 0.02 * f / f[0]),
+        ({"ratio": 0.01, "at": 2e3, "alpha": 30.0},
+         lambda f: 30 / (4 * np.pi * f) + 0.01 * f / 2e3),
+        # zeta = a/f + b f through (1 kHz, 2 %) and (1.5 kHz, 1.5 %)
+        ({"ratio": [0.02, 0.015], "at": [1e3, 1.5e3]}, lambda f: 18 / f + 2e-6 * f),
+    ],
+)  # fmt: skip
+def test_modes_have_the_damping_that_is_asked_for(coarse, damping, wanted):
+    """Ratios of the eigenvectors of the undamped body, ``phi' E phi / (2 omega)``."""
+    ports = [{"name": "tip", "group": "end", "axis": "z"}]
+    plain = {"materials": {"layer0": "steel", "layer1": "steel"}, "poling": {}, "electrodes": {}}
+    model = build(keys(**plain, ports=ports, damping=damping), coarse)
+    squares, modes = eigsh(model.K, 4, M=model.M, sigma=0.0)
+    E = model.rayleigh[0] * model.M + model.rayleigh[1] * model.K
+    omega = np.sqrt(squares)
+    found = np.einsum("ni,ni->i", modes, E @ modes) / (2 * omega)
+    order = np.argsort(omega)
+    frequency = omega[order] / (2 * np.pi)
+    frequency[0] = model.facts["resonance_hz"]
+    np.testing.assert_allclose(found[order], wanted(frequency), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("damping", "message"),
+    [
+        ({"ratio": 0.01, "loss_factor": 0.01}, "one of ratio"),
+        ({"ratio": [0.01, 0.02]}, "two frequencies"),
+        ({"ratio": [0.01, 0.2], "at": [1e3, 2e3]}, "quotient"),
+        ({"ratio": [0.01, 0.001], "at": [1e3, 2e3]}, "quotient"),
+        ({"ratio": -0.01}, "at least 0"),
+    ],
+)
+def test_damping_that_no_body_has(damping, message):
+    with pytest.raises(ValidationError, match=message):
+        Damping.model_validate(damping)
 
 
 def test_damping_of_each_material(coarse):
