@@ -41,6 +41,7 @@ UNITS = {
 }
 PICTURES = {
     "buzzer_ft_20t_6_5a1": "disc_impedance.png",
+    "stack_p882": "stack_impedance.png",
     "buzzer_square": "disc_ports.png",
     "buzzer_self": "disc_ports.png",
     "harvester": "beam_response.png",
@@ -157,6 +158,20 @@ def harvester(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], P
     return found, out
 
 
+def stack(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
+    """Impedance of a stack."""
+    scene = load_scene(name, [])
+    full, reduced = models(scene, "stack")
+    record, waves, out = simulate(name)
+    frequency = waves["frequency"].real
+    read = analyse(frequency, impedance(reduced, frequency, "anode")).metrics()
+    near = np.linspace(0.99, 1.01, 21) * read["resonance_hz"]
+    admittance = np.abs(1 / impedance(full.select(["anode"]), near, "anode"))
+    exact = float(near[admittance.argmax()])
+    answer = Answer(exact, read["resonance_hz"], record["metrics"]["resonance_hz"])
+    return {"resonance_hz": answer}, out
+
+
 def tone(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     """Frequency of the self-oscillating circuit."""
     record, _, out = simulate(name)
@@ -179,7 +194,7 @@ def blow(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
 
 
 SOLVERS: dict[str, Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]] = {
-    "harvester": harvester, "buzzer_self": tone, "kick_slew": kick, "sphere_on_beam": blow,
+    "harvester": harvester, "stack_p882": stack, "buzzer_self": tone, "kick_slew": kick, "sphere_on_beam": blow,
 }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from kc2spice.bodies.facts import electromechanical
+from kc2spice.bodies.coupled import electromechanical
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.rom.linear import LinearModel, with_potentials
 
@@ -44,6 +44,6 @@ def from_sector(system: PiezoSystem) -> LinearModel:
         alpha=system.alpha, beta=system.beta, name="piezo_stack",
     )  # fmt: skip
     facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}
-    if system.held:
-        facts |= electromechanical(model)
+    facts |= electromechanical(model, system.shift)
+    facts["free_stroke_m_per_100v"] = 100 * facts.pop("free_stroke_m_per_v")  # as data sheets do
     return replace(model, facts=facts)

@@ -45,6 +45,7 @@ STATES, MAX_POINTS = 600, 180
 CONFIRMATIONS = 2  # in a row that must be met
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
+FREE = 100.0  # times rounding: less energy than that is none
 ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
 
 
@@ -86,11 +87,19 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
     if pencil.degree != 2 or not (proportional and pencil.symmetric and pencil.collocated):
         return False
+    load = np.random.default_rng(0).standard_normal((pencil.size, 1))
     try:
-        x = pencil.pencil_solver(0.0, solver).solve(pencil.B)
+        solve = pencil.pencil_solver(0.0, solver).solve
+        x, y = solve(pencil.B), solve(load)
     except SimulationError:
         return False
-    return bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
+    K = pencil.coefficients[0]
+    K = abs(K.uu if isinstance(K, Schur) else K)
+    # Rounding may give a body that is free to move a factor: then its softest motion, which a
+    # random load excites, has no more energy than the rounding of K itself.
+    size = abs(y).T @ (K @ abs(y))
+    soft = (y.T @ load) < FREE * np.finfo(float).eps * size
+    return bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all() and not soft.any())
 
 
 # ------------------------------------------------------------------------------ small models

@@ -19,7 +19,11 @@ def scene_hash(scene: Scene) -> str:
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
     del content["solver"]["retries"]
     content["parts"] = {
-        part.name: [part.type.name, part.keys.model_dump(mode="json", exclude_none=True), dict(part.pins)]
+        part.name: [
+            part.type.name,
+            part.keys.model_dump(mode="json", exclude_none=True),
+            dict(part.pins),
+        ]
         for part in scene.parts.values()
     }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -13,6 +13,7 @@ from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
+from kc2spice.rom.reduce import reduce
 
 PZT = material("PZT-5A")
 S33 = np.linalg.inv(PZT.C)[2, 2]
@@ -137,3 +138,20 @@ def test_impossible_stacks_are_refused(keys, says):
 def test_rings_must_fit_the_smaller_side():
     with pytest.raises(UsageError, match="smaller side"):
         stack(side=3e-3, depth=0.2e-3, mesh={**SMALL, "rings": 3})
+
+
+def test_a_stack_that_nothing_holds_is_reduced_as_one():
+    """Rounding gives its stiffness a Cholesky factor; its length mode is that of a free rod."""
+    full = stack(
+        side=3e-3, depth=2e-3, layers=60, layer_thickness=0.15e-3, mounting="free",
+        mesh={"sectors": 4, "rings": 1, "ring_spacing": 0.3e-3, "outer_rings": 2},
+    ).select(["anode"])  # fmt: skip
+    rom = reduce(full, tolerance=1e-5, band=(20e3, 250e3))
+    rod = np.sqrt(1 / (PZT.density * S33)) / (2 * 9e-3)  # shorted layers: stiffness at zero field
+    poles = rom.poles()
+    near = poles[np.argmin(np.abs(poles.imag - 2 * np.pi * rod))].imag / (2 * np.pi)
+    assert near == pytest.approx(rod, rel=0.02)  # the sides' inertia: (nu pi a / L)^2 / 6
+    frequency = near * np.array([0.5, 0.995, 1.003])
+    exact = full.transfer(frequency)[:, 0, 0]
+    error = np.abs(rom.transfer(frequency)[:, 0, 0] / exact - 1).max()
+    assert error <= rom.certificate.error_estimate <= 1e-5

@@ -18,6 +18,7 @@ from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.linear import Port
 
 QUARTERS = 4
+FREE_SHIFT = 1e-3
 _AXES = 3
 
 
@@ -110,8 +111,14 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
         sectors=QUARTERS,
         ring_radii=kick.mesh.ring_spacing * np.arange(len(mesh.rings)),
         mass=float(M.sum()) / _AXES,
-        held=kick.mounting != "free",
+        shift=_shift(kick) if kick.mounting == "free" else 0.0,
     )
+
+
+def _shift(kick: Chip) -> float:
+    """Square [rad^2/s^2] of a frequency far below the stack's own."""
+    slowest = np.sqrt(min(kick.material.stiffness) / kick.material.density)
+    return float((FREE_SHIFT * slowest / (kick.height + 2 * max(kick.half))) ** 2)
 
 
 def _poled(material: PiezoMaterial, axis: str) -> PiezoMaterial:

@@ -28,7 +28,8 @@ class PiezoSystem:
     where ``K`` is the stiffness with the potentials eliminated (paper eq. 1 and 2).
     All values are those of the modelled symmetry sector in SI; ``sectors`` of them make the device.
     Row ``i`` of ``B'`` averages the displacement of ring ``i`` with the weights of its force shape.
-    ``mass`` is that of the sector before constraints; nothing holds a body that is not ``held``.
+    ``mass`` is that of the sector before constraints. ``shift`` [rad^2/s^2] is 0 where something
+    holds the body, else what makes ``K + shift M`` regular.
     """
 
     M: sparse.csc_array
@@ -45,7 +46,7 @@ class PiezoSystem:
     sectors: int
     ring_radii: np.ndarray
     mass: float
-    held: bool = True
+    shift: float = 0.0
 
     @property
     def unknowns(self) -> int:
