@@ -194,7 +194,8 @@ def blow(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
 
 
 SOLVERS: dict[str, Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]] = {
-    "harvester": harvester, "stack_p882": stack, "buzzer_self": tone, "kick_slew": kick, "sphere_on_beam": blow,
+    "harvester": harvester, "stack_p882": stack, "buzzer_self": tone, "kick_slew": kick,
+    "sphere_on_beam": blow,
 }  # fmt: skip
 
 
