@@ -1,0 +1,65 @@
+"""Every card of a body's subcircuit, changed by a little, is seen by ``verify``'s gates of it."""
+
+import re
+
+import pytest
+
+from kc2spice.core.progress import Clock, silent
+from kc2spice.rom.response import relative_error
+from kc2spice.scene.load import load_scene
+from kc2spice.spice.read import subcircuits
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.verify import bodies
+
+SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
+         "rom.order=6", "contact.rings=all", "catch.positions=4")  # fmt: skip
+CARD = re.compile(r"(?m)^([GCR]\w+) ((?:\S+ +)+?)(\{damping\*)?(-?\d[\d.e+-]*)(\}?)$")
+# The tick that makes the first step small, the stiff links (a millionth of a port's compliance) and
+# the inertia of the highest mode, far above the band, change nothing that could be seen in it.
+NOTHING_IN_BAND = re.compile(r"Rtick |GfR\d base fR|Cp6 ")
+
+
+@pytest.fixture(scope="module")
+def chip():
+    build = build_models(load_scene("kick_and_catch", list(SMALL)), Clock(silent))
+    text = make_deck(build).files["kick.lib"]
+    return build, text
+
+
+def missed_gates(build, text, folder):
+    """Names of the netlist's checks that fail."""
+    part = build.scene.parts["kick"]
+    rom, band = build.model(part), (0.0, 500e3)
+    libraries = tuple(subcircuits(text, "kick.lib"))
+    waves, _ = bodies.netlist_response(part, build, libraries, Clock(silent), folder, band)
+    frequency = waves["frequency"].real
+    found, exact = bodies._matrix(waves, rom), rom.transfer(frequency)
+    leak = bodies.leakage(rom, frequency)
+    gate = max(build.scene.gates.harmonic_ngspice, leak)
+    limits = [
+        bodies.Limit("all ports", relative_error(found, exact), gate),
+        *bodies.electrical_checks("kick", rom, found, exact, gate),
+        *bodies.structure("netlist", frequency, found, max(bodies.NETLIST_ROUNDING, leak)),
+    ]
+    return [limit.name for limit in limits if not limit.passed]
+
+
+def test_the_emitted_subcircuit_passes(chip, tmp_path):
+    assert missed_gates(*chip, tmp_path) == []
+
+
+def test_one_changed_card_fails(chip, tmp_path):
+    """By 0.1 %: couplings, stiffness, damping, inertia, capacitance and the links to the pins."""
+    build, text = chip
+    cards = list(CARD.finditer(text))
+    unseen = []
+    for number, card in enumerate(cards):
+        value = f"{float(card[4]) * 1.001!r}"
+        changed = text[: card.start(4)] + value + text[card.end(4) :]
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        if not missed_gates(build, changed, folder):
+            unseen.append(card[0])
+    assert len(cards) > 40
+    assert [line for line in unseen if not NOTHING_IN_BAND.match(line)] == []
