@@ -85,6 +85,7 @@ def verify(
     tables: dict[str, Table] = {}
     with staged(out) as work:
         for scene in scenes:
+            progress("verify", None, scene.name)
             folder = work / scene.name
             folder.mkdir()
             clock = Clock(progress)
