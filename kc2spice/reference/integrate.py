@@ -382,7 +382,7 @@ def _locate(
     first = int(np.argmin(roots))
     h, guard = roots[first] - t0, int(fell[first])
     inner = step.inner if isinstance(step, FlightStep) else step
-    h = max(h, low - t0)
+    h = max(h, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may be t0
     found = full(_short(solver, inner, h))
     for _ in range(2):  # the polynomial is of lower order than the step
         miss = float(piece.guards(t0 + h, found.last)[guard])
