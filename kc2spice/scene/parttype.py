@@ -296,6 +296,10 @@ class PartType:
         """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
         return None
 
+    def closeness(self, part: Part, scene: Scene) -> float:
+        """Factor, 1 or less, of ``solver.reltol`` that its motion needs."""
+        return 1.0
+
     def sampled(self, part: Part, build: Build) -> Sampled | None:
         """The function that runs beside the simulator for it."""
         return None

@@ -177,8 +177,9 @@ def _options(build: Build) -> Iterable[Option]:
     speeds = [s for p in scene.parts.values() if (s := p.type.speed(p, scene)) is not None]
     # Displacements shrink with the speed of an impact, and so does what a step may miss.
     chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
+    reltol = solver.reltol * min(p.type.closeness(p, scene) for p in scene.parts.values())
     return [
-        Option("reltol", number(solver.reltol), "error per step; decides the launch velocity"),
+        Option("reltol", number(reltol), "error per step; decides the launch velocity"),
         Option(
             "trtol",
             number(solver.trtol).removesuffix(".0"),
