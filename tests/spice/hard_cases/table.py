@@ -22,7 +22,7 @@ true reason. "Default options": the same deck without its `.options` cards.
 Beside these, `python tests/spice/hard_cases/loops.py` kicks 150 varied chips (damping of 0.01 to
 5 %, 10 to 150 V, edges of 1 ns to 5 us, penalty 1e7 to 1e10 N/m) with the scene's own settings.
 Every launch must be within 2e-4 of the independent integrator of the same laws; none has more than
-a handful of contact events, because contact ports answer without inertia ([contact.md](contact.md)).
+a handful of contact events: contact ports answer without inertia ([contact.md](contact.md)).
 
 Written by `python tests/spice/hard_cases/table.py` (`--slow` adds those that take minutes); times
 are wall clock, with the oracle's.
