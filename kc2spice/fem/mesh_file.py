@@ -16,7 +16,7 @@ import numpy as np
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.gmsh_session import gmsh_session
+from kc2spice.core.gmsh_session import gmsh_session
 
 SUFFIXES = {".msh": b"$MeshFormat", ".step": b"ISO-10303", ".stp": b"ISO-10303",
             ".brep": b"DBRep_DrawableShape"}  # fmt: skip

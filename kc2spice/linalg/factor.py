@@ -10,6 +10,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.lazy import lazy
+from kc2spice.linalg.cholesky import Cholesky
+from kc2spice.linalg.ordering import nested_dissection
 from kc2spice.linalg.pardiso import Pardiso
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ else:
     sparse = lazy("scipy.sparse")
 linalg = lazy("scipy.linalg")
 
-# 'scipy' is banded Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
+# 'scipy' is banded or sparse Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
 Solver = Literal["scipy", "pardiso"]
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
@@ -26,8 +28,10 @@ Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 RESIDUAL_LIMIT = 1e-11
 # Factors without pivoting for size lose digits; each step of refinement gains what they kept.
 REFINEMENTS = 3
-# Banded storage must be worth its zeros: below this many bytes it beats general sparse factors.
-BANDED_BYTES = 3e9
+# Up to this half-bandwidth a banded factor costs no more than the search for a better order.
+NARROW = 600
+# From so many unknowns on nested dissection repays its own time.
+LARGE = 5000
 
 
 @dataclass(frozen=True)
@@ -75,8 +79,9 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
-    factor, which costs n b^2 operations and no fill; everything else SuperLU without pivoting for
-    size, which keeps the symmetric fill of a minimum-degree order.
+    factor, which costs n b^2 operations and no fill, any other definite one a supernodal Cholesky
+    factor; everything else SuperLU without pivoting for size, which keeps the symmetric fill of
+    its order.
 
     Raises
     ------
@@ -86,8 +91,10 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     coo = sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
-        if definite and (bandwidth + 1) * coo.shape[0] * 8 <= BANDED_BYTES:
+        if definite and bandwidth <= NARROW:
             return Factor(matrix, norm, _banded(coo, bandwidth))
+        if definite:
+            return Factor(matrix, norm, Cholesky(matrix, _order(matrix)).solve)
         return Factor(matrix, norm, inverses(matrix, symmetric=True)[0])
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
@@ -122,14 +129,26 @@ def inverses(
     if solver == "pardiso":
         factors = Pardiso(matrix, symmetric=symmetric)
         return factors.solve, lambda rhs: factors.solve(rhs, transposed=True)
+    matrix = sparse.csc_array(matrix)
+    order = _order(matrix) if symmetric else None
     lu = sparse.linalg.splu(
-        sparse.csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
+        matrix if order is None else sparse.csc_array(matrix[order][:, order]),
+        permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
         diag_pivot_thresh=0.0 if symmetric else 0.01,
         options={"SymmetricMode": symmetric},
     )
 
     def solve(rhs: np.ndarray, trans: str) -> np.ndarray:
-        return np.asarray(lu.solve(np.asarray(rhs).astype(matrix.dtype, casting="safe"), trans))
+        rhs = np.asarray(rhs).astype(matrix.dtype, casting="safe")
+        if order is None:
+            return np.asarray(lu.solve(rhs, trans))
+        x = np.empty_like(rhs)
+        x[order] = lu.solve(rhs[order], trans)
+        return x
 
     return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")
+
+
+def _order(matrix: sparse.csc_array) -> np.ndarray | None:
+    """Nested dissection of large matrices; None leaves the order to the solver."""
+    return nested_dissection(matrix) if matrix.shape[0] >= LARGE else None

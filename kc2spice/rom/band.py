@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
@@ -14,6 +16,7 @@ from kc2spice.rom.pencil import Pencil
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
 BEYOND = 1.1  # the band ends a little past the mode, not on it
+CLOSE = 1e-4  # of the rates, whose fifth is only rounded up to a band
 
 
 def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float]:
@@ -51,10 +54,22 @@ def _small(pencil: Pencil) -> np.ndarray:
 def _lowest(pencil: Pencil, solver: Solver) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
     require_memory(pencil, solver)
-    solve = pencil.solver(0.0, solver)[0].solve
+    solve = _at_rest(pencil, solver)
     inertia = pencil.coefficients[-1]
     n = pencil.size
     inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)
-    values = np.abs(eigs(inverse, MODES + 1, v0=solve(pencil.B[:, 0]), return_eigenvectors=False))
+    values = np.abs(
+        eigs(inverse, MODES + 1, v0=solve(pencil.B[:, 0]), tol=CLOSE, return_eigenvectors=False)
+    )
     rates = 1 / values[values > 0]
     return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
+
+
+def _at_rest(pencil: Pencil, solver: Solver) -> Callable[[np.ndarray], np.ndarray]:
+    """``P(0)^-1``, by the factors that the reduction will use where K is definite."""
+    if pencil.degree == 2 and pencil.symmetric:
+        try:
+            return pencil.pencil_solver(0.0, solver).solve
+        except SimulationError:
+            pass  # indefinite
+    return pencil.solver(0.0, solver)[0].solve

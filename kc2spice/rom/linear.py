@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -189,7 +190,7 @@ class LinearModel:
         """Names of the ports that are rows of C."""
         return tuple(p.name for p in self.ports if p.kind != "input")
 
-    @property
+    @cached_property
     def pencil(self) -> Pencil:
         """The model as one polynomial in s, for solvers."""
         if self.first_order:

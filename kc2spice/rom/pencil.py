@@ -11,6 +11,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, factorise
 from kc2spice.rom.operators import (
+    SAME,
     Matrix,
     Schur,
     Sum,
@@ -149,10 +150,24 @@ class Pencil:
         ------
         SimulationError : singular, or K not positive definite.
         """
-        if square == 0 and not isinstance(self.coefficients[0], Schur) and solver == "scipy":
-            K = sparse.csc_array(self.coefficients[0])
-            return Inverse(factorise(K, definite=True), self.size)
-        found = factor(self.bordered(1.0, 0.0, -square), symmetric=True, solver=solver)
+        if square:
+            found = factor(self.bordered(1.0, 0.0, -square), symmetric=True, solver=solver)
+            return Inverse(found, self.size)
+        if solver not in self._at_rest:
+            self._at_rest[solver] = self._rest_solver(solver)
+        return self._at_rest[solver]
+
+    @cached_property
+    def _at_rest(self) -> dict[str, Inverse]:
+        """Factors of K: several stages of a reduction, and further reductions, need them."""
+        return {}
+
+    def _rest_solver(self, solver: Solver) -> Inverse:
+        K = self.coefficients[0]
+        if isinstance(K, Schur) or solver != "scipy":
+            found = factor(self.bordered(1.0, 0.0, 0.0), symmetric=True, solver=solver)
+        else:
+            found = factorise(sparse.csc_array(K), definite=True)
         return Inverse(found, self.size)
 
     def project(self, V: np.ndarray) -> Pencil:
@@ -265,6 +280,25 @@ class Inverse:
             return self.factor.solve(rhs)
         free = np.zeros((extra, *rhs.shape[1:]))
         return self.factor.solve(np.concatenate([rhs, free]))[: self.size]
+
+
+def proportional(pencil: Pencil) -> Pencil:
+    """The same model with ``rayleigh`` where its E is ``alpha M + beta K`` to rounding; with it a
+    definite model is reduced by real solutions."""
+    if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
+        return pencil
+    K, E, M = pencil.coefficients
+    if any(isinstance(P, (Schur, Sum)) for P in pencil.coefficients) or not largest(M):
+        return pencil
+    basis = [P / largest(P) for P in (M, K)]
+    gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
+    found = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
+    found = np.where(np.abs(found) > SAME * largest(E), found, 0.0)
+    rest = E - found[0] * basis[0] - found[1] * basis[1]
+    if (found < 0).any() or largest(rest) > SAME * largest(E):
+        return pencil
+    rayleigh = float(found[0] / largest(M)), float(found[1] / largest(K))
+    return replace(pencil, rayleigh=rayleigh)
 
 
 def eliminated(pencil: Pencil) -> Pencil:

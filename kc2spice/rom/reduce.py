@@ -27,7 +27,7 @@ from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel
 from kc2spice.rom.memory import require_memory
-from kc2spice.rom.pencil import Pencil, eliminated
+from kc2spice.rom.pencil import Pencil, eliminated, proportional
 from kc2spice.rom.response import (
     Response,
     around,
@@ -84,7 +84,7 @@ def reduce(
         )  # fmt: skip
     if order is not None and order < 1:
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
-    pencil = eliminated(model.pencil)
+    pencil = proportional(eliminated(model.pencil))
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
     band = band or model.band or natural_band(pencil, solver)

@@ -14,6 +14,7 @@ Source: greedy rational interpolation (Grimme 1997; Feng, Antoulas, Benner 2017)
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -43,6 +44,7 @@ SINGULAR = 1e-6
 START, BLOCKS, GAIN = 4, 3, 3.0
 STATES, MAX_POINTS = 600, 180
 CONFIRMATIONS = 2  # in a row that must be met
+MANY, COSTLY = 20, 10_000  # factorisations that need a word, from so many unknowns on
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
@@ -229,6 +231,8 @@ def _rational(
     while search.points < MAX_POINTS and search.basis.shape[1] < STATES:
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
+        if search.points == MANY + 1 and pencil.size >= COSTLY:
+            _explain(search.response, band, error, target)
         # An error that was found before the basis grew is no longer that of the projection.
         recent = [*recent[-1:], error] if grown else [error]
         if met == CONFIRMATIONS or not grown:
@@ -271,6 +275,16 @@ def _with_rounding(
         raise _inaccurate(f"rounding its entries anew moves a resonance by {apart:.1e}", limit)
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
     return replace(found, error=found.error + apart, proof=proof)
+
+
+def _explain(response: Response, band: tuple[float, float], error: float, target: float) -> None:
+    modes = response.within(band)[0].size
+    warnings.warn(
+        f"the reduction takes more than {MANY} factorisations: the last frequency was still "
+        f"{error:.0e} off, {target:.0e} is looked for, and the band holds at least {modes} "
+        "resonances; a narrower band, a looser tolerance or proportional damping costs less",
+        stacklevel=2,
+    )
 
 
 class _Search:

@@ -17,7 +17,7 @@ import numpy as np
 from skfem import MeshTri, MeshTri2
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.gmsh_session import gmsh_session
+from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.fem.magnetics.keys import Catch, Ring
 
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put

@@ -20,7 +20,6 @@ from scipy import sparse
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Solver
-from kc2spice.rom.band import natural_band
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
@@ -107,8 +106,7 @@ def _product(factors: list[sparse.dia_array]) -> sparse.csr_array:
 def _measure(unknowns: int, dimension: int, solver: Solver) -> ScalingPoint:
     model = grid_model(unknowns, dimension)
     begin, worked = time.perf_counter(), time.process_time()
-    band = natural_band(model.pencil, solver)
-    rom = reduce(model, band=band, tolerance=TOLERANCE, solver=solver)
+    rom = reduce(model, tolerance=TOLERANCE, solver=solver)
     return ScalingPoint(
         unknowns=model.order,
         order=rom.order,
