@@ -29,12 +29,11 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
-from scipy.constants import epsilon_0
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si
 from kc2spice.core.schema import validated
-from kc2spice.core.units import quantity
+from kc2spice.core.units import EPSILON_0, quantity
 
 Symmetry: TypeAlias = Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"]
 
@@ -263,7 +262,7 @@ class MaterialTable(Section):
         where = where or f"material {name}"
         C = self._stiffness(where)
         e = self._coupling(C, where)
-        eps = epsilon_0 * self._permittivity(where)
+        eps = EPSILON_0 * self._permittivity(where)
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
         hint = None

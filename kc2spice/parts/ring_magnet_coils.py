@@ -7,6 +7,7 @@ itself, in numpy, is :func:`kc2spice.fem.magnetics.table.force`.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -614,10 +615,20 @@ def interpolation_error(table: EMTable, current: float) -> float:
     A spline through every second height misses the others by at least eight times that: 16 by its
     order, 11 measured on the paper's magnets with 9 positions, more with more.
     """
+    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    digest = hashlib.sha256(table.y.tobytes() + values.tobytes()).hexdigest()
+    key = {"table": digest, "current": current}
+    # loading scipy's splines takes longer than ngspice
+    found, _ = cached(
+        "field_interpolation", key, lambda: _missed(table.y, values, current), sources=(__name__,)
+    )
+    return found
+
+
+def _missed(y: np.ndarray, values: np.ndarray, current: float) -> float:
     from scipy.interpolate import CubicSpline
 
-    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
-    half = CubicSpline(table.y[::2], values[::2])(table.y)
+    half = CubicSpline(y[::2], values[::2])(y)
     term = {t.name: t for t in SERIES}
 
     def pull(v: np.ndarray) -> np.ndarray:

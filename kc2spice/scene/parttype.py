@@ -13,8 +13,9 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -439,15 +440,21 @@ def type_names() -> tuple[str, ...]:
     several.
     """
     own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
-    foreign = (entry.name for entry in entry_points(group=PACKAGE))
+    foreign = (entry.name for entry in _foreign())
     return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+
+
+@cache
+def _foreign() -> tuple[EntryPoint, ...]:
+    """Part types that other distributions bring; the search reads the metadata of all of them."""
+    return tuple(entry_points(group=PACKAGE))
 
 
 def part_type(name: str) -> PartType | None:
     """The part type of this name, None where there is none; its module is loaded when needed."""
     if name not in _types and name in type_names():
-        for entry in entry_points(group=PACKAGE, name=name):
-            found = entry.load()
+        for entry in _foreign():
+            found = entry.load() if entry.name == name else None
             if isinstance(found, PartType):
                 register(found)
         if name not in _types:
