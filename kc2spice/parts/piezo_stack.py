@@ -295,6 +295,15 @@ class PiezoStack(LinearBody):
             f"{part.name}.mesh.refine {mesh.refine}, ring_spacing {mesh.ring_spacing:g} m",
             f"{why}; finer rings move launch and impact by 2 %" if studied else why,
         )
+        if (several := mesh.layers_per_element) > 1:
+            yield ErrorRow(
+                "layers in an element",
+                None,
+                (several / part.keys.layers) ** 2,
+                f"{part.name}.mesh.layers_per_element {several}",
+                f"{why}; of the first resonances, measured 0.3 and 0.8 of this; stroke and "
+                "capacitance are those of the layers",
+            )
 
 
 def mounted(keys: Chip) -> str:

@@ -156,18 +156,23 @@ def assemble_matrices(
 ) -> tuple[sparse.csc_array, sparse.csc_array, sparse.csc_array, sparse.csc_array]:
     """``M, K_uu, K_uphi, K_phi`` over all nodes, no constraint; displacement ``3 node + axis``.
 
-    Equal layers differ only in the direction of polarisation, hence in the sign of the coupling:
-    poled along -z above a cathode, so that a positive anode voltage lengthens every layer.
+    Equal levels differ only in the direction of polarisation, hence in the sign of the coupling:
+    poled along -z above a cathode, so that a positive anode voltage lengthens every level.
     ``bottom`` and ``top`` are what the caps are made of.
     """
     potentials = mesh.node
     displacements = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
-    poling = np.where(np.arange(mesh.layers) % 2, 1.0, -1.0)
-    scalar, vector = _bases(mesh, mesh.active)
-    K_uphi = _coupling(material.e).assemble(scalar, vector)
-    K_phi = _dielectric(material.eps).assemble(scalar)
-    M = K_uu = 0
-    for slab, made_of in ((mesh.active, material), (mesh.bottom, bottom), (mesh.top, top)):
+    active, M, K_uu, K_uphi, K_phi = mesh.active, 0, 0, 0, 0
+    for slab in active:
+        scalar, vector = _bases(mesh, slab)
+        level = (slab.first - active[0].first) // mesh.steps + np.arange(slab.count)
+        poling, same = np.where(level % 2, 1.0, -1.0), np.ones(slab.count)
+        coupling = _coupling(slab.span * material.e).assemble(scalar, vector)
+        dielectric = _dielectric(slab.span**2 * material.eps).assemble(scalar)
+        K_uphi = K_uphi + _sweep(coupling, mesh, slab, poling, displacements, potentials)
+        K_phi = K_phi + _sweep(dielectric, mesh, slab, same, potentials, potentials)
+    parts = [*((slab, material) for slab in active), (mesh.bottom, bottom), (mesh.top, top)]
+    for slab, made_of in parts:
         if slab is None or made_of is None:
             continue
         _, vector = _bases(mesh, slab)
@@ -176,13 +181,7 @@ def assemble_matrices(
         stiffness = _stiffness(made_of.C).assemble(vector)
         M = M + _sweep(mass, mesh, slab, same, displacements, displacements)
         K_uu = K_uu + _sweep(stiffness, mesh, slab, same, displacements, displacements)
-    same = np.ones(mesh.layers)
-    return (
-        _symmetric(M),
-        _symmetric(K_uu),
-        _sweep(K_uphi, mesh, mesh.active, poling, displacements, potentials),
-        _symmetric(_sweep(K_phi, mesh, mesh.active, same, potentials, potentials)),
-    )
+    return _symmetric(M), _symmetric(K_uu), K_uphi, _symmetric(K_phi)
 
 
 def _bases(mesh: KickMesh, slab: Slab) -> tuple[Basis, Basis]:
@@ -266,12 +265,12 @@ def _dielectric(eps: np.ndarray) -> BilinearForm:
 
 def bottom_face(mesh: KickMesh) -> sparse.csc_array:
     """``int u . v dA`` over the bottom face, unknowns ``3 node + axis``; it sums to 3 areas."""
-    return _face(mesh, mesh.bottom or mesh.active, np.ones(_AXES), upper=False)
+    return _face(mesh, mesh.bottom or mesh.active[0], np.ones(_AXES), upper=False)
 
 
 def top_face(mesh: KickMesh) -> sparse.csc_array:
     """``int u_z v_z dA`` over the top face; it sums to the area."""
-    return _face(mesh, mesh.top or mesh.active, np.array([0.0, 0.0, 1.0]), upper=True)
+    return _face(mesh, mesh.top or mesh.active[-1], np.array([0.0, 0.0, 1.0]), upper=True)
 
 
 def _face(mesh: KickMesh, slab: Slab, axes: np.ndarray, *, upper: bool) -> sparse.csc_array:
@@ -308,12 +307,16 @@ def free_displacements(mesh: KickMesh, kick: Chip) -> np.ndarray:
 
 
 def _electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Indicator (nodes,) of the anode planes, and the numbers of the free potentials."""
-    plane = np.arange(len(mesh.heights)) - mesh.active.first
-    live = (plane >= 0) & (plane <= mesh.steps * mesh.layers)
-    anode = np.repeat(live & (plane % (2 * mesh.steps) == mesh.steps), len(mesh.plane))
-    inner = np.repeat(live & (plane % mesh.steps != 0), len(mesh.plane))
-    return anode.astype(float), np.flatnonzero(inner)
+    """Potentials (nodes,) that 1 V on the anode prescribes, and the numbers of the free ones: those
+    within a layer. Within a level of several layers all follow from the electrodes between them."""
+    steps, levels = mesh.steps, len(mesh.spans)
+    plane = np.arange(len(mesh.heights)) - mesh.active[0].first
+    live = (plane >= 0) & (plane <= steps * levels)
+    span = mesh.spans[np.clip(plane // steps, 0, levels - 1)]
+    free = live & (plane % steps != 0) & (span == 1)
+    anode = np.where(live & ~free, 1 - np.abs(plane % (2 * steps) / steps - 1), 0.0)
+    each = len(mesh.plane)
+    return np.repeat(anode, each), np.flatnonzero(np.repeat(free, each))
 
 
 def ring_shapes(mesh: KickMesh, axis: str = "z") -> np.ndarray:

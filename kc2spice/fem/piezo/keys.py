@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
-from scipy.constants import epsilon_0
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
@@ -23,6 +22,7 @@ from kc2spice.core.quantities import (
     Section,
     Stiffness,
 )
+from kc2spice.core.units import EPSILON_0
 from kc2spice.fem.materials import material
 
 
@@ -53,7 +53,7 @@ class Material(Section):
         e[0, 4] = e[1, 3] = e15
         e[2, :3] = e31, e31, e33
         in_plane, axial = self.permittivity
-        return C, e, epsilon_0 * np.diag([in_plane, in_plane, axial])
+        return C, e, EPSILON_0 * np.diag([in_plane, in_plane, axial])
 
 
 class ChipMesh(Section):
@@ -65,6 +65,9 @@ class ChipMesh(Section):
     rings: Count = Field(5, ge=1, le=100, description="contact rings around the centre node")
     ring_spacing: Length = Field(50e-6, gt=0)
     outer_rings: Count = Field(11, ge=1, le=200, description="graded, out to the edge")
+    layers_per_element: Count = Field(
+        1, ge=1, le=100, description="at most, in elements that grow with their depth below the top"
+    )
 
 
 class Damping(Section):
@@ -88,7 +91,7 @@ def _from_library(given: object) -> object:
         named = material(given)
     except UsageError as error:
         raise ValueError(str(error)) from None
-    C, e, eps = named.C, named.e, named.eps_S / epsilon_0
+    C, e, eps = named.C, named.e, named.eps_S / EPSILON_0
     c = C[0, 0], C[0, 1], C[0, 2], C[2, 2], C[3, 3], C[5, 5]
     keys = {
         "density": named.density, "stiffness": tuple(map(float, c)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import cap_layers
+from kc2spice.fem.piezo.mesh import cap_layers, level_spans
 from kc2spice.linalg.memory import require_bytes
 
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
@@ -16,8 +16,9 @@ def factor_bytes(kick: Chip) -> float:
     steps = mesh.refine * mesh.order
     plane = 1 + (mesh.rings + mesh.outer_rings) * steps * (mesh.sectors * steps + 1)
     caps = cap_layers(kick, kick.bottom_cap) + cap_layers(kick, kick.top_cap)
-    nodes = plane * ((kick.layers + caps) * steps + 1)
-    inner = plane * kick.layers * (steps - 1)
+    spans = level_spans(kick)
+    nodes = plane * ((len(spans) + caps) * steps + 1)
+    inner = plane * int((spans == 1).sum()) * (steps - 1)
     sparse = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
     banded = 8.0 * 3 * nodes * 3 * plane
     return sparse if inner else min(sparse, banded)

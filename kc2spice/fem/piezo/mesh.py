@@ -2,6 +2,11 @@
 
 The paper asks for a mapped mesh (2.2.2): nodes on concentric circles make one force per ring
 exact, and equal layers let one assembled layer stand for all of them.
+
+A *level* is one element over the height: one layer, or several of them as one medium where
+``layers_per_element`` allows it. The field in each layer is given by its electrodes, so m layers in
+parallel at one voltage are one layer m times as thick, of coupling ``m e`` and permittivity
+``m^2 eps``.
 """
 
 from __future__ import annotations
@@ -16,17 +21,23 @@ from scipy.sparse.csgraph import shortest_path
 from skfem import ElementHex1, ElementHex2, MeshHex1, MeshHex2
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.gmsh_session import gmsh_session
+from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.fem.piezo.keys import Cap, Chip
+
+GROWTH = 0.25  # of a level's thickness with its depth
 
 
 @dataclass(frozen=True)
 class Slab:
-    """``count`` equal layers of nodes from plane ``first`` on; ``layer`` is the lowest of them."""
+    """``count`` equal levels from plane ``first`` on; ``layer`` is the lowest of them.
+
+    Each stands for ``span`` active layers.
+    """
 
     layer: MeshHex1
     first: int
     count: int
+    span: int = 1
 
 
 @dataclass(frozen=True)
@@ -35,15 +46,15 @@ class KickMesh:
 
     Attributes
     ----------
-    layer : scikit-fem mesh of the lowest active layer; the hexahedra at the axis have one edge
-        collapsed.
+    layer : scikit-fem mesh of one active layer at the bottom; the hexahedra at the axis have one
+        edge collapsed.
     element, order : scalar element on ``layer``: trilinear, or triquadratic and isoparametric.
     node : (scalar dofs of ``layer``,) their node numbers; the axis has one node per plane.
     plane : (nodes per plane, 2) positions [m], the centre first, then ring by ring.
     heights : (planes,) [m]. Node ``k * len(plane) + i`` is node ``i`` of plane ``k``.
-    steps : planes per layer.
+    steps : planes per level.
     rings : node numbers within the plane for R0 (centre), R1, ... from the x to the y axis.
-    layers : number of piezoelectric layers.
+    spans : piezoelectric layers in each level, from the bottom up.
     bottom, top : slabs without field below and above them.
     """
 
@@ -55,15 +66,23 @@ class KickMesh:
     heights: np.ndarray
     steps: int
     rings: tuple[np.ndarray, ...]
-    layers: int
+    spans: np.ndarray
     bottom: Slab | None = None
     top: Slab | None = None
 
     @property
-    def active(self) -> Slab:
-        """The piezoelectric layers."""
-        first = self.bottom.count * self.steps if self.bottom else 0
-        return Slab(self.layer, first, self.layers)
+    def active(self) -> tuple[Slab, ...]:
+        """The piezoelectric levels, in runs of equal thickness from the bottom up."""
+        below = self.bottom.count if self.bottom else 0
+        starts = np.flatnonzero(np.diff(self.spans, prepend=0))
+        counts = np.diff(starts, append=len(self.spans))
+        return tuple(
+            Slab(self._stretched(span), self.steps * (below + int(start)), int(count), span)
+            for start, count, span in zip(starts, counts, self.spans[starts].tolist(), strict=True)
+        )
+
+    def _stretched(self, span: int) -> MeshHex1:
+        return type(self.layer)(self.layer.doflocs * np.array([[1.0], [1.0], [span]]), self.layer.t)
 
 
 def kick_mesh(kick: Chip) -> KickMesh:
@@ -81,18 +100,20 @@ def kick_mesh(kick: Chip) -> KickMesh:
     spokes = plane.shape[1]
     ring_nodes = [np.array([0])] + [1 + (i - 1) * spokes + np.arange(spokes) for i in stations[1:]]
     caps = [(cap, cap_layers(kick, cap)) for cap in (kick.bottom_cap, kick.top_cap)]
-    counts = [caps[0][1], kick.layers, caps[1][1]]
+    spans = level_spans(kick)
+    counts = [caps[0][1], len(spans), caps[1][1]]
     first = steps * np.concatenate([[0], np.cumsum(counts)])
     slabs = [
         Slab(_layer(kick, plane, steps, cap.thickness / count)[0], int(start), count)
         if cap else None
         for (cap, count), start in zip(caps, first[[0, 2]], strict=True)
     ]  # fmt: skip
-    thick = [caps[0][0], kick.height, caps[1][0]]
-    heights = np.zeros(1)
-    for each, count in zip(thick, counts, strict=True):
-        size = each.thickness if isinstance(each, Cap) else each or 0.0
-        heights = np.append(heights[:-1], heights[-1] + np.linspace(0, size, steps * count + 1))
+    edges = kick.height / kick.layers * np.r_[0, np.cumsum(spans)]
+    active = np.interp(np.arange(steps * len(spans) + 1) / steps, np.arange(len(edges)), edges)
+    below, above = (
+        np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1) for cap, count in caps
+    )
+    heights = np.r_[below[:-1], below[-1] + active[:-1], below[-1] + active[-1] + above]
     return KickMesh(
         layer=layer,
         element=element,
@@ -102,10 +123,20 @@ def kick_mesh(kick: Chip) -> KickMesh:
         heights=heights,
         steps=steps,
         rings=tuple(ring_nodes),
-        layers=kick.layers,
+        spans=spans,
         bottom=slabs[0],
         top=slabs[1],
     )
+
+
+def level_spans(kick: Chip) -> np.ndarray:
+    """Layers in each level from the bottom up: ``layers_per_element`` at most, and no level thicker
+    than ``GROWTH`` of its depth below the top."""
+    spans: list[int] = []
+    while (left := kick.layers - sum(spans)) > 0:
+        grown = max(1, int(GROWTH * sum(spans)))
+        spans.append(min(kick.mesh.layers_per_element, grown, left))
+    return np.array(spans[::-1])
 
 
 def cap_layers(kick: Chip, cap: Cap | None) -> int:
