@@ -7,7 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from kc2spice.cli.main import app
 from kc2spice.scene.load import gallery
 
 CONTRACT = {
@@ -28,13 +30,15 @@ def kc2spice(*arguments, expect=0):
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Result of each scene with its directory, run once."""
+    """Result of each scene with its directory, run once, in this process."""
     found = {}
 
     def result(name):
         if name not in found:
             out = tmp_path_factory.mktemp(name)
-            found[name] = json.loads(kc2spice("run", name, "-o", str(out), "--json").stdout), out
+            done = CliRunner().invoke(app, ["run", name, "-o", str(out), "--json"])
+            assert done.exit_code == 0, done.output
+            found[name] = json.loads(done.stdout), out
         return found[name]
 
     return result

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,9 +74,13 @@ def impacts():
 
 
 def test_rings_that_stay_open_change_nothing(unpruned):
-    """Of one reduced model, without the ports of R2 to R5, over the whole 5 ms."""
+    """Of one reduced model, without the ports of R2 to R5, until the sphere has left for good."""
     build, waves = unpruned
-    error = compare(integrated(without_outer(build, 2), 50_001), waves)
+    kept = waves["time"] <= 0.6e-3
+    first = Waveforms({name: wave[kept] for name, wave in waves.data.items()}, waves.stats)
+    few = without_outer(build, 2)
+    few = replace(few, scene=load_scene(few.scene, {"solver.stop": 0.6e-3}))
+    error = compare(integrated(few, int(kept.sum())), first)
     # Steps of the integrator alone: its largest state is 5e-6 m at rtol 1e-9, times 1e3 steps.
     assert error["velocity_relative"] < 1e-7
     assert error["trajectory_m"] < 1e-10

@@ -1,6 +1,7 @@
 """Data flows one way: a module imports only from layers to its left, and nothing in a circle."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,14 +36,21 @@ def layer(dotted):
     return LAYERS.index(SAME_AS.get(top, top))
 
 
+@cache
+def statements(path):
+    """What stands at the top level of a module, by id, and its import statements."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    return {id(node) for node in tree.body}, found
+
+
 def imports(path, known=MODULES):
     """Dotted names that a module imports, with whether the import is at its top level.
 
     A name taken from a package is the submodule where there is one, else the package.
     """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    top = {id(node) for node in tree.body}
-    for node in ast.walk(tree):
+    top, nodes = statements(path)
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name, id(node) in top
