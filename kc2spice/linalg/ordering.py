@@ -50,9 +50,7 @@ def _dissected(matrix: sparse.csc_array) -> np.ndarray | None:
         try:
             old, new = _renumbered(np.column_stack([key // first.size, key % first.size]))
         except MissingToolError as error:
-            warnings.warn(
-                f"large matrices are factorised in a slower order: {error}", stacklevel=2
-            )
+            warnings.warn(f"large matrices are factorised in a slower order: {error}", stacklevel=2)
             return None
         place[old] = new
     return np.argsort(place[group], kind="stable")
