@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +12,10 @@ from kc2spice.core.errors import MissingToolError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.lazy import lazy
 
-sparse = lazy("scipy.sparse")
+if TYPE_CHECKING:
+    from scipy import sparse
+else:
+    sparse = lazy("scipy.sparse")
 
 _LINE = 1  # gmsh's number of the element type with two nodes
 _KEPT = 2  # orders: a reduction factorises matrices of one pattern, or of two

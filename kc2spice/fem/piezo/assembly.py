@@ -171,10 +171,9 @@ def assemble_matrices(
         dielectric = _dielectric(slab.span**2 * material.eps).assemble(scalar)
         K_uphi = K_uphi + _sweep(coupling, mesh, slab, poling, displacements, potentials)
         K_phi = K_phi + _sweep(dielectric, mesh, slab, same, potentials, potentials)
-    parts = [*((slab, material) for slab in active), (mesh.bottom, bottom), (mesh.top, top)]
-    for slab, made_of in parts:
-        if slab is None or made_of is None:
-            continue
+    caps = ((mesh.bottom, bottom), (mesh.top, top))
+    parts = [(slab, made_of) for slab, made_of in caps if slab and made_of]
+    for slab, made_of in (*((slab, material) for slab in active), *parts):
         _, vector = _bases(mesh, slab)
         same = np.ones(slab.count)
         mass = _mass(made_of.density).assemble(vector)
