@@ -304,11 +304,15 @@ def test_frequency_of_a_tone_is_counted_in_the_last_half():
 
 
 # A base that accelerates, two electrodes on one cathode, a thin free plate; the rest takes minutes.
-QUICK = ("harvester", "buzzer_self", "buzzer_7bb_20_3")
+QUICK = ("harvester", "buzzer_7bb_20_3")
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in PUBLISHED]
+    "name",
+    [
+        n if n in QUICK else pytest.param(n, marks=pytest.mark.slow)
+        for n in (*PUBLISHED, "harvester_bridge", "buzzer_square")
+    ],
 )
 def test_every_device_is_verified(name, tmp_path):
     record = verify([load_scene(name)], tmp_path / "out")[name]

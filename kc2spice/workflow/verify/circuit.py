@@ -57,6 +57,15 @@ class Circuit:
         """The equations."""
         return assemble(self.laws, self.joins)
 
+    def given(self, held: set[str]) -> bool:
+        """Whether sources of the pins ``held`` prescribe every net, none of them moving a body."""
+        nets = [set(pins) for net, pins in self.joins.items() if net != "gnd"]
+        return (
+            bool(held)
+            and all(pins & held for pins in nets)
+            and not any(isinstance(law, LinearBody) for law in self.laws)
+        )
+
 
 def without_law(build: Build) -> tuple[str, ...]:
     """Names of the parts that have no law: the scene as a whole cannot be integrated."""
@@ -204,6 +213,9 @@ def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None
     sources = {net: _replayed(net, kind, waves) for net, kind in (taken or {}).items()}
     whole = circuits(build, sources)
     parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
+    held = {f"{source.name}.out" for source in sources.values()}
+    # where every net is given, such as a capacitor behind a rectifier, nothing is left to integrate
+    parts = [c for c in parts if not c.given(held)]
     kind = build.scene.analysis.type
     if kind == "transient":
         return _transients(parts, build, waves)
