@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
@@ -31,6 +33,9 @@ def gmsh_session(name: str) -> Iterator[ModuleType]:
             hint="run `kc2spice doctor` for the packages that are missing",
         ) from error
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            signal.signal(number, signal.getsignal(number))  # gmsh takes them for itself
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)

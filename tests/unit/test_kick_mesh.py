@@ -1,5 +1,8 @@
 """The ring mesh: size, circles, volume and refusals."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from skfem import Basis
@@ -57,3 +60,14 @@ def test_refined_lattice_contains_the_coarse_one():
 def test_meshes_that_cannot_be_are_refused(change, words):
     with pytest.raises(UsageError, match=words):
         kick_mesh(Chip(mesh=change))
+
+
+def test_a_mesher_leaves_signals_to_their_handler():
+    """A run that is ended while or after it meshes still clears up."""
+    code = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))\n"
+        "from kc2spice.core.gmsh_session import gmsh_session\n"
+        "with gmsh_session('any'): os.kill(os.getpid(), signal.SIGTERM)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 7
