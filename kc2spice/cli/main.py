@@ -165,6 +165,10 @@ def export(
     tolerance: Annotated[
         float | None, typer.Option(help="Short for --set rom.tolerance=X.", metavar="X")
     ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="An array: N copies of SCENE in one deck, no symbols."),
+    ] = None,
     rom: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Reduced model of 'reduce' instead of a scene."),
@@ -178,7 +182,7 @@ def export(
     """Write netlists of SCENE, or of a reduced model; no simulation."""
     with reported_errors():
         if rom is not None:
-            if scene is not None or set_ or tolerance is not None:
+            if scene is not None or set_ or tolerance is not None or count is not None:
                 raise UsageError(
                     "a reduced model is final", where="--rom", expected="no scene and no scene keys"
                 )
@@ -190,7 +194,9 @@ def export(
         from kc2spice.workflow import run as study
 
         with shown_progress(quiet) as progress:
-            files = study.export(study_scene, directory, dialect, progress, trust=trust)
+            files = study.export(
+                study_scene, directory, dialect, progress, trust=trust, count=count
+            )
         if as_json:
             names = [path.name for path in files]
             where = str(directory.absolute())

@@ -22,12 +22,12 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
-from kc2spice.scene.judge import Balance
+from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import reference, subcircuit
+from kc2spice.spice.realize import UNRATED, reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -35,6 +35,8 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
+RATED = "electrodes, by the limit of the field in its ceramic; the netlist itself has no limit"
+BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 POINTS = 600  # of an impedance, besides those near resonances
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
@@ -82,6 +84,10 @@ class LinearBody(PartType):
     def headline(self, part: Part) -> str:
         """First line of its library: what it is and what it assumes."""
         return self.title
+
+    def rated(self, part: Part) -> float | None:
+        """Largest voltage [V] that the material stands between electrodes, None if not known."""
+        return None
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
@@ -191,7 +197,10 @@ class LinearBody(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        return (subcircuit(build.model(part), name, header, title=self.headline(part)),)
+        volts = self.rated(part)
+        rating = UNRATED if volts is None else f"{volts:.4g} V between {RATED}"
+        title = self.headline(part)
+        return (subcircuit(build.model(part), name, header, title=title, rating=rating),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}
@@ -228,6 +237,17 @@ class LinearBody(PartType):
             return {**figures, **analyse(frequency, z).metrics()}
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        volts = self.rated(part)
+        electrical = [p for p in self.kept(part, build.scene) if p.kind == "electrical"]
+        if volts is None or "time" not in waves:
+            return
+        for k, port in enumerate(electrical):
+            name = part.name if k == 0 else f"{part.name}.{port.name}"
+            if f"{name}.voltage" in waves:
+                largest = float(np.abs(waves[f"{name}.voltage"]).max())
+                yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         if "time" not in waves:
@@ -421,6 +441,21 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
         for other in scene.of("source")
         if any(target.startswith(f"{part.name}.") for target in other.pins.values())
     )
+
+
+def depoling_voltage(part: Part, *, series: bool) -> float | None:
+    """Voltage [V] at which a layer reaches the depoling field of its material, the same field in
+    all layers in series; None where no limit is known."""
+    from kc2spice.fem.materials import material
+
+    found = [(material(layer.material, part.name), layer.thickness) for layer in part.keys.layers]
+    active = [(one.depoling_field, thick) for one, thick in found if one.piezoelectric]
+    fields = [limit for limit, _ in active if limit is not None]
+    if not active or len(fields) < len(active):
+        return None
+    if series:
+        return float(min(fields) * sum(thick for _, thick in active))
+    return float(min(limit * thick for limit, (_, thick) in zip(fields, active, strict=True)))
 
 
 def layered(part: Part, widths: Sequence[float]) -> Iterator[Shape]:

@@ -9,7 +9,7 @@ from kc2spice.bodies import bimorph
 from kc2spice.bodies.device import Device
 from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import layered
+from kc2spice.parts._linear_body import depoling_voltage, layered
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -41,6 +41,9 @@ part = "source"
 dc = "50 V"
 """
     source = "FE (piezoelectric, hexahedra)"
+
+    def rated(self, part: Part) -> float | None:
+        return depoling_voltage(part, series=part.keys.wiring != "parallel")
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         keys = part.keys

@@ -7,7 +7,7 @@ from typing import Any
 
 from kc2spice.bodies import disc
 from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import BodyKeys, LinearBody, layered
+from kc2spice.parts._linear_body import BodyKeys, LinearBody, depoling_voltage, layered
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -29,6 +29,9 @@ class Disc(LinearBody):
             names.append("feedback")
         electrical = (Port(n, "electrical", pins=(n, "cathode")) for n in names)
         return (*electrical, Port("centre", "mechanical"))
+
+    def rated(self, part: Part) -> float | None:
+        return depoling_voltage(part, series=part.keys.wiring == "series")
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [layer.diameter for layer in part.keys.layers])

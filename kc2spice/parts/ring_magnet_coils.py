@@ -118,6 +118,14 @@ class _Coefficient:
     bends: list[str]
 
 
+def _validity(table: EMTable) -> str:
+    low, high = 1e6 * table.y[0], 1e6 * table.y[-1]
+    return (
+        f"sphere's centre from {low:g} to {high:g} um, constant forces beyond; linear magnetics; "
+        "coils at the temperature of their data, nothing heats up"
+    )
+
+
 def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
     """The terms that matter up to ``current`` [A], in their order."""
     values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
@@ -145,13 +153,14 @@ def catch_subcircuit(
     points : heights of the resampled lookups, equally spaced over the table.
     """
     params, pins = coil_resistances(table), SERIES_PINS if series else PINS
+    title = f"{name}: electromagnetic catch actuator"
     terms = SERIES if series else SEPARATE
     kept = significant(table, current, terms)
     height = np.linspace(table.y[0], table.y[-1], points)
     values = table.splines(height)
     text = render(
         "catch.j2",
-        header=part_header(header, f"{name}: electromagnetic catch actuator", pins, params),
+        header=part_header(header, title, pins, params, validity=_validity(table)),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
@@ -256,7 +265,13 @@ def coil_subcircuit(
     ]  # fmt: skip
     text = render(
         "coil.j2",
-        header=part_header(header, f"{name}: catch actuator with real coils", PINS, params),
+        header=part_header(
+            header,
+            f"{name}: catch actuator with real coils",
+            PINS,
+            params,
+            validity=_validity(table),
+        ),
         name=name,
         pins=[pin.name for pin in PINS],
         parameters=parameter_list(params),

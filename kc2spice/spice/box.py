@@ -111,6 +111,7 @@ def _sides(
         left = {pin.name for pin in electric}
     elif electric:
         left |= {pin.name for pin in plain if pin.flow == "-"}  # a command, though it be loaded
+        left = left or {electric[0].name}
     elif mechanical:
         moved = [pin.name for pin in mechanical if pin.unit == "um"]
         left = set(moved or [pin.name for pin in mechanical])

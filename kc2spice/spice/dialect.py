@@ -20,9 +20,10 @@ from kc2spice.spice.statements import Statement, statements
 from kc2spice.spice.veriloga import library
 
 SPEAKERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": LTspice}
-DIALECTS = ("ngspice", *SPEAKERS, "verilog-a")
+DECKS = ("ngspice", *SPEAKERS)
+DIALECTS = (*DECKS, "verilog-a")
 _RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+).*")
-_NGSPICE_COMMAND = re.compile(r"\*.*\bngspice -\w")  # other commands of a deck's head
+_NGSPICE_COMMAND = re.compile(r"\*.*\bngspice (-\w|\w+_plot)")  # other commands of a deck's head
 
 
 def translate(deck: Deck, dialect: str) -> Deck:

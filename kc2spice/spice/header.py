@@ -15,6 +15,10 @@ from kc2spice.spice.circuit import Param, Pin
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
 VALIDITY = "at the temperature of its data; nothing here heats up, ages or breaks"
 RATING = "none is checked by the netlist"
+OUTWARDS = (
+    "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
+    "that way with 1 N"
+)
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ def part_header(
     rom: str = "",
     validity: str = VALIDITY,
     rating: str = RATING,
+    sign: str = SIGN,
 ) -> str:
     """Everything above ``.subckt``: title, origin, ROM facts, one line per pin and parameter.
 
@@ -76,7 +81,7 @@ def part_header(
     """
     mechanical = any(p.flow == "N" for p in pins)
     lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
-    lines += [f"* sign: {SIGN}\n"] if mechanical else []
+    lines += [f"* sign: {comment(sign)}\n"] if mechanical else []
     lines += [f"* validity: {comment(validity)}\n* rating: {comment(rating)}\n"]
     lines += [
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"

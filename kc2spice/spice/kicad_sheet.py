@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import ceil
+from textwrap import shorten
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.core.errors import UsageError
@@ -87,7 +88,7 @@ def project(deck: Deck) -> dict[str, str]:
     items = [_item(element, drawn, plain) for element in top.elements]
     once = Counter(net for item in items for net in item.nets)
     items += [_probe(net, plain["PROBE"]) for net in once if once[net] == 1 and net not in GROUND]
-    title = deck.files[deck.main].partition("\n")[0].lstrip("* ")[:56] or deck.name
+    title = shorten(deck.files[deck.main].partition("\n")[0].lstrip("* "), 56) or deck.name
     sources = {e.name: _reference(e.statement.words[0]) for e in top.elements}
     commands = [
         " ".join(sources.get(w.lower(), w) for w in s.text.split())

@@ -10,7 +10,7 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.statements import Statement, statements
 
 _OWN = re.compile(r"(?i)v\(\w+\)|i\(v\w+\)")  # vectors that exist without subcircuits
-_RUN = re.compile(r"\* Run it with:|\*.*\bngspice -\w")
+_RUN = re.compile(r"\* Run it with:|\*.*\bngspice (-\w|\w+_plot)")
 
 
 def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:

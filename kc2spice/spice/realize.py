@@ -15,7 +15,7 @@ from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.spice.cards import distinct
 from kc2spice.spice.cards import name as checked_name
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
-from kc2spice.spice.header import Header, parameter_list, part_header, rom_line
+from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
 from kc2spice.spice.render import render
 
 if TYPE_CHECKING:
@@ -67,12 +67,16 @@ class _Terminal:
         return (f"f{self.pins[0]}" if moved else self.pins[0]), base
 
 
+UNRATED = "none is known; keep every layer's field within its material's limits"
+
+
 def subcircuit(
     rom: LinearModel,
     name: str,
     header: Header | None = None,
     *,
     title: str = "reduced linear model of the whole device",
+    rating: str = UNRATED,
     ports: Sequence[str] | None = None,
     dense: bool = False,
 ) -> Subcircuit:
@@ -91,7 +95,7 @@ def subcircuit(
     ----------
     name : of the subcircuit and its library file.
     header : origin; that of the model itself unless given.
-    title : what the device is, for the head of the library.
+    title, rating : what the device is and what it stands, for the head of the library.
     ports : names of the ports to bring out, all by default; the others see no load.
 
     Raises
@@ -107,11 +111,12 @@ def subcircuit(
     conservative = all(port.conservative for port in rom.ports)
     if conservative and not dense and rom.symmetric and not rom.first_order:
         try:
-            return _resonators(resonators(rom), name, header, title, rom.facts.get("mass_kg"))
+            modal = resonators(rom)
+            return _resonators(modal, name, header, (title, rating), rom.facts.get("mass_kg"))
         except UsageError as error:
             if error.where != "resonator form":
                 raise
-    return _blocks(rom, name, header, title, dense)
+    return _blocks(rom, name, header, (title, rating), dense)
 
 
 def realize(
@@ -235,7 +240,7 @@ class _Mode:
 
 
 def _resonators(
-    model: Resonators, name: str, header: Header, title: str, mass: float | None
+    model: Resonators, name: str, header: Header, told: tuple[str, str], mass: float | None
 ) -> Subcircuit:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
@@ -276,7 +281,7 @@ def _resonators(
     params = (scale_of_damping,) if np.any(model.damp > 0) else ()
     text = render(
         "kick.j2",
-        header=_head(header, name, title, pins, params, model.order, model.certificate),
+        header=_head(header, name, told, pins, params, model.order, model.certificate),
         name=checked_name(name),
         pins=[pin.name for pin in pins],
         base=base,
@@ -383,11 +388,12 @@ def _farad(omega: np.ndarray) -> np.ndarray:
 
 
 def _head(
-    header: Header, name: str, title: str, pins: tuple[Pin, ...], params: tuple[Param, ...],
-    order: int, certificate: object,
+    header: Header, name: str, told: tuple[str, str], pins: tuple[Pin, ...],
+    params: tuple[Param, ...], order: int, certificate: object,
 ) -> str:  # fmt: skip
+    title, rating = told
     if certificate is None:
-        return part_header(header, f"{name}: {title}", pins, params)
+        return part_header(header, f"{name}: {title}", pins, params, rating=rating, sign=OUTWARDS)
     top = certificate.band_hz[1]  # type: ignore[attr-defined]
     return part_header(
         header,
@@ -397,7 +403,8 @@ def _head(
         rom=rom_line(order, certificate),  # type: ignore[arg-type]
         validity=f"small signals up to {top:g} Hz at the temperature of the data; no hysteresis, "
         "depolarisation or heating",
-        rating="keep every layer's field within its material's limits; the model never ends",
+        rating=rating,
+        sign=OUTWARDS,
     )
 
 
@@ -434,7 +441,9 @@ class _Output:
     through: tuple[_Card, ...]
 
 
-def _blocks(rom: LinearModel, name: str, header: Header, title: str, dense: bool) -> Subcircuit:
+def _blocks(
+    rom: LinearModel, name: str, header: Header, told: tuple[str, str], dense: bool
+) -> Subcircuit:
     """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
     A block is scaled to about 1 V for a constant input of 1 V.
@@ -451,10 +460,13 @@ def _blocks(rom: LinearModel, name: str, header: Header, title: str, dense: bool
     wired = [_block_port(t, terminals, model, base, mass) for t in terminals]
     outputs = [t for t in wired if t.kind == "output"]
     if base == "ref":
-        title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
+        told = (
+            f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs",
+            told[1],
+        )
     text = render(
         "rom.j2",
-        header=_head(header, name, title, pins, (), rom.order, rom.certificate),
+        header=_head(header, name, told, pins, (), rom.order, rom.certificate),
         name=checked_name(name),
         pins=[pin.name for pin in pins],
         base=base,

@@ -23,6 +23,7 @@ from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Block, Deck, ac
 from kc2spice.spice.dialect import DIALECTS, dialect_files
 from kc2spice.spice.header import Header
+from kc2spice.spice.plotscript import plot_script
 from kc2spice.spice.realize import subcircuit
 from kc2spice.spice.symbol import symbol_files
 
@@ -144,6 +145,7 @@ def export_rom(
     deck = first_deck(reduced, part)
     directory = Path(name) if out is None else Path(out)
     files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
+    files |= plot_script(deck) if dialect == "ngspice" else {}
     with staged(directory) as work:
         write_files(files, work)
     return [directory / file for file in sorted(files)]

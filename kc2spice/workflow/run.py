@@ -24,11 +24,13 @@ from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
-from kc2spice.sim.ngspice import Simulator, find_ngspice, write_deck, write_files
+from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome
+from kc2spice.spice.array import array_deck
 from kc2spice.spice.deck import Deck
-from kc2spice.spice.dialect import DIALECTS, dialect_files
+from kc2spice.spice.dialect import DECKS, DIALECTS, dialect_files
 from kc2spice.spice.lint import lint
+from kc2spice.spice.plotscript import plot_script
 from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
@@ -104,7 +106,7 @@ def complete(
     with clock.stage("export", "netlists"):
         chosen = make_deck(build) if deck is None else edited_deck(build, deck)
         lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
-        write_deck(chosen, work)
+        write_files(chosen.files | plot_script(chosen), work)
     with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
         outcome = simulate(build, chosen, work, progress=share)
     extra = reduction_check(build, outcome.waves, clock)
@@ -131,7 +133,7 @@ def write_run_files(
     with done.clock.stage("report", "metrics, plots and page"):
         drawn = draw(done.figures)
         record = run_record(done)
-        files = [*sorted(deck.files), *write_waveforms(waves, deck.units, work)]
+        files = [*sorted(deck.files | plot_script(deck)), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
         figures = {figure.name: figure for figure in done.figures}
         pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
@@ -186,25 +188,33 @@ def export(
     progress: Progress = silent,
     *,
     trust: bool = False,
+    count: int | None = None,
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
-    Returns the paths of the files. ``trust`` lets included netlists act on the machine.
+    Returns the paths of the files. ``trust`` lets included netlists act on the machine. With
+    ``count`` the deck has so many copies of the scene, and there are no symbols.
 
     Raises
     ------
     UsageError : an unknown dialect, or one that cannot say what the scene needs.
     """
-    if dialect not in DIALECTS:
+    known = DIALECTS if count is None else DECKS
+    if dialect not in known:
         raise UsageError(
-            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
-        )
+            "unknown dialect" if count is None else "no array of copies in this dialect",
+            where="--dialect", got=dialect, expected=", ".join(known),
+        )  # fmt: skip
     clock = Clock(progress)
     with staged(out) as work:
         build = build_models(scene, clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(build)
-            files = dialect_files(deck, deck.parts, dialect) | symbol_files(deck, dialect)
+            if count is not None:
+                deck = array_deck(deck, count)
+            files = dict(dialect_files(deck, deck.parts, dialect))
+            files |= plot_script(deck) if dialect == "ngspice" else {}
+            files |= symbol_files(deck, dialect) if count is None else {}
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
 

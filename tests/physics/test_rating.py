@@ -1,0 +1,49 @@
+"""Ratings in heads, and the warning of a run that goes beyond them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+
+ROOT = Path(__file__).parents[2]
+
+
+def part_of(name, part, **overrides):
+    scene = load_scene(name, {f"{part}.{k}": v for k, v in overrides.items()})
+    return scene.parts[part], scene
+
+
+def test_ratings_follow_layers_and_materials():
+    chip, _ = part_of("impact", "kick")
+    assert chip.type.rated(chip) == pytest.approx(2e6 * 2e-3 / 33)
+    chip, _ = part_of("impact", "kick", rated_field=1e6)
+    assert chip.type.rated(chip) == pytest.approx(1e6 * 2e-3 / 33)
+    disc, _ = part_of("buzzer_7bb_20_6", "disc")
+    (ceramic,) = (x for x in disc.keys.layers if x.electrodes is not None)
+    assert disc.type.rated(disc) == pytest.approx(0.7e6 * ceramic.thickness)  # PZT-5A, TP-226
+    beam, _ = part_of("harvester", "beam")
+    assert beam.keys.wiring in (None, "series")
+    thick = sum(x.thickness for x in beam.keys.layers if x.material == "PZT-5A")
+    assert beam.type.rated(beam) == pytest.approx(0.7e6 * thick)
+
+
+@pytest.mark.parametrize(("volts", "passed"), [(121.0, True), (-122.0, False)])
+def test_a_run_beyond_the_rating_is_told(volts, passed):
+    chip, scene = part_of("kick_and_catch", "kick")
+    data = {"time": np.array([0.0, 1.0]), "kick.voltage": np.array([0.0, volts])}
+    waves = Waveforms(data, {})
+    found = [c for c in chip.type.checks(chip, Build(scene, {}), waves) if "rating" in c.name]
+    assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
+
+
+def test_the_head_states_the_rating():
+    from kc2spice.spice.read import read_lib
+
+    (part,) = read_lib(ROOT / "netlists" / "impact" / "kick.lib")
+    assert re.search(r"(?m)^\* rating: 121.2 V between electrodes", part.text)
+    assert re.search(r"(?m)^\* sign: um and N count along each port's direction", part.text)

@@ -1,0 +1,32 @@
+"""The command file beside a deck runs it in ngspice and finds every curve that it plots."""
+
+import re
+import subprocess
+
+import pytest
+from device import deck_of
+
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import write_files
+from kc2spice.spice.plotscript import plot_script
+
+
+@pytest.mark.parametrize("name", ["impact", "harmonic"])
+def test_every_curve_of_the_command_file_is_drawn(name, model, table, tmp_path):
+    deck = deck_of(load_scene(name), model, table)
+    ((file, text),) = plot_script(deck).items()
+    assert f"ngspice {file}" in deck.files[deck.main]
+    plots = re.findall(r"(?m)^plot (.*)$", text)
+    assert plots
+    for k, words in enumerate(plots):  # without a screen: as a picture
+        text = text.replace(f"plot {words}", f"hardcopy {k}.svg {words}")
+    commands = text.replace("source ", "set hcopydevtype=svg\nsource ") + "quit 0\n"
+    write_files(deck.files | {file: commands}, tmp_path)
+    done = subprocess.run(
+        ["ngspice", file], cwd=tmp_path, capture_output=True, text=True, input="", check=False
+    )
+    assert "no such" not in (done.stdout + done.stderr).lower()
+    for k, words in enumerate(plots):
+        curves = [w for w in words.partition(" ylabel")[0].split() if "(" in w or "[" in w]
+        picture = (tmp_path / f"{k}.svg").read_text()
+        assert picture.count("<path") + picture.count("<polyline") >= len(curves)
