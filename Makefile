@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow bench mutants netlists docs setup lint clean
+.PHONY: demo test slow bench netlists symbols docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
@@ -20,16 +20,14 @@ OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 12 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
 
-SAMPLE ?= 40
-mutants: setup  ## do tests notice changed operators? SAMPLE of each package, hours: docs/mutants.md
-	.venv/bin/python -m pip install --quiet --editable '.[dev]'
-	.venv/bin/python tools/mutants.py --sample $(SAMPLE)
-
 netlists: setup  ## write the committed netlists anew
 	for scene in kc2spice/scenes/*.toml; do \
 		name=$$(basename $$scene .toml); rm -rf netlists/$$name; \
 		$(KC2SPICE) export $$name --out netlists/$$name --quiet || exit 1; \
 	done
+
+symbols: setup  ## one KiCad library of all parts, with its models: a package for a release
+	.venv/bin/python tools/symbol_package.py build/kc2spice_symbols.zip
 
 docs: setup  ## the static site in build/site, every link checked
 	.venv/bin/python -m pip install --quiet --editable '.[docs]'

@@ -1,7 +1,10 @@
 """KiCad checks, draws and exports every sheet; the exported netlist gives the deck's results."""
 
 import re
+import sys
 import xml.etree.ElementTree as ElementTree
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -81,3 +84,30 @@ def test_symbols_and_sheets_are_drawn(deck_of, kicad, run, tmp_path):
     pictures = {path.name: ElementTree.parse(path) for path in (tmp_path / "drawn").glob("*.svg")}
     assert "charge_kick.svg" in pictures
     assert len(pictures) >= 15
+
+
+def test_the_merged_library_finds_its_models(deck_of, kicad, run, tmp_path, monkeypatch):
+    """Each symbol of the release package, placed on a sheet, includes a file of the package."""
+    root = Path(__file__).parents[2]
+    package = tmp_path / "package.zip"
+    run([sys.executable, str(root / "tools" / "symbol_package.py"), str(package)], tmp_path)
+    with zipfile.ZipFile(package) as archive:
+        archive.extractall(tmp_path)
+    text = (tmp_path / "symbols" / "kc2spice.kicad_sym").read_text()
+    named = re.findall(r'"Sim.Library" "\$\{KC2SPICE_NETLISTS\}/([^"]+)"', text)
+    assert len(named) > 60
+    assert all((tmp_path / "libraries" / name).is_file() for name in named)
+    names = re.findall(r'(?m)^\t\(symbol "(\w+)"', text)
+    assert len(set(names)) == len(names)
+    sheet = project(deck_of("impact"), tmp_path / "sheet")
+    drawn = (tmp_path / "sheet" / sheet).read_text()
+    drawn = drawn.replace('"Sim.Library" "', '"Sim.Library" "${KC2SPICE_NETLISTS}/')
+    (tmp_path / "sheet" / sheet).write_text(drawn)
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("kick.lib", "contact.lib", "sphere.lib"):
+        (tmp_path / "sheet" / name).rename(tmp_path / "elsewhere" / name)
+    monkeypatch.setenv("KC2SPICE_NETLISTS", str(tmp_path / "elsewhere"))
+    export = [kicad, "sch", "export", "netlist", "--format", "spice", "-o", "sheet.cir", sheet]
+    run(export, tmp_path / "sheet")
+    text = (tmp_path / "sheet" / "sheet.cir").read_text()
+    assert f'.include "{tmp_path}/elsewhere/kick.lib"' in text
