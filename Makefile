@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow bench netlists symbols docs setup lint clean
+.PHONY: demo test slow bench mutants netlists symbols docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
@@ -19,6 +19,11 @@ slow: setup  ## the tests that take minutes
 OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 12 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
+
+SAMPLE ?= 40
+mutants: setup  ## do tests notice changed operators? SAMPLE of each package, hours: docs/mutants.md
+	.venv/bin/python -m pip install --quiet --editable '.[dev]'
+	.venv/bin/python tools/mutants.py --sample $(SAMPLE)
 
 netlists: setup  ## write the committed netlists anew
 	for scene in kc2spice/scenes/*.toml; do \
