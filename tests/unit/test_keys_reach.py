@@ -22,12 +22,20 @@ def deck(*overrides):
     return made.files[made.main], made.files
 
 
+def chgtol(text):
+    return float(re.search(r"\.options chgtol=(\S+)", text)[1])
+
+
+def test_chgtol_reaches_the_deck():
+    """In proportion: a weaker kick moves everything less, and so does what a step may miss."""
+    assert chgtol(deck("solver.chgtol=2e-9")[0]) == pytest.approx(0.2 * chgtol(deck()[0]))
+
+
 @pytest.mark.parametrize(
     ("override", "card"),
     [
         ("solver.method=gear", r"\.options method=gear"),
         ("solver.reltol=3e-5", r"\.options reltol=3e-05"),
-        ("solver.chgtol=2e-9", r"\.options chgtol=2e-09"),
         ("solver.trtol=2", r"\.options trtol=2"),
         ("solver.max_step=7e-6", r"\.tran \S+ 0.005 0 7e-06"),
         ("solver.stop=4 ms", r"\.tran \S+ 0.004 0 "),
