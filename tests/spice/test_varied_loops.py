@@ -25,4 +25,3 @@ def test_launch_of_150_varied_kicks(found):
     assert np.median([loop.error for loop in found]) <= 5e-5
     assert max(loop.error for loop in found) <= BOUND
     assert max(loop.touches for loop in found) <= 20
-
