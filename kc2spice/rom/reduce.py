@@ -15,6 +15,7 @@ the subspace model's own error in the full model.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,7 @@ LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace m
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 RIGID = 100.0  # times the rounding of the projected stiffness
+SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 RANK = 1e-13  # singular values of the response below this are rounding
 FIT = 101
 TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
@@ -107,6 +109,12 @@ def reduce(
         assert tolerance is not None
         orders = [each.smallest(tolerance) for each in found]
         best = int(np.argmin(orders))
+        if space.floor > tolerance:
+            warnings.warn(
+                f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
+                "entries moves its response; other units or fewer elements may condition it better",
+                stacklevel=2,
+            )
         return found[best].model(orders[best])
     if order > max(each.size for each in found):
         raise UsageError(
@@ -202,8 +210,8 @@ class Reduction:
         method += f"those {self.space.proof}; stability from {found.proof}"
         if not self.space.static:
             method += "; free to move at zero frequency"
-        reduced = self.pencil.leading(order)
-        return _certified(self.full, reduced, self.band, self.error(order), method, found)
+        reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
+        return _certified(self.full, reduced, self.band, error, method, found)
 
 
 def _certified(
@@ -261,6 +269,8 @@ def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
     moving = rest + omega**pencil.degree * inertia
     for energy in (rest, moving) if static else (moving,):
         energy = 0.5 * (energy + energy.T)
+        if np.linalg.cond(energy) > SOFT:
+            continue
         try:
             return np.asarray(solve_triangular(cholesky(energy), np.eye(pencil.size)))
         except LinAlgError:

@@ -54,8 +54,9 @@ ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of
 @dataclass(frozen=True)
 class Subspace:
     """``pencil`` (dense), its largest relative error in the full model, whether the static answer
-    exists (no rigid body motion, no free integrator), what the error rests on, and the rounding
-    [of K's entries] in a projected K of a model that is free to move.
+    exists (no rigid body motion, no free integrator), what the error rests on, the rounding
+    [of K's entries] in a projected K of a model that is free to move, and how far rounding of the
+    full model's entries moves its own responses (relative): no reduction is nearer than that.
     """
 
     pencil: Pencil
@@ -63,6 +64,7 @@ class Subspace:
     static: bool
     proof: str
     rounding: float = 0.0
+    floor: float = 0.0
 
 
 def subspace(
@@ -181,7 +183,7 @@ def _block_krylov(
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
             space = Subspace(response.pencil, change, True, proof)
-            return _with_rounding(pencil, V, band, space, limit)
+            return _with_rounding(pencil, V, band, space)
         previous = response
         blocks -= 1
         if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):
@@ -247,13 +249,13 @@ def _rational(
         K = abs(K.uu if isinstance(K, Schur) else K)
         rounding = np.finfo(float).eps * float((abs(V).T @ (K @ abs(V))).max())
     found = Subspace(search.response.pencil, worst, search.static, proof, rounding)
-    return _with_rounding(pencil, V, band, found, limit)
+    return _with_rounding(pencil, V, band, found)
 
 
 def _with_rounding(
-    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace, limit: float
+    pencil: Pencil, V: np.ndarray, band: tuple[float, float], found: Subspace
 ) -> Subspace:
-    """What rounding of the full model's own entries makes of its resonances joins the error.
+    """With what rounding of the full model's own entries makes of its resonances as ``floor``.
 
     The model is rounded anew in other units of its unknowns, which leave its response as it is, and
     projected on the same directions: thin bodies answer with the small difference of large forces.
@@ -271,10 +273,8 @@ def _with_rounding(
         size = relative_size(again.transfer(2j * np.pi * points) - H, H)
         size[:, exact.cancelled(2j * np.pi * points)] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
-    if apart > 2 * limit:
-        raise _inaccurate(f"rounding its entries anew moves a resonance by {apart:.1e}", limit)
     proof = f"{found.proof}, which rounding moves by {apart:.0e}"
-    return replace(found, error=found.error + apart, proof=proof)
+    return replace(found, floor=apart, proof=proof)
 
 
 def _explain(response: Response, band: tuple[float, float], error: float, target: float) -> None:
