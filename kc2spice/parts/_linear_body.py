@@ -46,6 +46,7 @@ PATIENCE = 15.0  # s of processor time that explain spends on the error of a mes
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.units", "kc2spice.core.quantities", "kc2spice.core.schema",
+    "kc2spice.core.gmsh_session",
 )  # fmt: skip
 
 

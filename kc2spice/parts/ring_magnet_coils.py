@@ -387,7 +387,7 @@ class RingMagnetCoils(PartType):
 
         table, _ = cached(
             "catch", self.model_key(part, scene), build, classes=(EMTable,),
-            sources=("kc2spice.linalg", "kc2spice.fem", __name__),
+            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__),
         )  # fmt: skip
         return mounted(table, keys.remanence, keys.shift)
 

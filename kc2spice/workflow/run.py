@@ -106,7 +106,7 @@ def complete(
     with clock.stage("export", "netlists"):
         chosen = make_deck(build) if deck is None else edited_deck(build, deck)
         lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
-        write_files(chosen.files | plot_script(chosen), work)
+        write_files(chosen.files, work)
     with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
         outcome = simulate(build, chosen, work, progress=share)
     extra = reduction_check(build, outcome.waves, clock)
@@ -133,7 +133,9 @@ def write_run_files(
     with done.clock.stage("report", "metrics, plots and page"):
         drawn = draw(done.figures)
         record = run_record(done)
-        files = [*sorted(deck.files | plot_script(deck)), *write_waveforms(waves, deck.units, work)]
+        script = plot_script(deck)
+        write_files(script, work)
+        files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
         figures = {figure.name: figure for figure in done.figures}
         pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]

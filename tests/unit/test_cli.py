@@ -48,7 +48,7 @@ def study(monkeypatch):
             "files": ["result.json"],
         }
 
-    def export(scene, out, dialect, progress, *, trust):
+    def export(scene, out, dialect, progress, *, trust, count=None):
         fake.calls.append((scene, out, dialect))
         return [out / "kick.lib"]
 
