@@ -71,7 +71,7 @@ def gone(pid):
 def test_a_signal_ends_the_simulator_too(number, tmp_path):
     process, simulators = started(tmp_path)
     process.send_signal(number)
-    said = process.communicate(timeout=30)[1]
+    said = process.communicate(timeout=120)[1]
     assert all(gone(pid) for pid in simulators)
     assert "Traceback" not in said
     if number != signal.SIGKILL:  # which nothing can clear up after; the next run does
