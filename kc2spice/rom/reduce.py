@@ -69,6 +69,8 @@ def reduce(
     The result has the same ports, and a certificate of its error in ``model``. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
+    Where rounding of the full model's entries moves its response by more than ``tolerance``, the
+    certificate holds that too, and a warning says so.
 
     Raises
     ------
@@ -148,8 +150,8 @@ class Reduction:
     """The subspace model in ordered directions, so that the model of order q is its leading part,
     and the frequencies [Hz] where errors are measured.
 
-    ``whole`` is the subspace model in coordinates that decouple; ``first`` directions are static
-    answers that conservative ports keep.
+    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are the
+    static answers that conservative ports keep.
     """
 
     full: LinearModel

@@ -122,17 +122,13 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     rounding = eps * full.size * float(sizes[0])
     error = _solution_error(response, band)
     if error > limit:
-        raise _inaccurate(f"two direct solutions differ by {error:.1e}", limit)
+        raise SimulationError(
+            "the full model itself is not that accurate", where="reduction",
+            got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
+            hint="ask for a looser tolerance; other units or fewer elements may condition it better"
+        )  # fmt: skip
     return Subspace(full, error, static, f"being all of the full model, solved to {error:.0e}",
                     rounding)  # fmt: skip
-
-
-def _inaccurate(got: str, limit: float) -> SimulationError:
-    return SimulationError(
-        "the full model itself is not that accurate", where="reduction", got=got,
-        expected=f"at most {limit:.1e}",
-        hint="ask for a looser tolerance; other units or fewer elements may condition it better",
-    )  # fmt: skip
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:

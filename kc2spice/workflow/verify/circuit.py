@@ -69,12 +69,11 @@ class Circuit:
 
 def without_law(build: Build) -> tuple[str, ...]:
     """Names of the parts that have no law: the scene as a whole cannot be integrated."""
-    replaced = replacements(build)
-    return tuple(
-        part.name
-        for part in build.scene.parts.values()
-        if part.name not in replaced and part.type.law(part, build) is None
-    )
+    return _missing(build, _equations(build))
+
+
+def _missing(build: Build, found: Mapping[str, Equations]) -> tuple[str, ...]:
+    return tuple(n for n in build.scene.parts if n not in found and n not in replacements(build))
 
 
 def _equations(build: Build) -> dict[str, Equations]:
@@ -96,7 +95,8 @@ def taken_nets(build: Build) -> dict[str, str] | None:
     What a part without law does to the rest of a transient is then known from ngspice: its voltage,
     displacement or signal on these nets. Nets that a law holds by itself are not among them.
     """
-    missing, found = set(without_law(build)), _equations(build)
+    found = _equations(build)
+    missing = set(_missing(build, found))
     joins = _joins(build, found)
     laws = {law.name: law for equations in found.values() for law in equations.laws}
     kinds = {f"{law.name}.{pin.name}": pin.kind for law in laws.values() for pin in law.pins}
