@@ -98,21 +98,12 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")
 
 
-def _show_meshes(name: str, points: Iterable[Mapping[str, Any]]) -> None:
-    rows = [
-        (
-            point["label"],
-            f"{point['unknowns']}",
-            f"{point['imprint_force_n']:.5g}",
-            f"{point['resonance_short_hz'] / 1e3:.5g}",
-            f"{point['resonance_open_hz'] / 1e3:.5g}",
-            f"{point['min_position_m'] * 1e6:.5g}",
-            f"{point['rebound_velocity_m_s']:.5g}",
-        )
-        for point in points
-    ]
-    head = ("mesh", "unknowns", "force N", "short kHz", "open kHz", "lowest um", "rebound m/s")
-    print_table(f"{name}: meshes", rows, header=head)
+def _show_meshes(name: str, points: Sequence[Mapping[str, Any]]) -> None:
+    """A row for each mesh, its quantities in the units that their keys end in."""
+    from kc2spice.report.words import fact
+
+    rows = [[fact(key, value)[1] for key, value in point.items()] for point in points]
+    print_table(f"{name}: meshes", rows, header=[fact(key, None)[0] for key in points[0]])
 
 
 def show_plan(plan: Plan) -> None:

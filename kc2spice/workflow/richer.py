@@ -23,15 +23,20 @@ from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
-SPEEDS = ("launch_velocity_m_s", "rebound_velocity_m_s")
 WIDEST = 2e6  # Hz, band of the richer model at least
 LIMIT = 1e-2  # of the speed; error_budget where the scene has one
 
 
-def estimated(scene: Scene) -> bool:
-    """Whether a reduced body meets something in this scene, so that its certificate is not all."""
-    reduced = any(part.type.reduced for part in scene.parts.values())
-    return reduced and bool(scene.of("contact")) and scene.analysis.type == "transient"
+def estimated(build: Build) -> tuple[str, ...]:
+    """Metrics by which the certificate of a reduced body is judged, as it meets something.
+
+    Those that a gate of the scene compares by their own size; none where nothing is reduced.
+    """
+    scene = build.scene
+    if scene.analysis.type != "transient" or not any(p.type.reduced for p in scene.parts.values()):
+        return ()
+    gates = (gate for p in scene.parts.values() for gate in p.type.gates(p, build))
+    return tuple(gate.of for gate in gates if gate.measure == "relative")
 
 
 def reduction_check(build: Build, waves: Waveforms, clock: Clock) -> Check | None:
@@ -44,10 +49,10 @@ def reduction_check(build: Build, waves: Waveforms, clock: Clock) -> Check | Non
     SimulationError : the second run failed.
     """
     scene = build.scene
-    if scene.checks.reduction == "off" or not estimated(scene):
+    if scene.checks.reduction == "off":
         return None
     ours = metrics(waves, build)
-    key = next((key for key in SPEEDS if ours.get(key)), None)
+    key = next((key for key in estimated(build) if ours.get(key)), None)
     if key is None:
         return None
     other = build_models(richer(build), clock, trust=build.trust)

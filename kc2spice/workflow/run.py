@@ -246,7 +246,7 @@ def run_record(done: Completed) -> dict[str, Any]:
         "model": model_facts(build),
     }
     record |= rom_facts(build)
-    if "rom" in record and estimated(build.scene):
+    if "rom" in record and estimated(build):
         own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
         record["rom"]["contact_error"] = next(own, None)
     record |= {

@@ -123,3 +123,24 @@ def test_heavy_libraries_have_one_lazy_home(library):
                 homes.add(name)
                 assert not top_level, f"{path} imports {other} at module level"
     assert len(homes) <= 1, f"{library} is imported in {sorted(homes)}"
+
+
+def test_only_parts_name_part_types():
+    """Deck, metrics, checks, sweeps and reports ask parts; the short form of a scene is the rest.
+
+    Names that are words of other subjects as well (``mass``) are not looked for.
+    """
+    from kc2spice.scene.parttype import part_types
+
+    asking = {"scene", "spice", "sim", "report", "workflow", "cli", "api"}
+    words = {"mass", "spring", "damper", "body", "netlist", "source", "sensor", "matrices",
+             "resistor", "capacitor", "inductor"}  # fmt: skip
+    named = {
+        f"{name}: {node.value!r}"
+        for name, path in MODULES.items()
+        if asking & set(name.split(".")[1:2])
+        and name != "kc2spice.scene.short"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value in set(part_types()) - words
+    }
+    assert not named
