@@ -20,6 +20,7 @@ zeros end the mode.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -412,7 +413,7 @@ class Flow:
     minus: str = ""
 
 
-class Device:
+class Device(ABC):
     """A nonlinear or switched law; subclasses are frozen dataclasses with a ``name``.
 
     With the taps and then the own states as its inputs ``e`` (m,), in a mode that is any value::
@@ -426,14 +427,14 @@ class Device:
     name: str
 
     @property
+    @abstractmethod
     def pins(self) -> tuple[Pin, ...]:
         """All pins."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def taps(self) -> tuple[Tap, ...]:
         """What it sees."""
-        raise NotImplementedError
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -464,13 +465,14 @@ class Device:
         """States at the start (len(states),), given the taps then; None: those in equilibrium."""
         return None
 
+    @abstractmethod
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
-        raise NotImplementedError
 
     def store(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stored quantities (len(states),) and derivative by ``e``, where not the states are."""
-        raise NotImplementedError
+        """Stored quantities (len(states),) and their derivative (len(states), m) by ``e``."""
+        k, m = len(self.states), len(e)
+        return e[m - k :], np.eye(k, m, m - k)
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
         """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""
@@ -486,9 +488,9 @@ class Device:
 
     def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
         """Mode after ``guard`` fell to zero, and the words of the event ('' keeps it quiet)."""
-        raise NotImplementedError
+        return mode, ""
 
-    def check(self, t: float, e: np.ndarray) -> None:
+    def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws hold anywhere)
         """Raise SimulationError where the inputs leave the law's range."""
 
     def energy(self, e: np.ndarray, mode: Any) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -69,13 +70,13 @@ class LinearBody(PartType):
 
     # --- what a subclass says -------------------------------------------------------------------
 
+    @abstractmethod
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """All ports that the body offers."""
-        raise NotImplementedError
 
+    @abstractmethod
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         """The full model of the whole device, every cell divided by ``refine`` along each axis."""
-        raise NotImplementedError
 
     def body_keys(self, part: Part) -> Any:
         """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""

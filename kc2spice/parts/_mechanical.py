@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
@@ -32,12 +33,13 @@ class Link(Mechanical):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.force": self.through(part, build)}
 
+    @abstractmethod
     def through(self, part: Part, build: Build) -> Vector:
         """The force that it passes from ``a`` to ``b``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def link(self, part: Part) -> laws.Law:
-        raise NotImplementedError
+        """Its law."""
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name

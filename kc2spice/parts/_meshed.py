@@ -8,6 +8,7 @@ of the largest stress and a picture of the body at that instant.
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,9 +68,9 @@ class FieldKeys(BodyKeys):
 class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass gives its :meth:`device`."""
 
+    @abstractmethod
     def device(self, part: Part, scene: Scene) -> Device:
         """The full model with its mesh."""
-        raise NotImplementedError
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)

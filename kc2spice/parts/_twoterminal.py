@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 
 from kc2spice.core import laws
@@ -34,9 +35,9 @@ class TwoTerminal(PartType):
         through = self.through(part, build)
         return {f"{part.name}.v": Vector(across(part, build), 1.0, "V"), f"{part.name}.i": through}
 
+    @abstractmethod
     def through(self, part: Part, build: Build) -> Vector:
         """The current from ``a`` to ``b``."""
-        raise NotImplementedError
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
         found = self.through(part, build)

@@ -11,6 +11,7 @@ Everything else (deck, metrics, checks, plots, energy balance, ``explain``, swee
 from __future__ import annotations
 
 import pkgutil
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -145,7 +146,7 @@ class Build:
         return self.scene.net(part.name, pin)
 
 
-class PartType:
+class PartType(ABC):
     """Base of all part types; every hook but ``schema``, ``pins`` and ``subcircuits`` may stay.
 
     ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
@@ -176,9 +177,9 @@ class PartType:
         """
         return {}
 
+    @abstractmethod
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
-        raise NotImplementedError
 
     def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins and those that it would have if the scene asked for them."""

@@ -7,6 +7,7 @@ LTspice (Help, B sources, .model SW, .save) are the sources.
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.cards import number
@@ -35,7 +36,7 @@ _COMMON = frozenset(
 _VECTOR = re.compile(r"(?i)@(?:\w\.)?([\w.]+)\[(?:i|current)\]|([vi])\(([^()]+)\)")
 
 
-class Dialect(Writer):
+class Dialect(Writer, ABC):
     """One simulator's spelling; subclasses override what differs from each other."""
 
     title = ""
@@ -156,9 +157,9 @@ class Dialect(Writer):
         """An inductor without losses."""
         return s.text
 
+    @abstractmethod
     def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
         """A voltage-controlled switch."""
-        raise NotImplementedError
 
     def vector(self, text: str) -> str:
         """Name of a result."""
