@@ -11,12 +11,12 @@ from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
-from kc2spice.report.distance import compare
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import realize
 from kc2spice.workflow.decks import make_deck
+from laboratory.distance import compare
 from laboratory.forms import FORMS, state_space, with_form
 from laboratory.fullmodel import factorisations
 from laboratory.law import law

@@ -12,7 +12,6 @@ from kc2spice.cli.main import app
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import gaps, reach
-from kc2spice.report.distance import compare
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
@@ -21,6 +20,7 @@ from kc2spice.workflow.decks import libraries, make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
+from laboratory.distance import compare
 
 ALL = ("contact.rings=all", "rom.order=84")  # within 3e-5 of any other order tried
 

@@ -10,10 +10,10 @@ import pytest
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import busy_until, separation
 from kc2spice.parts.pid import settling_time
-from kc2spice.report.distance import compare
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics
+from laboratory.distance import compare
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.transient import Ball, Road, TransientResult, transient
-from kc2spice.report.distance import compare
 from kc2spice.scene.model import Scene
+from laboratory.distance import compare
 from laboratory.fullmodel import (
     as_waveforms,
     converged,

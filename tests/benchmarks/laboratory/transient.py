@@ -9,13 +9,13 @@ from functools import partial
 
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.distance import compare
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.settings import Rom
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
+from laboratory.distance import compare
 from laboratory.law import Law, law
 from laboratory.located import located
 from laboratory.lower_bound import LowerBound

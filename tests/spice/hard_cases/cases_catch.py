@@ -10,8 +10,8 @@ from hard_cases.kit import HEADER, bench_deck, case, exact, scene
 
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.report.distance import compare
 from kc2spice.scene.load import load_scene
+from laboratory.distance import compare
 
 FEW = 12
 

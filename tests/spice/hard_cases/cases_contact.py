@@ -20,8 +20,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
-from kc2spice.report.distance import compare
 from kc2spice.spice.realize import realize
+from laboratory.distance import compare
 
 MASS = SphereKeys().mass
 RINGS = tuple(f"R{k}" for k in range(6))

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from hard_cases import cases_catch, cases_contact, cases_kick, cases_models  # noqa: F401
 from hard_cases.kit import CASES, Outcome, judge
 
