@@ -348,7 +348,8 @@ class _Assembly:
         Nv, _ = _split(Nv, charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1)))
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        size = p + d + w + others
+        # Sources and resistors alone have no state: one that stays zero spares solvers that case.
+        size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
         stiffness = -np.einsum("ij,ik,kj->j", Nq, self.A[:nq, :nq], Nq)
@@ -359,7 +360,9 @@ class _Assembly:
         T[:nq, :p] = Nq
         T[vel, p : p + d] = Nq[:, cols] * speed[cols]
         T[vol, p + d : p + d + w] = Nv
-        T[2 * nq + len(self.node) :, p + d + w :] = np.diag(rest[len(self.node) :])
+        T[2 * nq + len(self.node) :, p + d + w : p + d + w + others] = np.diag(
+            rest[len(self.node) :]
+        )
         W[:, p + d :] = T[:, p + d :]
         W[:nq, p : p + d] = Nq[:, cols]
         W[:nq, np.flatnonzero(~moving)] = Nq[:, ~moving]
@@ -368,6 +371,8 @@ class _Assembly:
         A, M = W.T @ self.A @ T, W.T @ self.M @ T
         for k, j in enumerate(cols):  # p' = speed v
             M[j, j], A[j, p + k] = 1.0, speed[j]
+        if not p + d + w + others:
+            A[0, 0] = -1.0
         level = np.maximum(1e6 * np.abs(M).max(axis=1), np.abs(A).max(axis=1))
         for law, _, into in self.attached:
             if not law.affine:

@@ -103,7 +103,8 @@ class Waves(Mapping[str, np.ndarray]):
     def __init__(self, result: Result) -> None:
         self.result = result
         self._states: list[tuple[Piece, np.ndarray, np.ndarray, np.ndarray]] = []
-        ends = np.array([s.end for s in result.stretches[:-1]])
+        # A corner that is rounded otherwise by ngspice is still the end of what was before it.
+        ends = np.array([s.end for s in result.stretches[:-1]]) + 4 * np.spacing(result.time[-1])
         owner = np.searchsorted(ends, result.time, side="left")
         for k in np.unique(owner):
             part = result.stretches[k]

@@ -43,6 +43,19 @@ def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     assert shares["c"].after == pytest.approx(0.5 * c, rel=1e-4)
 
 
+def test_current_of_a_capacitor_jumps_behind_a_corner_however_that_is_rounded() -> None:
+    """i = C dV/dt: zero at the corner itself, as circuit simulators write it, C V / edge after."""
+    c, corner, edge = 1e-6, 0.0305, 1e-7
+    ramp = L.Line(((0.0, 0.0), (np.nextafter(corner, 0.0), 0.0), (corner + edge, 100.0)))
+    system = assemble(
+        [L.Source("v", "voltage", ramp), L.Capacitor("c", c), L.Resistor("r", 1e3)],
+        {"in": ["v.out", "c.a", "r.a"]},
+    )
+    result = transient(system, 0.031, 1e-9, times=np.array([0.0, 0.03, corner, corner + edge / 2]))
+    at = np.searchsorted(result.time, [corner, corner + edge / 2])
+    assert result.waves["c.a.through"][at] == pytest.approx([0.0, c * 100.0 / edge], abs=1.0)
+
+
 def test_mass_spring_damper_rings_down() -> None:
     m, k, d = 1e-3, 1e3, 0.1
     system = assemble(
