@@ -14,7 +14,7 @@ circuit = Circuit("chip behind a resistor")
 circuit.subcircuit(subcircuit(chip))
 circuit.PulseVoltageSource("drive", "in", 0, 0, 100, 10e-6, 1)  # never back within the run
 circuit.R("out", "in", "anode", 10)
-nodes = {"anode": "anode", "R0": "top"}  # all other pins stay at ground or hang free
+nodes = {"anode": "anode", "ring0": "top"}  # all other pins stay at ground or hang free
 free = (f"free_{pin.name}" for pin in chip.pins)
 circuit.X("chip", chip.name, *(
     nodes.get(pin.name, 0 if pin.name in ("cathode", "base") else name)

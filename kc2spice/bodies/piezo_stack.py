@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 
 def piezo_stack(kick: Chip, mesh: KickMesh | None = None) -> LinearModel:
-    """The whole stack: ports ``R0``...``Rn`` (mean displacement of each ring of the top, upwards,
-    against a force spread over it) and ``anode`` (pins ``anode``, ``cathode``), with facts.
+    """The whole stack: ports ``ring0``...``ringN`` (mean displacement of each ring of the top,
+    upwards, against a force spread over it) and ``anode`` (pins ``anode``, ``cathode``), with
+    facts.
 
     ``kick`` holds the keys of a ``piezo_stack`` part (side, height, layers, material, mesh,
     damping); ``mesh`` is built from it unless given.

@@ -119,8 +119,8 @@ def _waves(result: TransientResult, problem: _Problem) -> Waveforms:
         f"{contact}.force": forces.sum(axis=1),
     }
     for k in range(forces.shape[1]):
-        data[f"{contact}.force.R{k}"] = forces[:, k]
-        data[f"{chip}.u.R{k}"] = result.spring_displacement[:, k]
+        data[f"{contact}.force.ring{k}"] = forces[:, k]
+        data[f"{chip}.u.ring{k}"] = result.spring_displacement[:, k]
     return Waveforms(data, {})
 
 
@@ -246,7 +246,7 @@ def _imprint(problem: _Problem, pusher: Part) -> FullSolution:
     forces = system.sectors * grouped.ring_force
     name = problem.contact.name
     data = {f"{pusher.name}.depth": depth, f"{name}.force": system.sectors * grouped.force}
-    data |= {f"{name}.force.R{k}": f for k, f in enumerate(forces.T)}
+    data |= {f"{name}.force.ring{k}": f for k, f in enumerate(forces.T)}
     grouping = float(np.abs(grouped.force - single.force).max() / single.force.max())
     force = data[f"{name}.force"]
     return FullSolution(

@@ -113,8 +113,11 @@ class PiezoStack(LinearBody):
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
 
+    def renamed(self, pin: str) -> str:
+        return re.sub(r"^R(\d{1,3})$", r"ring\1", pin)
+
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        rings = (Port(f"R{k}", "mechanical") for k in range(part.keys.mesh.rings + 1))
+        rings = (Port(f"ring{k}", "mechanical") for k in range(part.keys.mesh.rings + 1))
         return (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
@@ -146,7 +149,7 @@ class PiezoStack(LinearBody):
                 where=f"{part.name}.poling", got="x", expected="z under a contact",
             )  # fmt: skip
         radii = ring_radii(part.keys)
-        names = ports or tuple(f"R{k}" for k in range(len(radii)))
+        names = ports or tuple(f"ring{k}" for k in range(len(radii)))
         distance = tuple(float(radii[_ring(part, name)]) for name in names)
         return Surface(names, names, names, distance, sectors=SECTORS)
 
@@ -235,8 +238,8 @@ class PiezoStack(LinearBody):
         if "time" not in waves:
             return found
         pressed = bool(build.scene.of("contact"))
-        if pressed and f"{part.name}.u.R0" in waves:
-            found["kick_stroke_m"] = float(waves[f"{part.name}.u.R0"].max())
+        if pressed and f"{part.name}.u.ring0" in waves:
+            found["kick_stroke_m"] = float(waves[f"{part.name}.u.ring0"].max())
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
@@ -276,8 +279,8 @@ class PiezoStack(LinearBody):
         yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
         kept, every = kept_rings(part, scene), part.keys.mesh.rings + 1
         if kept < every:
-            effect = f"{part.name}: ports at R{kept}"
-            effect += f" to R{every - 1}" if kept + 1 < every else ""
+            effect = f"{part.name}: ports at ring{kept}"
+            effect += f" to ring{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
 
     def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
@@ -345,35 +348,35 @@ def chip_of(keys: Stack) -> Chip:
 
 
 def ring_radii(keys: Chip) -> np.ndarray:
-    """Radii [m] of the chip's rings, R0 (the centre node) first."""
+    """Radii [m] of the chip's rings, ring0 (the centre node) first."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
 def kept_rings(part: Part, scene: Scene) -> int:
-    """How many rings, R0 first, are ports: up to the last that another part or a probe wants."""
+    """How many rings, ring0 first, are ports: up to the last that another part or a probe wants."""
     wanted = [
         _ring(part, name.partition(".")[2])
         for other in scene.parts.values()
         for name in (*other.pins.values(), *other.type.wants(other, scene))
-        if name.startswith(f"{part.name}.R")
+        if name.startswith(f"{part.name}.ring")
     ]
-    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("R")]
+    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("ring")]
     wanted += [
         _ring(part, probe.of.rpartition(".")[2])
         for probe in scene.probes.values()
-        if probe.of.startswith((f"{part.name}.u.R", f"{part.name}.R"))
+        if probe.of.startswith((f"{part.name}.u.ring", f"{part.name}.ring"))
     ]
     return 1 + max(wanted, default=-1)
 
 
 def _ring(part: Part, name: str) -> int:
-    match = re.fullmatch(r"R(\d{1,3})", name)
+    match = re.fullmatch(r"ring(\d{1,3})", name)
     if match is None or int(match[1]) > part.keys.mesh.rings:
         raise UsageError(
             f"{part.name} has no such port",
             where=part.name,
             got=repr(name),
-            expected=f"R0 to R{part.keys.mesh.rings}",
+            expected=f"ring0 to ring{part.keys.mesh.rings}",
         )
     return int(match[1])
 

@@ -86,6 +86,7 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
+    data = _renamed(data, types)
     for name, kind in types.items():
         if "part" not in data[name]:
             data[name] = {**kind.defaults(data[name], data), **data[name]}
@@ -124,6 +125,27 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         if problem.where is not None:
             problem.where = source.where(tuple(str(problem.where).split(".")))
         raise
+
+
+def _renamed(data: dict[str, Any], types: Mapping[str, PartType]) -> dict[str, Any]:
+    """``data`` with today's names of pins and ports, in ``part.pin`` and in parts' own pins."""
+
+    def target(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: target(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [target(item) for item in value]
+        name, dot, rest = value.partition(".") if isinstance(value, str) else ("", "", "")
+        if not dot or name not in types:
+            return value
+        *path, pin = rest.split(".")
+        return ".".join([name, *path, types[name].renamed(pin)])
+
+    found = target(data)
+    for name, kind in types.items():
+        if isinstance(pins := found[name].get("pins"), Mapping):
+            found[name]["pins"] = {kind.renamed(pin): goal for pin, goal in pins.items()}
+    return found
 
 
 def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str, Mapping]]:

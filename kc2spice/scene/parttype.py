@@ -181,6 +181,10 @@ class PartType(ABC):
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
 
+    def renamed(self, pin: str) -> str:
+        """Today's name of a pin or port; scenes may use a former one."""
+        return pin
+
     def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins and those that it would have if the scene asked for them."""
         return self.pins(part, scene)

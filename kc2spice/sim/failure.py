@@ -87,7 +87,7 @@ def _part(deck: Deck, subcircuit: str) -> Subcircuit | None:
 
 
 def _pin_inside(deck: Deck, scope: Scope, name: str) -> str:
-    """The documented pin that an internal node or element is named after, as ``fr0`` after R0."""
+    """The documented pin that an inner node or element is named after: ``fring0`` after ring0."""
     part = _part(deck, scope.name)
     pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
     named = [pin for pin in pins if name.endswith(pin.name.lower())]

@@ -296,5 +296,5 @@ class LTspice(Dialect):
         return ":".join([*(p[1:] for p in path), name])
 
     def device(self, path: list[str], name: str) -> str:
-        """``b:contact:r0``: letter, instances, rest of the name."""
+        """``b:contact:ring0``: letter, instances, rest of the name."""
         return ":".join([name[0], *(p[1:] for p in path), name[1:]]) if path else name

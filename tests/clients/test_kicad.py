@@ -52,7 +52,7 @@ def test_sheets_are_clean_and_are_the_deck(name, deck_of, kicad, run, tmp_path):
     for file in ("sheet.cir", deck.main):
         run(["ngspice", "-b", "-n", "-r", f"{file}.raw", file], tmp_path)
     theirs, ours = (read_raw(tmp_path / f"{file}.raw") for file in ("sheet.cir", deck.main))
-    for node in [n for n in nodes if "r0" in n] or nodes:  # the stroke, where there is one
+    for node in [n for n in nodes if "ring0" in n] or nodes:  # the stroke, where there is one
         assert peak(theirs[node]) == pytest.approx(peak(ours[node]), rel=1e-6), node
 
 

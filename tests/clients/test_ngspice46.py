@@ -17,4 +17,4 @@ def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):
     older, newer = results
     assert older["time"][-1] == pytest.approx(newer["time"][-1])
     assert newer["v(contact_v)"][-1] == pytest.approx(older["v(contact_v)"][-1], rel=5e-6)
-    assert newer["v(kick_r0)"].max() == pytest.approx(older["v(kick_r0)"].max(), rel=5e-6)
+    assert newer["v(kick_ring0)"].max() == pytest.approx(older["v(kick_ring0)"].max(), rel=5e-6)

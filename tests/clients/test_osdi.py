@@ -49,7 +49,7 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
             np.testing.assert_allclose(theirs[node], ours[node], rtol=1e-9, atol=1e-9 * scale)
         return
     assert theirs["time"][-1] == pytest.approx(ours["time"][-1])
-    strokes = [n for n in nodes if re.search(r"_(r0|centre|middle|tip)\)", n)]
+    strokes = [n for n in nodes if re.search(r"_(ring0|centre|middle|tip)\)", n)]
     assert strokes
     for node in strokes:
         assert np.abs(theirs[node]).max() == pytest.approx(np.abs(ours[node]).max(), rel=1e-3)

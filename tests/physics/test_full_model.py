@@ -300,7 +300,7 @@ def test_mass_damping_reaches_the_response_and_its_reduction(mass_damped):
     direct = np.array([R0 @ np.linalg.solve(x * x * M + x * E + K, b) for x in s])
     rom = reduce(model, tolerance=1e-6, band=(0.0, 500e3))
     for found in (model, rom):
-        row, column = found.outputs.index("R0"), found.inputs.index("anode")
+        row, column = found.outputs.index("ring0"), found.inputs.index("anode")
         H = found.transfer(frequency)[:, row, column]
         np.testing.assert_allclose(H, direct, rtol=2e-6)
 

@@ -31,7 +31,7 @@ def chip(modes: int = 30, damping: float = 0.01) -> Resonators:
         compliance = 2e-7 / (1 + ring)
         gain[1:, ring] = omega[1:] * np.sqrt(compliance) * share / np.linalg.norm(share)
     gain[1:, 6] = omega[1:] * 6e-6 * rng.normal(size=modes - 1)
-    ports = tuple(Port(f"R{i}", "mechanical", "um", "N") for i in range(6))
+    ports = tuple(Port(f"ring{i}", "mechanical", "um", "N") for i in range(6))
     return Resonators(
         omega,
         2 * damping / (2 * np.pi * 250e3) * omega**2,

@@ -70,8 +70,8 @@ def test_touches_are_counted_against_the_tolerance_of_the_run(waves, scene, tabl
     data = {k: np.interp(fine, t, v) for k, v in waves.data.items()}
     comb = np.sin(2 * np.pi * (fine - 500.05e-6) / 0.2e-6) > 0
     during = (fine > 500e-6) & (fine < 506.05e-6)
-    data["contact.force.R0"] = np.where(comb & during, 1e-3, 0.0)
-    data |= {f"contact.force.R{k}": 0.0 * fine for k in range(1, 6)}
+    data["contact.force.ring0"] = np.where(comb & during, 1e-3, 0.0)
+    data |= {f"contact.force.ring{k}": 0.0 * fine for k in range(1, 6)}
     for reltol, passed in ((1e-4, True), (1e-3, False)):
         rattling = dataclasses.replace(waves, data=data, stats={**waves.stats, "reltol": reltol})
         (check,) = (c for c in judged(rattling, scene, table, model).checks if c.name == "touches")
@@ -89,7 +89,7 @@ def test_energy_from_nowhere_is_seen(waves, scene, table, model):
 def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
     """Contact that lets go later than it took hold does work; here by 100 nm."""
     y = waves["sphere.y"]
-    moving = 1e-7 * (np.gradient(waves["kick.u.R0"] - y, waves["time"]) < 0)
+    moving = 1e-7 * (np.gradient(waves["kick.u.ring0"] - y, waves["time"]) < 0)
     found = violated(changed(waves, **{"sphere.y": y - moving}), scene, table, model)
     assert "energy of contact" in found
 
@@ -100,7 +100,7 @@ def test_a_current_that_does_not_fit_the_chip_is_seen(waves, scene, table, model
 
 
 def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
-    wide = changed(waves, **{"contact.force.R5": np.full_like(waves["time"], 0.1)})
+    wide = changed(waves, **{"contact.force.ring5": np.full_like(waves["time"], 0.1)})
     with pytest.raises(SimulationError, match="outer_ring"):
         require(judged(wide, scene, table, model).checks, "here")
 
@@ -137,9 +137,9 @@ def test_sphere_beyond_the_table_is_seen(varied, model, table, tmp_path):
 
 @pytest.mark.parametrize("kept", [1, 2, 3])
 def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, varied, table, model):
-    """The same waveforms, as a run without the outer rings would leave them: R1 closes in them."""
+    """The same waveforms, as a run without the outer rings would leave them; ring1 closes."""
     fewer = varied(**{"contact.rings": kept})
-    closed = [waves[f"contact.force.R{k}"].max() > 0 for k in range(6)]
+    closed = [waves[f"contact.force.ring{k}"].max() > 0 for k in range(6)]
     assert closed == [True, True, False, False, False, False]
     found = judged(waves, fewer, table, model).checks
     (check,) = (c for c in found if c.name == "ring_left_out")

@@ -390,12 +390,12 @@ def test_two_stacks_of_different_size_on_one_half_bridge(tmp_path):
         "analysis": {"stop": 40e-6},
     }  # fmt: skip
     for name, mass in (("large", 5e-6), ("small", 2e-6)):
-        tables[f"{name}_weight"] = {"part": "mass", "mass": mass, "pins": {"a": f"{name}.R0"}}
+        tables[f"{name}_weight"] = {"part": "mass", "mass": mass, "pins": {"a": f"{name}.ring0"}}
         tables[f"{name}_spring"] = {
-            "part": "spring", "stiffness": 1e5, "pins": {"a": f"{name}.R0"}
+            "part": "spring", "stiffness": 1e5, "pins": {"a": f"{name}.ring0"}
         }  # fmt: skip
     scene = load_scene(tables)
-    one = chip().linear().select(["R0", "anode"])
+    one = chip().linear().select(["ring0", "anode"])
     models = {"large": one, "small": _smaller(one)}
     build = Build(scene, models, libraries(scene))
     deck = make_deck(build)
@@ -406,7 +406,7 @@ def test_two_stacks_of_different_size_on_one_half_bridge(tmp_path):
     assert found["large_weight_peak_m"] > 1.5 * found["small_weight_peak_m"] > 1e-7
     np.testing.assert_allclose(waves["large.voltage"], waves["small.voltage"])
     for name in ("large", "small"):
-        np.testing.assert_allclose(waves[f"{name}.u.R0"], waves[f"{name}_weight.x"])
+        np.testing.assert_allclose(waves[f"{name}.u.ring0"], waves[f"{name}_weight.x"])
         force = 1e5 * waves[f"{name}_weight.x"]
         np.testing.assert_allclose(waves[f"{name}_spring.force"], force, rtol=1e-6, atol=1e-9)
 

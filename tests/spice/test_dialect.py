@@ -176,7 +176,7 @@ CONSTRUCTS = [
      ".options reltol=1e-4 trtol=1"),
     (".save v(a)\n.save i(v1)", ".print TRAN format=raw\n+ V(a)\n+ I(v1)",
      ".save\n+ V(a)\n+ I(v1)"),
-    (".save @b.xc.br0[i]", "I(xc:br0)", "I(b:c:r0)"),
+    (".save @b.xc.bring0[i]", "I(xc:bring0)", "I(b:c:ring0)"),
     (".save v(xa.xb.n)", "V(xa:xb:n)", "V(a:b:n)"),
     (".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n",
      ".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n", "KP={k} IS=1e-14)\nM1 a b"),
@@ -266,7 +266,7 @@ def test_ngspice_is_left_alone(loop):
 
 
 def test_result_names_follow(loop):
-    assert translate(loop, "xyce").vectors["contact.force.R1"] == ("I(xcontact:br1)", 1.0)
+    assert translate(loop, "xyce").vectors["contact.force.ring1"] == ("I(xcontact:bring1)", 1.0)
     assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i)", -1.0)
     whole, _ = translate(loop, "xyce").vectors["contact.force"]
     assert whole.count("+") == 5
@@ -304,7 +304,7 @@ def flat(x, *points):
 def test_laws_keep_their_values(loop, dialect):
     rng = np.random.default_rng(3)
     translated = translate(loop, dialect)
-    params = {"newton_per_um": 400.0, "clip": 1e3} | {f"um_R{i}": 0.3 * i for i in range(6)}
+    params = {"newton_per_um": 400.0, "clip": 1e3} | {f"um_ring{i}": 0.3 * i for i in range(6)}
     compared = 0
     for name in ("contact.lib", "catch.lib", "pid.lib"):
         pairs = zip(cards(loop.files[name]), cards(translated.files[name]), strict=True)
@@ -331,7 +331,7 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     assert first["contact.force"].max() > 1.0
     # the same equations, rounded differently where braces become numbers: contact multiplies it
     at = np.linspace(0, 0.0007, 701)
-    for key in ("sphere.y", "kick.u.R0", "coil.upper.current"):
+    for key in ("sphere.y", "kick.u.ring0", "coil.upper.current"):
         one_, two = (np.interp(at, w["time"], w[key]) for w in (first, second))
         np.testing.assert_allclose(two, one_, rtol=0, atol=2e-4 * np.ptp(one_))
 

@@ -13,7 +13,7 @@ from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import realize
 
-RINGS = ["R0", "R1", "R2", "R3", "R4", "R5"]
+RINGS = ["ring0", "ring1", "ring2", "ring3", "ring4", "ring5"]
 
 
 def response(model, frequency):
@@ -43,24 +43,24 @@ def test_open_anode_is_the_partial_inverse(model, header, tmp_path):
         voltage = -full[:, 6, k] / full[:, 6, 6]
         np.testing.assert_allclose(waves[f"{source}>anode"], voltage, rtol=1e-8)
         np.testing.assert_allclose(
-            waves[f"{source}>R0"], full[:, 0, k] + full[:, 0, 6] * voltage, rtol=1e-8
+            waves[f"{source}>ring0"], full[:, 0, k] + full[:, 0, 6] * voltage, rtol=1e-8
         )
 
 
 def test_transient_of_a_force_step_is_the_exact_one(model, header, tmp_path):
     part = realize(model, header)
     cards = """Vanode anode 0 0
-Istep 0 R0 PULSE(0 1 1e-09 1e-12 1e-12 1)
-Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
+Istep 0 ring0 PULSE(0 1 1e-09 1e-12 1e-12 1)
+Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .options reltol=1e-6 trtol=1 chgtol=1e-13
 .tran 1e-08 1e-05 0 1e-07"""
-    vectors = {r: (f"v({r.lower()})", 1e-6) for r in ("R0", "R5")}
+    vectors = {r: (f"v({r.lower()})", 1e-6) for r in ("ring0", "ring5")}
     waves = run_deck(bench([part], cards, vectors, 1e-5), tmp_path)
     t = np.maximum(waves["time"] - 1e-9, 0.0)[:, None]
     sigma, root = model.damp / 2, np.emath.sqrt(model.damp**2 / 4 - model.omega**2)
     one, two = root - sigma, -root - sigma  # poles of each mode
     step = 1 - (two * np.exp(one * t) - one * np.exp(two * t)) / (two - one)
-    for ring, column in (("R0", 0), ("R5", 5)):
+    for ring, column in (("ring0", 0), ("ring5", 5)):
         exact = (step.real / model.omega**2) @ (model.gain[:, 0] * model.gain[:, column])
         # reltol 1e-6 a step, accumulated over the ringing of 30 modes
         assert np.abs(waves[ring] - exact).max() < 3e-4 * np.abs(exact).max()
@@ -68,8 +68,8 @@ Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
 
 def test_floating_anode_holds_no_charge_and_is_found_in_silence(model, header, tmp_path):
     part = realize(model, header)
-    cards = """Iload 0 R0 1
-Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
+    cards = """Iload 0 ring0 1
+Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .dc Iload 1 1 1"""
     waves = run_deck(bench([part], cards, {"V": ("v(anode)", 1.0)}), tmp_path)
     static = response(model, np.array([0.0]))[0].real
@@ -78,17 +78,17 @@ Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick
 
 
 def test_only_the_ports_asked_for(model, header, tmp_path):
-    part = realize(model, header, ports=("anode", "R2"))
-    assert [pin.name for pin in part.pins] == ["anode", "cathode", "R2", "base"]
-    assert "R0" not in part.text.split(".subckt", 1)[1]
-    cards = "Va anode 0 AC 1\nXkick anode 0 R2 0 kick\n.ac lin 5 1e5 5e5"
-    waves = run_deck(bench([part], cards, {"u": ("v(r2)", 1e-6)}), tmp_path)
+    part = realize(model, header, ports=("anode", "ring2"))
+    assert [pin.name for pin in part.pins] == ["anode", "cathode", "ring2", "base"]
+    assert "ring0" not in part.text.split(".subckt", 1)[1]
+    cards = "Va anode 0 AC 1\nXkick anode 0 ring2 0 kick\n.ac lin 5 1e5 5e5"
+    waves = run_deck(bench([part], cards, {"u": ("v(ring2)", 1e-6)}), tmp_path)
     np.testing.assert_allclose(waves["u"], response(model, waves["frequency"])[:, 2, 6], rtol=1e-10)
 
 
 def test_unknown_port_is_refused(model, header):
     with pytest.raises(UsageError, match="no such port"):
-        realize(model, header, ports=("R9",))
+        realize(model, header, ports=("ring9",))
 
 
 def test_header_agrees_with_the_card(model, header):
@@ -109,8 +109,8 @@ def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
 
     part = realize(replace(model, damp=np.zeros_like(model.damp)), header)
     assert "Gd1 " not in part.text
-    cards = "Va anode 0 AC 1\nXkick anode 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 3 1e5 2e5"
-    waves = run_deck(bench([part], cards, {"u": ("v(r0)", 1e-6)}), tmp_path)
+    cards = f"Va anode 0 AC 1\nXkick anode 0 {' '.join(RINGS)} 0 kick\n.ac lin 3 1e5 2e5"
+    waves = run_deck(bench([part], cards, {"u": ("v(ring0)", 1e-6)}), tmp_path)
     exact = response(replace(model, damp=0 * model.damp), waves["frequency"])[:, 0, 6]
     np.testing.assert_allclose(waves["u"], exact, rtol=1e-9)
 

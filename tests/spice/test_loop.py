@@ -51,7 +51,7 @@ def test_loop_agrees_with_scipy(run, scene, model, table):
 def test_results_have_the_names_and_signs_of_the_contract(run):
     deck, _, waves, _ = run
     assert set(waves.data) == {"time", *deck.vectors}
-    forces = sum(waves[f"contact.force.R{k}"] for k in range(6))
+    forces = sum(waves[f"contact.force.ring{k}"] for k in range(6))
     np.testing.assert_allclose(waves["contact.force"], forces, rtol=1e-12)
     edge = (waves["time"] > 500.02e-6) & (waves["time"] < 500.08e-6)
     # the clamped capacitance at least is charged through the anode: C dV/dt = 28 A
@@ -68,7 +68,7 @@ def test_operating_point_is_silent_with_the_contact_closed(run, scene):
     assert waves["contact.force"][0] == pytest.approx(
         scene.parts["sphere"].keys.mass * 9.81, rel=0.5
     )
-    assert 0.0 < waves["contact.force.R0"][0] == waves["contact.force"][0]
+    assert 0.0 < waves["contact.force.ring0"][0] == waves["contact.force"][0]
     assert abs(waves["sphere.v"][0]) < 1e-12
 
 

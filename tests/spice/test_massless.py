@@ -94,14 +94,14 @@ def test_the_netlist_answers_as_the_model(light, tmp_path, damped):
     """``.ac`` of the emitted subcircuit against the sum over modes, undamped states at once."""
     model = dataclasses.replace(light, damp=damped * light.damp)
     part = realize(model, HEADER)
-    rings = " ".join(f"R{k}" for k in range(6))
+    rings = " ".join(f"ring{k}" for k in range(6))
     cards = f"""Xkick 0 0 {rings} 0 kick
-Iforce 0 R0 dc 0 ac 1
+Iforce 0 ring0 dc 0 ac 1
 .ac lin 40 1e6 40e6"""
-    vectors = {f"R{k}": (f"v(r{k})", 1e-6) for k in range(6)}
+    vectors = {f"ring{k}": (f"v(ring{k})", 1e-6) for k in range(6)}
     waves = run_deck(bench([part], cards, vectors), tmp_path)
     exact = model.transfer(waves["frequency"].real)[:, :6, 0]
-    found = np.array([waves[f"R{k}"] for k in range(6)]).T
+    found = np.array([waves[f"ring{k}"] for k in range(6)]).T
     np.testing.assert_allclose(found, exact, rtol=1e-6, atol=1e-9 * np.abs(exact).max())
 
 
@@ -134,11 +134,11 @@ def test_a_bounce_is_that_of_the_plain_equations(tmp_path):
     )  # fmt: skip
     parts = [
         realize(model, HEADER),
-        contact_subcircuit(HEADER, ("R0",), np.zeros(1), EPS),
+        contact_subcircuit(HEADER, ("ring0",), np.zeros(1), EPS),
         sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=-1.0, height=1e-7),
     ]
-    cards = f"""Xkick 0 0 R0 0 kick
-Xcontact R0 v bottom 0 contact
+    cards = f"""Xkick 0 0 ring0 0 kick
+Xcontact ring0 v bottom 0 contact
 Xsphere v bottom y 0 sphere
 .options reltol=1e-5 trtol=1 chgtol=1e-08
 .tran 1e-08 {stop} 0 5e-08 uic"""

@@ -94,7 +94,7 @@ def test_a_changed_parameter_equals_a_new_export(scene, varied, decks, change, t
     lint(by_hand)
     runs = [run_deck(short(d), tmp_path / n) for n, d in
             (("base", base), ("hand", by_hand), ("export", exported))]  # fmt: skip
-    for key in ("sphere.y", "contact.force", "kick.u.R0", "coil.upper.current", "control.error"):
+    for key in ("sphere.y", "contact.force", "kick.u.ring0", "coil.upper.current", "control.error"):
         hand, export = runs[1][key], runs[2][key]
         # the same numbers reach the same cards, so even the time steps are the same
         np.testing.assert_allclose(hand, export, rtol=1e-9, atol=1e-9 * np.max(np.abs(export)))
@@ -130,15 +130,15 @@ def test_damping_of_the_chip_scales(header, tmp_path):
     """A chip of few elements, reduced anew with three times the damping, against ``damping=3``."""
     parts = [chip(Damping(ratio=ratio), header) for ratio in (0.01, 0.03)]
     cases = {"old": (parts[0], ""), "hand": (parts[0], "damping=3"), "export": (parts[1], "")}
-    vectors = {"u": ("v(r0)", 1e-6), "i": ("i(vkick)", -1.0)}
+    vectors = {"u": ("v(ring0)", 1e-6), "i": ("i(vkick)", -1.0)}
     waves = {}
     for case, (part, given) in cases.items():
         text = f"""* bench
 .include kick.lib
 Vkick anode 0 AC 1
-Xkick anode 0 R0 R1 R2 R3 R4 R5 0 kick {given}
+Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 .ac lin 500 1e3 5e5
-.save v(r0) i(vkick)
+.save v(ring0) i(vkick)
 .end
 """
         deck = Deck(name="bench", text=text, more={"kick.lib": part.text}, vectors=vectors)
@@ -155,10 +155,10 @@ def chip(damping, header):
 
 def test_gaps_can_be_set_by_hand(scene, decks, tmp_path):
     """A ring with a gap of a millimetre never closes."""
-    deck = with_words(decks(scene), "contact", "gap_R0=1e-3 gap_R1=1e-3")
+    deck = with_words(decks(scene), "contact", "gap_ring0=1e-3 gap_ring1=1e-3")
     waves = run_deck(short(deck), tmp_path)
-    assert np.max(np.abs(waves["contact.force.R0"])) == 0.0
-    assert np.max(waves["contact.force.R2"]) > 1.0
+    assert np.max(np.abs(waves["contact.force.ring0"])) == 0.0
+    assert np.max(waves["contact.force.ring2"]) > 1.0
 
 
 def test_a_changed_coil_resistance_equals_a_new_export(scene, decks, model, table, tmp_path):

@@ -29,17 +29,17 @@ def test_gaps_are_those_of_the_circle():
 
 def test_contact_law_and_reaction(header, radii, tmp_path):
     gaps = ring_gaps(radii[:3], 1e-3)
-    part = contact_subcircuit(header, ("R0", "R1", "R2"), gaps, 4e8)
-    cards = """V0 R0 0 0.3
-V1 R1 0 0.2
-V2 R2 0 0
+    part = contact_subcircuit(header, ("ring0", "ring1", "ring2"), gaps, 4e8)
+    cards = """V0 ring0 0 0.3
+V1 ring1 0 0.2
+V2 ring2 0 0
 Vv v 0 0
 Vbottom bottom 0 0
-Xcontact R0 R1 R2 v bottom 0 contact
+Xcontact ring0 ring1 ring2 v bottom 0 contact
 .dc Vbottom -6 1 0.05"""
     vectors = {
         "bottom": ("v(bottom)", 1e-6),
-        **{f"F{k}": (f"@b.xcontact.br{k}[i]", 1.0) for k in range(3)},
+        **{f"F{k}": (f"@b.xcontact.bring{k}[i]", 1.0) for k in range(3)},
         **{f"ring{k}": (f"i(v{k})", 1.0) for k in range(3)},
         "sphere": ("i(vv)", 1.0),
     }
@@ -81,10 +81,10 @@ def test_free_fall_is_a_parabola(header, tmp_path):
 
 
 def test_elastic_bounce_keeps_its_energy(header, tmp_path):
-    ground = contact_subcircuit(header, ("R0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), 4e8)
     deck = flight(
         header, 0.0, 4e-6, -1.0, 1e-6, "reltol=1e-5 trtol=1 chgtol=1e-10",
-        "Vground R0 0 0\nXcontact R0 v bottom 0 contact", [ground],
+        "Vground ring0 0 0\nXcontact ring0 v bottom 0 contact", [ground],
     )  # fmt: skip
     waves = run_deck(deck, tmp_path)
     energy = MASS * waves["v"] ** 2 / 2 + 4e8 * np.minimum(0.0, waves["bottom"]) ** 2 / 2
@@ -96,11 +96,11 @@ def test_elastic_bounce_keeps_its_energy(header, tmp_path):
 
 
 def test_resting_contact_rests(header, tmp_path):
-    ground = contact_subcircuit(header, ("R0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), 4e8)
     sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81)
     cards = """Xsphere v bottom y 0 sphere
-Vground R0 0 0
-Xcontact R0 v bottom 0 contact
+Vground ring0 0 0
+Xcontact ring0 v bottom 0 contact
 .options reltol=1e-4 trtol=1
 .tran 1e-05 0.005 0 1e-05"""
     vectors = {"bottom": ("v(bottom)", 1e-6), "v": ("v(v)", 1.0)}

@@ -74,7 +74,7 @@ def impacts():
 
 
 def test_rings_that_stay_open_change_nothing(unpruned):
-    """Of one reduced model, without the ports of R2 to R5, until the sphere has left for good."""
+    """Of one reduced model, without the ports from ring2 on, until the sphere has left for good."""
     build, waves = unpruned
     kept = waves["time"] <= 0.6e-3
     first = Waveforms({name: wave[kept] for name, wave in waves.data.items()}, waves.stats)
@@ -91,13 +91,13 @@ def test_the_bound_lies_above_what_the_next_ring_does(kept, unpruned, impacts):
     """Its docstring's figures: at most 5 % of the gap below, here never below at all."""
     for build, waves in (unpruned, *impacts.values()):
         tip = waves["sphere.y"] - build.scene.parts["sphere"].keys.radius
-        true = float((waves[f"kick.u.R{kept}"] - tip).max())
+        true = float((waves[f"kick.u.ring{kept}"] - tip).max())
         fewer = without_outer(build, kept)
         contact = fewer.scene.parts["contact"]
         found = contact.type.checks(contact, fewer, waves)
         (check,) = (c for c in found if c.name in ("ring_left_out", "outer_ring"))
         assert check.name == "ring_left_out"
-        if not any(waves[f"contact.force.R{k}"].max() > 0 for k in range(kept, 6)):
+        if not any(waves[f"contact.force.ring{k}"].max() > 0 for k in range(kept, 6)):
             assert true <= check.value
         else:  # forces of the rings that were left out are missing from the bound
             assert not check.passed
@@ -107,7 +107,7 @@ def test_no_ring_that_closed_was_judged_out_of_reach(unpruned, impacts):
     for build, waves in (unpruned, *impacts.values()):
         scene = build.scene
         contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius
-        closed = [waves[f"contact.force.R{k}"].max() > 0 for k in range(6)]
+        closed = [waves[f"contact.force.ring{k}"].max() > 0 for k in range(6)]
         depth, every = reach(contact, scene).depth, gaps(contact, scene, every=True)
         assert all(gap < depth for gap, touches in zip(every, closed, strict=True) if touches)
         assert depth > -(waves["sphere.y"].min() - radius)
@@ -160,7 +160,7 @@ def test_a_run_that_needed_more_rings_fails_and_says_so(scene, key, kept, tmp_pa
     [
         (("control",), ("pid", "opamp", "control", "enable", "setpoint")),
         (("control", "catch"), ("pid", "opamp", "catch", "coil", "drive", "bc0")),
-        (("kick", "contact"), ("kick", "contact", "r0", "anode", "chip", "ring")),
+        (("kick", "contact"), ("kick", "contact", "ring0", "anode", "chip", "ring")),
     ],
 )
 def test_a_netlist_has_no_trace_of_what_the_scene_lacks(lacking, words):

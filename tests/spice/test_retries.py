@@ -157,11 +157,11 @@ def loop(scene, model, table):
 @pytest.mark.parametrize(
     ("node", "words"),
     [
-        ("xkick.fr0", "pin R0 (1 V = 1 um, 1 A = 1 N)"),
+        ("xkick.fring0", "pin ring0 (1 V = 1 um, 1 A = 1 N)"),
         ("xkick.q3", "inside at q3"),
-        ("b.xcontact.br2", "pin R2"),
+        ("b.xcontact.bring2", "pin ring2"),
         ("xsphere.v", "pin v (1 V = 1 m/s, 1 A = 1 N)"),
-        ("kick_r0", "xkick (kick) pin r0"),
+        ("kick_ring0", "xkick (kick) pin ring0"),
         ("vkick_drive#branch", "vkick_drive in loop.cir"),
     ],
 )

@@ -49,26 +49,26 @@ pins = { anode = "bridge.out" }
 [m1]
 part = "mass"
 mass = "10 mg"
-pins = { a = "left.R0" }
+pins = { a = "left.ring0" }
 [k1]
 part = "spring"
 stiffness = "1e5 N/m"
-pins = { a = "left.R0" }
+pins = { a = "left.ring0" }
 [m2]
 part = "mass"
 mass = "10 mg"
-pins = { a = "right.R0" }
+pins = { a = "right.ring0" }
 [k2]
 part = "spring"
 stiffness = "1e5 N/m"
-pins = { a = "right.R0" }
+pins = { a = "right.ring0" }
 [rom]
 order = 12
 [solver]
 stop = "60 us"
 [probes]
-left_top = { of = "left.u.R0", take = "max" }
-right_swing = { of = "right.u.R0", take = "peak_to_peak" }
+left_top = { of = "left.u.ring0", take = "max" }
+right_swing = { of = "right.u.ring0", take = "peak_to_peak" }
 """
 
 
@@ -142,9 +142,9 @@ def test_ranges_are_checked_against_the_parts_before_anything_runs(two, text, wo
 
 def test_a_probe_of_nothing_is_refused_before_anything_runs(two):
     with pytest.raises(UsageError, match="no such vector"):
-        study(two, "left.layers=4,6", 'probes.left_top.of="left.w.R0"')
+        study(two, "left.layers=4,6", 'probes.left_top.of="left.w.ring0"')
     with pytest.raises(UsageError, match=r"^two_stacks\.toml, line 9"):
-        study(two, "left.layers=4,6", 'probes.left_top.of="left.u.R7"')
+        study(two, "left.layers=4,6", 'probes.left_top.of="left.u.ring7"')
 
 
 def test_impedance_of_a_buzzer_has_columns():

@@ -27,7 +27,7 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
     ball = SphereKeys()
-    rings = tuple(f"R{i}" for i in range(6))
+    rings = tuple(f"ring{i}" for i in range(6))
     return (
         realize(model, header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
@@ -128,8 +128,8 @@ def test_inputs_are_left_and_outputs_right(parts, header):
     }  # fmt: skip
     assert sides["amplifier"] == {"command": "left", "out": "right", "ref": "bottom"}
     assert sides["kick"]["anode"] == sides["kick"]["cathode"] == "left"
-    assert sides["kick"]["R0"] == "right"
-    assert sides["contact"]["R0"] == "left"
+    assert sides["kick"]["ring0"] == "right"
+    assert sides["contact"]["ring0"] == "left"
     assert (
         sides["contact"]["bottom"] == sides["sphere"]["bottom"] == sides["sphere"]["y"] == "right"
     )

@@ -15,7 +15,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import realize
 
-RINGS = ("R0", "R1", "R2", "R3", "R4", "R5")
+RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
 COPIES = 200
 
 
@@ -33,7 +33,7 @@ def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
     """Springs, dampers and masses on two rings, R, L, C on the anode, 200 of each at random."""
     rng = np.random.default_rng(3)
     few = replace(model, omega=model.omega[:3], damp=model.damp[:3], gain=model.gain[:3])
-    part = realize(few, header, ports=("R0", "R3", "anode"))
+    part = realize(few, header, ports=("ring0", "ring3", "anode"))
     cards, vectors = [], {}
     for k in range(COPIES):
         stiffness, ohm, henry = 10 ** rng.uniform([0, -2, -4], [2, 6, 0])  # N/um, Ohm, H
@@ -120,7 +120,7 @@ def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
     """Hand-written deck: current through the clamped ports against modes summed in numpy."""
     _, model = chip
     cards = """Vdrive in 0 AC 1
-Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
+Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac dec 200 1 1e6"""
     vectors = {"i": ("i(vdrive)", -1.0)}
     waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
@@ -139,7 +139,7 @@ def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
     """Largest and smallest current against eigenvalues of the full model, to 0.1 %."""
     device, model = chip
     cards = """Vdrive in 0 AC 1
-Xkick in 0 R0 R1 R2 R3 R4 R5 0 kick
+Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac lin 2401 260e3 380e3"""
     vectors = {"i": ("i(vdrive)", -1.0)}
     waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
@@ -155,20 +155,20 @@ def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
     frequency = np.array([270e3, 900e3])
     full = device.transfer(frequency)[:, -1, -1]
     for f, charge in zip(frequency, full, strict=True):
-        cards = f"Vdrive in 0 AC 1\nXkick in 0 R0 R1 R2 R3 R4 R5 0 kick\n.ac lin 1 {f} {f}"
+        cards = f"Vdrive in 0 AC 1\nXkick in 0 {' '.join(RINGS)} 0 kick\n.ac lin 1 {f} {f}"
         deck = bench([realize(model, header)], cards, {"i": ("i(vdrive)", -1.0)})
         current = run_deck(deck, tmp_path / str(f))["i"][0]
         assert current / (2j * np.pi * f * charge) == pytest.approx(1.0, abs=1e-4)
 
 
 def test_ring_on_a_users_spring(header, model, tmp_path):
-    """1 kN/m from R0 to a shaker: displacement by the dynamic compliance of the modes."""
+    """1 kN/m from ring0 to a shaker: displacement by the dynamic compliance of the modes."""
     stiffness = 1e3  # N/m
     cards = f"""Vshake shaker 0 AC 1
-Rspring shaker R0 {1e6 / stiffness}
-Xkick 0 0 R0 R1 R2 R3 R4 R5 0 kick
+Rspring shaker ring0 {1e6 / stiffness}
+Xkick 0 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac dec 40 1e3 1e6"""
-    waves = run_deck(bench([realize(model, header)], cards, {"u": ("v(r0)", 1.0)}), tmp_path)
+    waves = run_deck(bench([realize(model, header)], cards, {"u": ("v(ring0)", 1.0)}), tmp_path)
     s = 2j * np.pi * waves["frequency"][:, None]
     compliance = (model.gain[:, 0] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
     force = stiffness * compliance

@@ -25,7 +25,7 @@ NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
 @pytest.fixture(scope="module")
 def parts(header, model, radii, table):
     ball = SphereKeys()
-    rings = tuple(f"R{i}" for i in range(6))
+    rings = tuple(f"ring{i}" for i in range(6))
     made = (
         realize(model, header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),

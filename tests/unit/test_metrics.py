@@ -36,7 +36,7 @@ def throw(t: np.ndarray, bounces: tuple[tuple[float, float], ...] = ()) -> Wavef
     y = RADIUS + SPEED * s - 0.5 * DECEL * s**2
     v = np.where(t > LAUNCH, SPEED - DECEL * s, 0.0)
     stroke = 4.2e-6 * np.exp(-(((t - 5.02e-4) / 2e-6) ** 2))
-    data = {"time": t, "sphere.y": y, "sphere.v": v, "contact.force": force, "kick.u.R0": stroke}
+    data = {"time": t, "sphere.y": y, "sphere.v": v, "contact.force": force, "kick.u.ring0": stroke}
     return Waveforms(data, {})
 
 
@@ -180,7 +180,7 @@ def test_imprint_and_harmonic_give_lists_of_one_sector() -> None:
     got = of_scene(waves, "imprint")
     assert got["force_n"][-1] == 200.0
     assert got["imprint_m"] == depth.tolist()
-    sweep = {"frequency": np.array([1.0, 2.0]), "R0>anode": np.array([3 + 4j, 0j])}
+    sweep = {"frequency": np.array([1.0, 2.0]), "ring0>anode": np.array([3 + 4j, 0j])}
     got = of_scene(Waveforms(sweep, {}), "harmonic")
-    assert got["amplitude"]["R0"]["anode"] == [5.0, 0.0]
+    assert got["amplitude"]["ring0"]["anode"] == [5.0, 0.0]
     json.dumps(got)

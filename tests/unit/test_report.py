@@ -33,8 +33,8 @@ def loop_waves() -> Waveforms:
     y = 2.5e-3 - 1.5e-3 * np.exp(-s / 0.4e-3)
     load = 3.0 * np.clip((5.057e-4 - t) / 5e-6, 0.0, 1.0)
     data = {"time": t, "sphere.y": y, "sphere.v": np.gradient(y, t), "contact.force": load}
-    data |= {f"contact.force.R{i}": load * (i == 0) for i in range(6)}
-    data |= {f"kick.u.R{i}": 2e-6 * np.exp(-s / 5e-5) for i in range(6)}
+    data |= {f"contact.force.ring{i}": load * (i == 0) for i in range(6)}
+    data |= {f"kick.u.ring{i}": 2e-6 * np.exp(-s / 5e-5) for i in range(6)}
     data |= {"kick.voltage": 100.0 * (s > 0), "kick.current": 0 * t, "control.error": 2.5e-3 - y}
     data |= {"coil.upper.current": 0.1 * np.exp(-s / 1e-4)}
     return Waveforms(data | {"coil.lower.current": -data["coil.upper.current"]}, {})
@@ -49,7 +49,9 @@ def figures(waves: Waveforms) -> tuple[Figure, ...]:
         "", "height [mm]", (whole, exact), levels=((2.5, "set point"),),
         bands=((2.425, 2.575, "settling band"),), marks=((0.507, "launch"),), span=(0.0, 5.0),
     )  # fmt: skip
-    rings = tuple(Curve(f"R{k}", 1e3 * t, 1e6 * waves[f"kick.u.R{k}"] + 0.01 * k) for k in range(6))
+    rings = tuple(
+        Curve(f"ring{k}", 1e3 * t, 1e6 * waves[f"kick.u.ring{k}"] + 0.01 * k) for k in range(6)
+    )
     bottom = Panel("time [ms]", "displacement [um]", rings)
     response = Panel(
         "frequency [Hz]", "height [mm]", (Curve("", 1 + t, y),), log_x=True, log_y=True
@@ -105,7 +107,12 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},
-        "rom": {"order": 30, "ports": ["R0", "anode"], "band_hz": [0, 5e5], "error_estimate": 1e-3},
+        "rom": {
+            "order": 30,
+            "ports": ["ring0", "anode"],
+            "band_hz": [0, 5e5],
+            "error_estimate": 1e-3,
+        },
         "model": {"kick": {"unknowns": 16722}, "catch": {"coil_resistance_ohm": 1596.0}},
         "files": ["kick.lib"],
     }

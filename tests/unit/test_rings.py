@@ -1,11 +1,13 @@
 """Which rings a scene keeps, against the paper's chip and closed forms."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waves
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.parts.contact import reach
 from kc2spice.parts.piezo_stack import free_stroke, indentation_modulus, kept_rings
@@ -17,7 +19,7 @@ from kc2spice.scene.plan import plan
     ("scene", "override", "rings"),
     [
         ("kick_and_catch", "kick.drive.voltage=20", 2),  # it may fall 6.5 mm, the table's height
-        ("kick_and_catch", "kick.drive.voltage=100", 2),  # 4.70 um, R2 closes at 5.01 um
+        ("kick_and_catch", "kick.drive.voltage=100", 2),  # 4.70 um, ring2 closes at 5.01 um
         ("kick_and_catch", "kick.drive.voltage=-120", 3),
         ("kick_and_catch", "contact.rings=all", 6),
         ("kick_and_catch", "contact.rings=4", 4),
@@ -34,13 +36,13 @@ def test_rings_follow_the_scene(scene, override, rings):
     loaded = load_scene(scene, [override])
     assert kept_rings(loaded.parts["kick"], loaded) == rings
     pins = [pin for part, pin in loaded.nets if part == "kick"]
-    ports = [f"R{k}" for k in range(rings)]
+    ports = [f"ring{k}" for k in range(rings)]
     assert pins == ["anode", "cathode", *ports, "base"]
 
 
 @pytest.mark.parametrize(("voltage", "rings"), [(20, 1), (26, 1), (27, 2), (106, 2), (107, 3)])
 def test_without_a_catch_the_kick_alone_decides(voltage, rings):
-    """R1 closes at 1.2508 um and R2 at 5.0126 um, twice the strokes at 26.6 and 106.6 V."""
+    """ring1 closes at 1.2508 um and ring2 at 5.0126 um, twice the strokes at 26.6 and 106.6 V."""
     loaded = load_scene({"kick": {"drive": {"voltage": voltage}}, "contact": {}, "sphere": {}})
     assert kept_rings(loaded.parts["kick"], loaded) == rings
     fed = {
@@ -54,26 +56,28 @@ def test_without_a_catch_the_kick_alone_decides(voltage, rings):
 
 
 def test_a_probe_and_a_pin_ask_for_a_ring():
-    tables = {"kick": {}, "probes": {"edge": {"of": "kick.u.R3"}}}
+    tables = {"kick": {}, "probes": {"edge": {"of": "kick.u.ring3"}}}
     probed = load_scene(tables)
     assert kept_rings(probed.parts["kick"], probed) == 4
-    weight = {"part": "mass", "mass": 1e-6, "pins": {"a": "kick.R1"}}
+    weight = {"part": "mass", "mass": 1e-6, "pins": {"a": "kick.ring1"}}
     loaded = load_scene({"kick": {}, "weight": weight})
     assert kept_rings(loaded.parts["kick"], loaded) == 2
-    with pytest.raises(UsageError, match="R0 to R5"):
-        load_scene({"kick": {}, "weight": weight | {"pins": {"a": "kick.R6"}}})
+    with pytest.raises(UsageError, match="ring0 to ring5"):
+        load_scene({"kick": {}, "weight": weight | {"pins": {"a": "kick.ring6"}}})
     alone = load_scene({"kick": {}})
     assert kept_rings(alone.parts["kick"], alone) == 0
 
 
 def test_what_is_left_out_is_named_with_its_reason():
     (rings,) = (e for e in plan(load_scene("kick_and_catch")).left_out if "contact at" in e.effect)
-    assert rings.effect == "contact at R2 to R5"
+    assert rings.effect == "contact at ring2 to ring5"
     assert "5.01e-06 m" in rings.why  # R - sqrt(R^2 - r^2) at 100 um
     assert "4.7e-06 m" in rings.why
     everything = plan(load_scene("kick_and_catch", ["contact.rings=all"]))
     assert not [
-        each for each in everything.left_out if "R2" in each.effect or "contact at" in each.effect
+        each
+        for each in everything.left_out
+        if "ring2" in each.effect or "contact at" in each.effect
     ]
 
 
@@ -130,3 +134,30 @@ def test_an_unstable_material_is_refused_before_anything_is_estimated():
     soft = "kick.material.stiffness=[1e9, 2e9, 1e9, 1e9, 1e9, 1e9]"
     with pytest.raises(UsageError, match="no such material"):
         load_scene("impact", [soft])
+
+
+def test_the_former_names_are_understood():
+    """``R0`` became ``ring0``: pins, own pins, contacts and probes of older scenes are read."""
+    tables = {
+        "kick": {"pins": {"NAME2": "free.a"}},
+        "free": {"part": "mass", "mass": 1e-6},
+        "load": {"part": "mass", "mass": 1e-6, "pins": {"a": "kick.NAME1"}},
+        "ball": {"part": "sphere"},
+        "touch": {"part": "contact", "a": ["kick.NAME0"], "b": "ball"},
+        "probes": {"top": {"of": "kick.u.NAME3"}},
+    }
+    old, new = (
+        load_scene(json.loads(json.dumps(tables).replace("NAME", name))) for name in ("R", "ring")
+    )
+    assert (old.nets, old.frame) == (new.nets, new.frame)
+    assert old.nets["load", "a"] == old.nets["kick", "ring1"]
+    assert old.joined("free", "a") == (("kick", "ring2"),)
+
+
+def test_a_port_of_the_user_keeps_its_name():
+    waves = Waves({"mine.u.R0": np.zeros(2), "kick.u.ring0": np.ones(2)})
+    assert waves["mine.u.R0"][0] == 0.0
+    assert waves["kick.u.R0"][0] == 1.0
+    assert "kick.u.R0" in waves
+    assert "kick.u.R1" not in waves
+    assert set(waves.former()) == {"kick.u.R0"}

@@ -22,7 +22,7 @@ LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 
 def waves(y, force, scene):
     t = np.linspace(0.0, 1e-3, len(y))
-    ports = [pin for part, pin in scene.nets if part == "contact" and pin.startswith("R")]
+    ports = [pin for part, pin in scene.nets if part == "contact" and pin.startswith("ring")]
     data = {"time": t, "sphere.y": y, "sphere.v": 0 * t, "contact.force": force}
     data |= {f"contact.force.{port}": force / len(ports) for port in ports}
     return Waveforms(data | {f"kick.u.{port}": 0 * t for port in ports}, {})

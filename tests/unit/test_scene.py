@@ -266,7 +266,7 @@ def test_did_you_mean_stays_silent_when_nothing_is_near():
 
 def _ports(scene):
     chip = scene.parts["kick"]
-    return [pin.name for pin in chip.type.pins(chip, scene) if pin.name.startswith("R")]
+    return [pin.name for pin in chip.type.pins(chip, scene) if pin.name.startswith("ring")]
 
 
 def test_plan_follows_the_scene():
@@ -275,8 +275,8 @@ def test_plan_follows_the_scene():
         "kick", "contact", "sphere", "catch", "control", "kick_drive", "control_enable",
     ]  # fmt: skip
     assert [p.part for p in plan(load_scene("em_force")).parts] == ["em_force", "sphere", "catch"]
-    assert _ports(load_scene("kick_and_catch")) == ["R0", "R1"]
-    assert _ports(load_scene("harmonic", ["kick.mesh.rings=2"])) == ["R0", "R1", "R2"]
+    assert _ports(load_scene("kick_and_catch")) == ["ring0", "ring1"]
+    assert _ports(load_scene("harmonic", ["kick.mesh.rings=2"])) == ["ring0", "ring1", "ring2"]
     effects = {item.effect: item.error for item in full.left_out}
     # Drag at Re = 132, c_d = 0.96 (textbook chart: about 0.9 … 1), against 0.32 mN of weight.
     share = float(effects["drag of the air"].split()[0])

@@ -67,7 +67,7 @@ def _require_definite(matrix: np.ndarray, where: str) -> None:
 
 
 def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
-    """FE model of the quarter chip with ring ports R0, R1, ... and the anode, voltage driven.
+    """FE model of the quarter chip with ring ports ring0, ring1, ... and the anode, voltage driven.
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
     ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
@@ -95,7 +95,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     anode, inner = _electrodes(mesh)
     K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
     K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
-    rings = [Port(f"R{i}", "mechanical") for i in range(len(mesh.rings))]
+    rings = [Port(f"ring{i}", "mechanical") for i in range(len(mesh.rings))]
     return PiezoSystem(
         M=M[free][:, free],
         K_uu=K_uu[free][:, free],

@@ -53,7 +53,7 @@ class KickMesh:
     plane : (nodes per plane, 2) positions [m], the centre first, then ring by ring.
     heights : (planes,) [m]. Node ``k * len(plane) + i`` is node ``i`` of plane ``k``.
     steps : planes per level.
-    rings : node numbers within the plane for R0 (centre), R1, ... from the x to the y axis.
+    rings : node numbers within the plane for ring0 (centre), ring1, ... from the x to the y axis.
     spans : piezoelectric layers in each level, from the bottom up.
     bottom, top : slabs without field below and above them.
     """

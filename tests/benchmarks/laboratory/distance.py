@@ -36,7 +36,7 @@ def compare(waves: Waveforms, reference: Waveforms) -> dict[str, float | None]:
         "trajectory_rms_m": float(np.sqrt(square)),
         "trajectory_relative": float(abs(difference[worst]) / np.ptp(reference["sphere.y"])),
         "final_m": float(abs(difference[-1])),
-        "stroke_m": float(abs(waves["kick.u.R0"].max() - reference["kick.u.R0"].max())),
+        "stroke_m": float(abs(waves["kick.u.ring0"].max() - reference["kick.u.ring0"].max())),
     }
 
 

@@ -132,7 +132,7 @@ def synthetic(modes: int, ports: int) -> Resonators:
     gain = rng.uniform(0.2, 1.0, (modes, ports)) * rng.choice((-1.0, 1.0), (modes, ports))
     gain *= 50.0 / np.sqrt(modes)
     gain[:, -1] *= 1e-2
-    rings = tuple(Port(f"R{k}", "mechanical") for k in range(ports - 1))
+    rings = tuple(Port(f"ring{k}", "mechanical") for k in range(ports - 1))
     D = np.zeros((ports, ports))
     D[-1, -1] = 35e-9
     certificate = Certificate((0.0, 500e3), 0.0, "synthetic", True, True)

@@ -66,5 +66,5 @@ def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
         "time": result.time, "sphere.y": result.height + radius, "sphere.v": result.velocity,
         "contact.force": n * result.force,
     }  # fmt: skip
-    data |= {f"kick.u.R{k}": row for k, row in enumerate(result.spring_displacement.T)}
+    data |= {f"kick.u.ring{k}": row for k, row in enumerate(result.spring_displacement.T)}
     return Waveforms(data, {})

@@ -70,7 +70,7 @@ def _step(
 
 def _closed(law: Law, x: np.ndarray, closed: np.ndarray, fired: tuple[str, ...]) -> np.ndarray:
     """Which rings touch after a piece: those that fired toggled, the others by their sign."""
-    toggled = np.array([f"R{i}" in fired for i in range(closed.size)])
+    toggled = np.array([f"ring{i}" in fired for i in range(closed.size)])
     return np.where(toggled, ~closed, law.penetration(x) > 0.0)
 
 
@@ -104,5 +104,5 @@ def _waveforms(law: Law, pieces: list[Piece], times: np.ndarray) -> Waveforms:
     forces = law.stiffness * np.maximum(0.0, law.penetration(x))
     data = {"time": times, "sphere.y": law.radius + rest[HEIGHT], "sphere.v": rest[SPEED]}
     data["contact.force"] = forces.sum(axis=0)
-    data |= {f"kick.u.R{i}": row for i, row in enumerate(law.rings @ x[: law.q])}
+    data |= {f"kick.u.ring{i}": row for i, row in enumerate(law.rings @ x[: law.q])}
     return Waveforms(data, {"accepted": float(sum(p.steps for p in pieces))})

@@ -236,5 +236,5 @@ class LowerBound:
             "time": t, "sphere.y": p + self.law.radius, "sphere.v": v,
             "contact.force": force.sum(axis=0),
         }  # fmt: skip
-        data |= {f"kick.u.R{k}": row for k, row in enumerate(u)}
+        data |= {f"kick.u.ring{k}": row for k, row in enumerate(u)}
         return Waveforms(data, {"accepted": float(t.size)})

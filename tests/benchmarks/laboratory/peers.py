@@ -124,5 +124,5 @@ def _waveforms(law: Law, t: np.ndarray, x: np.ndarray) -> Waveforms:
         "time": t, "sphere.y": x[2 * q] + law.radius, "sphere.v": x[2 * q + 1],
         "contact.force": force.sum(axis=0),
     }  # fmt: skip
-    data |= {f"kick.u.R{k}": row for k, row in enumerate(u)}
+    data |= {f"kick.u.ring{k}": row for k, row in enumerate(u)}
     return Waveforms(data, {"accepted": float(t.size)})

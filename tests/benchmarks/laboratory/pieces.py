@@ -92,7 +92,7 @@ def coupled(
     """
     row = 2 * law.q + HEIGHT
     events = [
-        _Event(f"R{i}", partial(_penetration, law, i), -1 if closed[i] else 1)
+        _Event(f"ring{i}", partial(_penetration, law, i), -1 if closed[i] else 1)
         for i in range(closed.size)
     ]
     events += _clamp_events(law, mode, lambda x: x[2 * law.q :])

@@ -24,7 +24,7 @@ from kc2spice.spice.realize import realize
 from laboratory.distance import compare
 
 MASS = SphereKeys().mass
-RINGS = tuple(f"R{k}" for k in range(6))
+RINGS = tuple(f"ring{k}" for k in range(6))
 
 
 def launch_error(bench, study, model=None):
@@ -92,7 +92,7 @@ def deep_imprint(bench):
     study, model = scene("imprint", "imprint.depth=200 um", "imprint.steps=50"), chip()
     waves = bench.scene(study, model)
     force = exact(study, waves, model)["contact.force"]
-    assert waves["contact.force.R5"][-1] > 0.0
+    assert waves["contact.force.ring5"][-1] > 0.0
     return np.abs(waves["contact.force"][1:] / force[1:] - 1.0).max()
 
 
@@ -113,11 +113,11 @@ _grazing("10", "10", "15")
 @case("resting contact", "penetration m g / k, relative", 1e-4)
 def rest_for_50_ms(bench):
     """On a rigid plane; the weight presses the spring in by less than a picometre."""
-    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), 4e8)
     sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81)
     cards = """Xsphere v bottom y 0 sphere
-Vground R0 0 0
-Xcontact R0 v bottom 0 contact
+Vground ring0 0 0
+Xcontact ring0 v bottom 0 contact
 .options reltol=1e-4 trtol=1 chgtol=1e-08
 .tran 1e-05 0.05 0 1e-05"""
     deck = bench_deck([sphere, ground], cards, {"bottom": ("v(bottom)", 1e-6)}, 0.05)
@@ -144,12 +144,12 @@ def ten_landings_in_50_ms(bench):
 def bounced(bench, options, ceiling="1e-5", landings=100):
     """Energy change of a sphere that falls 5 um a hundred times onto a rigid plane."""
     speed, height, stiffness = 0.01, 1e-7, 4e8
-    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), stiffness)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), stiffness)
     sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-speed, height=height)
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / stiffness))
     cards = f"""Xsphere v bottom y 0 sphere
-Vground R0 0 0
-Xcontact R0 v bottom 0 contact
+Vground ring0 0 0
+Xcontact ring0 v bottom 0 contact
 .options {options}
 .tran 1e-4 {stop} 0 {ceiling} uic"""
     vectors = {"v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
@@ -176,7 +176,9 @@ def bounces_on_an_undamped_chip(bench):
     waves = bench.scene(study, chip(6, damping=0.0))
     y, v = waves["sphere.y"], waves["sphere.v"]
     energy = MASS * (v**2 / 2 + pull * (y - y[0]))
-    given = sum(np.trapezoid(waves[f"contact.force.R{k}"], waves[f"kick.u.R{k}"]) for k in range(6))
+    given = sum(
+        np.trapezoid(waves[f"contact.force.ring{k}"], waves[f"kick.u.ring{k}"]) for k in range(6)
+    )
     return abs(energy[-1] - energy[0] - given) / energy.max()
 
 
@@ -212,4 +214,4 @@ def second_kick(bench):
     to_centre = chip(6).gain[:6, 0]
     stroke, rate = states[kept, :6] @ to_centre, states[kept, 6:12] @ to_centre
     exact = CubicHermiteSpline(times, stroke, rate)(waves["time"])
-    return np.abs(waves["kick.u.R0"] - exact).max() / np.abs(stroke).max()
+    return np.abs(waves["kick.u.ring0"] - exact).max() / np.abs(stroke).max()

@@ -63,7 +63,7 @@ def lightly_damped_mode_decays(bench):
 
 def _struck(bench, one, periods):
     """Displacement of ring 0 of a one-mode chip after 10 V, its times, its static part."""
-    part = realize(one, HEADER, ports=("R0", "anode"))
+    part = realize(one, HEADER, ports=("ring0", "anode"))
     stop = periods * 2 * np.pi / one.omega[0]
     cards = f"""Vstep a 0 PULSE(0 10 0 1e-09 1e-09 1)
 Xkick a 0 r 0 kick
@@ -244,8 +244,8 @@ def ports_named_like_inner_nodes(bench):
 
 @case("node names that collide", "two ports of one name", refused="each name once")
 def ports_that_differ_by_case_alone(bench):
-    model = _renamed(chip(6), ("R0", "r0"))
-    realize(model, HEADER, ports=("R0", "r0", "anode"))
+    model = _renamed(chip(6), ("ring0", "RING0"))
+    realize(model, HEADER, ports=("ring0", "RING0", "anode"))
     return 0.0
 
 

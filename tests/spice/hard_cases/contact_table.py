@@ -44,21 +44,21 @@ class Bounced:
 
 def bounce(law: str, options: str, ceiling: str = "1e-5") -> Bounced:
     """A sphere falls 5 um a hundred times onto a rigid plane."""
-    ground = contact_subcircuit(HEADER, ("R0",), np.zeros(1), STIFFNESS)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), STIFFNESS)
     text = ground.text
     if "watched" not in law:
         text = re.sub(r"(?m)^(Snear|Gnear|Inear|Rnear|\.model edge).*\n", "", text)
     if "blend" in law:  # a parabola from -w to w that joins both branches with their slopes
-        x, w = "(V(R0)-V(bottom))", "1e-4"
+        x, w = "(V(ring0)-V(bottom))", "1e-4"
         parabola = f"({x}+{w})*({x}+{w})/(4*{w})"
         smooth = f"({x} > {w} ? {x} : ({x} < -{w} ? 0 : {parabola}))"
-        text = re.sub(r"(?m)^BR0 .*$", f"BR0 R0 v I={{newton_per_um*{smooth}}}", text)
+        text = re.sub(r"(?m)^Bring0 .*$", f"Bring0 ring0 v I={{newton_per_um*{smooth}}}", text)
     ground = type(ground)(ground.name, ground.pins, ground.params, text)
     sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-SPEED, height=HEIGHT)
     stop = (LANDINGS + 0.5) * (2 * SPEED / 9.81 + np.pi * np.sqrt(MASS / STIFFNESS))
     cards = f"""Xsphere v bottom y 0 sphere
-Vground R0 0 0
-Xcontact R0 v bottom 0 contact
+Vground ring0 0 0
+Xcontact ring0 v bottom 0 contact
 .options {options} acct
 .tran 1e-4 {stop} 0 {ceiling} uic"""
     vectors = {"v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}

@@ -41,7 +41,7 @@ def reduced(ratio: float, inertia: str) -> str:
     model = resonators(build.model("kick"))
     with tempfile.TemporaryDirectory() as directory:
         waves = run_deck(make_deck(build), Path(directory))
-    force = np.array([waves[f"contact.force.R{k}"] for k in range(2)]) > 0
+    force = np.array([waves[f"contact.force.ring{k}"] for k in range(2)]) > 0
     events = int((force[:, 1:] & ~force[:, :-1]).sum())
     ends = Waveforms({"time": np.array([0.0, STOP])}, {})
     exact = solve(build, ends).results["sphere.v"][-1]
