@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
@@ -120,11 +121,26 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     )
     facts = {"unknowns": float(P.shape[1] + Q.shape[1])}
     facts["mass_kg"] = float(mass.sum()) / solid.components
+    if (volts := _depoling_voltage(solid, setup)) is not None:
+        facts["depoling_voltage_v"] = volts
     shift = _shift(solid, setup)
     facts |= electromechanical(undamped, shift)
     model = _damped(replace(undamped, facts=facts), solid, P, setup.damping)
     lift = -(Q.T @ full.K_pp @ R).toarray()
     return Device(model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), lift, shift)
+
+
+def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
+    """Voltage [V] beyond which the mean field along the shortest line from an electrode to the
+    reference exceeds a depoling field: more is certainly too much, edges may stand less."""
+    limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
+    known = [limit for limit in limits if limit is not None]
+    pins = [nodes for name, nodes in setup.electrodes.items() if name != setup.reference]
+    if not pins or not known or len(known) < len(limits):
+        return None
+    places = solid.basis(1).doflocs.T
+    near = cKDTree(places[setup.electrodes[setup.reference]])
+    return float(min(known) * min(near.query(places[nodes])[0].min() for nodes in pins))
 
 
 def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:

@@ -16,6 +16,11 @@ from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.naming import self_contained
 from kc2spice.spice.render import render
 
+VALIDITY = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
+LIMITED = (
+    "voltage and current stay within its parameters; compare rms current and power with the data "
+    "sheet of your devices"
+)
 CARRIER = 10.0  # V, peak of the modulator's triangle
 _VOLT, _SIGNAL = ("V", "A"), ("V", "-")
 
@@ -86,7 +91,9 @@ def rendered_driver(
     )
     text = render(
         f"driver_{template}.j2",
-        header=part_header(header, f"{name}: {title}", pins, params),
+        header=part_header(
+            header, f"{name}: {title}", pins, params, rating=LIMITED, validity=VALIDITY
+        ),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),

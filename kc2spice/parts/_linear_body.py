@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
@@ -18,7 +19,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, time_axis, window
 from kc2spice.core.progress import Clock, silent
-from kc2spice.core.quantities import Section
+from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -36,7 +37,7 @@ ANSWERS = {
     "rotational": (1.0, "rad", "angle"),
     "acceleration": (1.0, "m/s2", "a"),
 }
-RATED = "electrodes, by the limit of the field in its ceramic; the netlist itself has no limit"
+RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 POINTS = 600  # of an impedance, besides those near resonances
@@ -55,6 +56,9 @@ class BodyKeys(Section):
     """Keys of every linear body."""
 
     rom: Rom | None = None
+    rated_voltage: Voltage | None = Field(
+        None, gt=0, description="largest between electrodes; by its materials where they say it"
+    )
 
 
 class LinearBody(PartType):
@@ -91,9 +95,16 @@ class LinearBody(PartType):
         """Largest voltage [V] that the material stands between electrodes, None if not known."""
         return None
 
+    def limit(self, part: Part, build: Build) -> float | None:
+        """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
+        known: float | None = part.keys.rated_voltage or self.rated(part)
+        return known or build.model(part).facts.get("depoling_voltage_v")
+
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
-        return {"keys": part.keys.model_dump(mode="json", exclude={"rom", "fields"})}
+        return {
+            "keys": part.keys.model_dump(mode="json", exclude={"rom", "fields", "rated_voltage"})
+        }
 
     # --- scene ----------------------------------------------------------------------------------
 
@@ -200,7 +211,7 @@ class LinearBody(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
-        volts = self.rated(part)
+        volts = self.limit(part, build)
         rating = UNRATED if volts is None else f"{volts:.4g} V between {RATED}"
         title = self.headline(part)
         return (subcircuit(build.model(part), name, header, title=title, rating=rating),)
@@ -242,7 +253,7 @@ class LinearBody(PartType):
             return figures
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
-        volts = self.rated(part)
+        volts = self.limit(part, build)
         electrical = [p for p in self.kept(part, build.scene) if p.kind == "electrical"]
         if volts is None or "time" not in waves:
             return

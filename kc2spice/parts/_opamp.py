@@ -32,7 +32,13 @@ def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
     params = _params(level)
     text = render(
         "opamp.j2",
-        header=part_header(header, f"{name}: {_TITLES[level]}", pins, params),
+        header=part_header(
+            header,
+            f"{name}: {_TITLES[level]}",
+            pins,
+            params,
+            rating="none: ideal" if level == "ideal" else "its output stays between vee and vcc",
+        ),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),

@@ -33,6 +33,7 @@ from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
+RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
@@ -572,7 +573,15 @@ def contact_subcircuit(
     )
     text = render(
         "contact.j2",
-        header=part_header(header, f"{name}: penalty contact", pins, params),
+        header=part_header(
+            header,
+            f"{name}: penalty contact",
+            pins,
+            params,
+            rating=RATING,
+            validity="elastic and normal to the surface, at any temperature: no friction, adhesion "
+            "or plastic flow",
+        ),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),

@@ -64,7 +64,14 @@ class Diode(PartType):
         )
         text = render(
             "diode.j2",
-            header=part_header(header, f"{name}: junction diode", _PINS, params),
+            header=part_header(
+                header,
+                f"{name}: junction diode",
+                _PINS,
+                params,
+                rating="it breaks through at bv; its largest current is in the diode's data sheet",
+                validity="27 C, or what .options temp says; it does not heat up",
+            ),
             name=name,
             pins=[pin.name for pin in _PINS],
             parameters=parameter_list(params),

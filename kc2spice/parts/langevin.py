@@ -39,6 +39,14 @@ stop = "100 kHz"
 """
     source = "FE (piezoelectric, axisymmetric)"
 
+    def rated(self, part: Part) -> float | None:
+        """Rings lie between anode and cathode one by one."""
+        from kc2spice.fem.materials import material
+
+        rings = part.keys.rings
+        limit = material(rings.material, f"{part.name}.rings").depoling_field
+        return None if limit is None else float(limit * rings.thickness)
+
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         faces = ("front",) if part.keys.support == "back" else ("front", "back")
         anode = Port("anode", "electrical", pins=("anode", "cathode"))

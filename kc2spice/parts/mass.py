@@ -58,7 +58,15 @@ dc = "10 mN"
         )
         text = render(
             "mass.j2",
-            header=part_header(header, f"{name}: point mass", _PINS, params),
+            header=part_header(
+                header,
+                f"{name}: point mass",
+                _PINS,
+                params,
+                rating="none: rigid",
+                sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
+                validity="rigid, in vacuum, at any temperature",
+            ),
             name=name,
             pins=[pin.name for pin in _PINS],
             parameters=parameter_list(params),

@@ -132,7 +132,13 @@ def pid_subcircuit(
     gains = [param.name for param in params]
     text = render(
         "pid.j2",
-        header=part_header(header, f"{name}: controller of the sphere's height", pins, params),
+        header=part_header(
+            header,
+            f"{name}: controller of the sphere's height",
+            pins,
+            params,
+            rating="its output stays within current_limit" + " and compliance" * output,
+        ),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),

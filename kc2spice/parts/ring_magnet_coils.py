@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,7 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import (
@@ -53,8 +54,10 @@ from kc2spice.spice.render import render
 MU_0 = 4e-7 * np.pi  # H/m
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
+UNRATED = "not known; compare the coils' currents with what their wire stands"
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
+COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
 
@@ -65,6 +68,9 @@ class Coils(Catch):
         None, description="electronics between controller and real coils: { TYPE = { keys } }"
     )
     of: str | None = Field(None, description="the sphere that it pulls; the only one")
+    rated_rise: Annotated[float, si("K")] = Field(
+        100.0, gt=0, description="by which the wire may heat up; enamel of class 130 from 30 C"
+    )
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,20 @@ def _validity(table: EMTable) -> str:
     )
 
 
+def rated_heating(keys: Coils) -> float:
+    """Integral of the squared current [A^2 s] that warms the wire by its rated rise if no heat
+    leaves it: ``rise c A^2 / resistivity``, whatever the number of turns."""
+    section = np.pi / 4 * keys.wire_diameter**2
+    return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
+
+
+def _rating(keys: Coils) -> str:
+    return (
+        f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that warms its copper "
+        f"by {keys.rated_rise:g} K without cooling; steady current: not known, it depends on that"
+    )
+
+
 def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
     """The terms that matter up to ``current`` [A], in their order."""
     values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
@@ -141,6 +161,7 @@ def catch_subcircuit(
     series: bool = False,
     points: int = POINTS,
     name: str = "catch",
+    rating: str = UNRATED,
 ) -> Subcircuit:
     """The coils and the force they put on the sphere's node ``v``.
 
@@ -160,7 +181,7 @@ def catch_subcircuit(
     values = table.splines(height)
     text = render(
         "catch.j2",
-        header=part_header(header, title, pins, params, validity=_validity(table)),
+        header=part_header(header, title, pins, params, validity=_validity(table), rating=rating),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
@@ -243,8 +264,9 @@ class _Function:
 
 
 def coil_subcircuit(
-    header: Header, table: EMTable, *, points: int = POINTS, name: str = "coil"
-) -> Subcircuit:
+    header: Header, table: EMTable, *, points: int = POINTS, name: str = "coil",
+    rating: str = UNRATED,
+) -> Subcircuit:  # fmt: skip
     """Two coils ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt`` and the sphere's force.
 
     The state of coil k is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor;
@@ -271,6 +293,7 @@ def coil_subcircuit(
             PINS,
             params,
             validity=_validity(table),
+            rating=rating,
         ),
         name=name,
         pins=[pin.name for pin in PINS],
@@ -369,7 +392,7 @@ class RingMagnetCoils(PartType):
                             ring.outer - ring.inner, ring.height, kind, label)  # fmt: skip
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        apart = {"remanence", "shift", "points", "driver", "of"}
+        apart = {"remanence", "shift", "points", "driver", "of", "rated_rise"}
         catch = part.keys.model_dump(mode="json", exclude=apart)
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
@@ -395,15 +418,18 @@ class RingMagnetCoils(PartType):
         return "coil" if real(part, scene) and part.name == "catch" else part.name
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        table, points, name = build.model(part), part.keys.points, build.libraries[part.name]
+        table, name = build.model(part), build.libraries[part.name]
+        told: dict[str, Any] = {
+            "points": part.keys.points, "name": name, "rating": _rating(part.keys)
+        }  # fmt: skip
         if real(part, build.scene):
-            return (coil_subcircuit(header, table, points=points, name=name),)
+            return (coil_subcircuit(header, table, **told),)
         for other in build.scene.parts.values():
             pairs = other.type.coil_currents(other, build.scene)
             if pairs is not None:
-                return (catch_subcircuit(header, table, pairs, points=points, name=name),)
+                return (catch_subcircuit(header, table, pairs, **told),)
         current = largest_current(part, build.scene)
-        return (catch_subcircuit(header, table, current, series=True, points=points, name=name),)
+        return (catch_subcircuit(header, table, current, series=True, **told),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
@@ -462,6 +488,13 @@ class RingMagnetCoils(PartType):
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
+        names = [f"{label(part)}.{coil}.current" for coil in ("lower", "upper")]
+        currents = [waves[name] for name in names if name in waves]
+        if currents:
+            heating = max(float(np.trapezoid(i**2, waves["time"])) for i in currents)
+            advice = "the coils overheat: less current, or thicker wire, or shorter"
+            limit = rated_heating(part.keys)
+            yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
         yield Check(
             f"field of {part.name} between its positions",
             interpolation_error(build.model(part), largest_current(part, build.scene)),

@@ -65,7 +65,14 @@ dc = "1 um"
         )
         text = render(
             "sensor.j2",
-            header=part_header(header, f"{name}: position sensor", _PINS, params),
+            header=part_header(
+                header,
+                f"{name}: position sensor",
+                _PINS,
+                params,
+                rating="no range: compare the reading with that of your sensor",
+                validity="linear, one pole, constant temperature",
+            ),
             name=name,
             pins=[pin.name for pin in _PINS],
             parameters=parameter_list(params),

@@ -280,7 +280,14 @@ def sphere_subcircuit(
     )
     text = render(
         "sphere.j2",
-        header=part_header(header, f"{name}: rigid sphere, vertical motion", pins, params),
+        header=part_header(
+            header,
+            f"{name}: rigid sphere, vertical motion",
+            pins,
+            params,
+            rating="none: rigid",
+            validity="rigid, in vacuum, at any temperature; moves along its axis only",
+        ),
         name=name,
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),

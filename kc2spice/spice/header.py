@@ -13,8 +13,8 @@ from kc2spice.spice.cards import comment, name, number, word
 from kc2spice.spice.circuit import Param, Pin
 
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
-VALIDITY = "at the temperature of its data; nothing here heats up, ages or breaks"
-RATING = "none is checked by the netlist"
+FLOW = "1 V counts from the reference, 1 A into the pin"
+ROOM = "constant temperature; nothing here heats up, ages or breaks"
 OUTWARDS = (
     "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
     "that way with 1 N"
@@ -70,19 +70,22 @@ def part_header(
     title: str,
     pins: tuple[Pin, ...],
     params: tuple[Param, ...] = (),
-    rom: str = "",
-    validity: str = VALIDITY,
-    rating: str = RATING,
+    *,
+    rating: str,
+    validity: str = ROOM,
     sign: str = SIGN,
+    rom: str = "",
 ) -> str:
-    """Everything above ``.subckt``: title, origin, ROM facts, one line per pin and parameter.
+    """Everything above ``.subckt``: title, origin, ROM facts, sign, validity and rating, one line
+    per pin and parameter.
 
     ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
+    ``sign`` is for parts with mechanical pins.
     """
-    mechanical = any(p.flow == "N" for p in pins)
+    sign = sign if any(p.flow == "N" for p in pins) else FLOW
     lines = [f"* {comment(title)}\n{header.origin()}\n{rom}"]
-    lines += [f"* sign: {comment(sign)}\n"] if mechanical else []
-    lines += [f"* validity: {comment(validity)}\n* rating: {comment(rating)}\n"]
+    lines += [f"* sign: {comment(sign)}\n* validity: {comment(validity)}\n"]
+    lines += [f"* rating: {comment(rating)}\n"]
     lines += [
         f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}\n"
         for i, p in enumerate(pins, 1)

@@ -67,7 +67,10 @@ class _Terminal:
         return (f"f{self.pins[0]}" if moved else self.pins[0]), base
 
 
-UNRATED = "none is known; keep every layer's field within its material's limits"
+UNRATED = (
+    "not known; keep field and stress within the limits of its materials (key rated_voltage states "
+    "the largest voltage, and a run then warns beyond it)"
+)
 
 
 def subcircuit(
@@ -392,20 +395,15 @@ def _head(
     params: tuple[Param, ...], order: int, certificate: object,
 ) -> str:  # fmt: skip
     title, rating = told
-    if certificate is None:
-        return part_header(header, f"{name}: {title}", pins, params, rating=rating, sign=OUTWARDS)
-    top = certificate.band_hz[1]  # type: ignore[attr-defined]
+    band, rom = "", ""
+    if certificate is not None:
+        band = f" up to {certificate.band_hz[1]:g} Hz"  # type: ignore[attr-defined]
+        rom = rom_line(order, certificate)  # type: ignore[arg-type]
     return part_header(
-        header,
-        f"{name}: {title}",
-        pins,
-        params,
-        rom=rom_line(order, certificate),  # type: ignore[arg-type]
-        validity=f"small signals up to {top:g} Hz at the temperature of the data; no hysteresis, "
-        "depolarisation or heating",
-        rating=rating,
-        sign=OUTWARDS,
-    )
+        header, f"{name}: {title}", pins, params, rom=rom, sign=OUTWARDS, rating=rating,
+        validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
+        "built-in materials); no hysteresis, depolarisation or heating",
+    )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------- blocks

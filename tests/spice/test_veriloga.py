@@ -284,7 +284,7 @@ def test_contact_is_the_penalty_law(parts, modules, radii):
         x = rng.normal(size=len(compiled.at)) * 20
         x[compiled.at["bottom"]] = rng.uniform(-30, 5)
         eps = rng.uniform(1e8, 1e9)
-        rings = [compiled.at[f"r{k}"] for k in range(6)]
+        rings = [compiled.at[f"ring{k}"] for k in range(6)]
         pen = (x[rings] - x[compiled.at["bottom"]]) * 1e-6 - gaps
         force = eps * np.maximum(pen, 0.0)
         params = {p.name: p.default for p in parts["contact"].params} | {"eps": eps}

@@ -1,0 +1,91 @@
+"""Every committed library stands alone, says what it is, and shares a deck with all others."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.deck import Deck
+from kc2spice.spice.elements import circuit
+from kc2spice.spice.lint import lint
+from kc2spice.spice.read import read_lib
+
+NETLISTS = Path(__file__).parents[2] / "netlists"
+LIBRARIES = sorted(p for p in NETLISTS.glob("*/*.lib") if not p.name.endswith(".ltspice.lib"))
+OURS = [p for p in LIBRARIES if "* tool: kc2spice" in p.read_text()[:400]]
+HEAD = re.compile(r"(?m)^\* (sign|validity|rating): (\S.*)$")
+# what a head says of temperature
+WARMTH = re.compile(r"temperature|27 C")
+
+
+def names(text):
+    return re.findall(r"(?im)^\.subckt\s+(\w+)", text)
+
+
+def called(text):
+    """Subcircuits that X cards name."""
+    cards = re.sub(r"\n\+", " ", text)
+    lines = re.findall(r"(?im)^x.*$", cards)
+    return {[w for w in line.split() if "=" not in w and w != "params:"][-1] for line in lines}
+
+
+def test_all_are_looked_at():
+    assert len(OURS) > 60
+    assert {p.name for p in LIBRARIES} - {p.name for p in OURS} == {"bring_your_own.lib"}
+
+
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_a_library_needs_no_other_file(path):
+    text = path.read_text()
+    assert not re.search(r"(?im)^\.(inc|lib)", text)
+    assert {n.lower() for n in called(text)} <= {n.lower() for n in names(text)}
+
+
+@pytest.mark.parametrize("path", OURS, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_a_head_states_sign_validity_rating_and_units(path):
+    text = path.read_text()
+    head = text.partition(".subckt")[0]
+    assert [key for key, _ in HEAD.findall(head)] == ["sign", "validity", "rating"]
+    told = dict(HEAD.findall(head))
+    assert WARMTH.search(told["validity"])
+    (part,) = read_lib(path)
+    assert [pin.name for pin in part.pins] == re.findall(r"(?m)^\* @pin \d+ (\w+)", head)
+    moved = any(pin.flow == "N" for pin in part.pins)
+    assert ("um" in told["sign"]) == moved
+    for param in part.params:
+        assert param.unit, param.name
+        assert param.low <= param.default <= param.high, param.name
+        assert param.unit == "-" or param.doc, param.name
+
+
+def test_no_two_designs_have_one_name():
+    known = {}
+    for path in LIBRARIES:
+        for name in names(path.read_text()):
+            assert known.setdefault(name.lower(), path) == path, name
+
+
+def test_all_libraries_stand_in_one_deck_and_a_clash_does_not():
+    """Same file names come from different scenes: the deck has them under the scene's name."""
+    files = {f"{p.parent.name}_{p.name}": p.read_text() for p in LIBRARIES}
+    main = "* all\n" + "\n".join(f".include {name}" for name in files) + "\n.end\n"
+    top = circuit("all.cir", {"all.cir": main, **files})
+    assert len(top.subcircuits) == sum(len(names(text)) for text in files.values())
+    kick = NETLISTS / "impact" / "kick.lib"
+    text = "* clash\n.include a.lib\n.include b.lib\n.end\n"
+    clash = Deck(
+        name="clash", text=text, more={"a.lib": kick.read_text(), "b.lib": kick.read_text()}
+    )
+    with pytest.raises(UsageError, match="two subcircuits have one name"):
+        lint(clash)
+
+
+def test_no_pin_reads_as_a_resistor():
+    pins = [pin.name for path in OURS for part in read_lib(path) for pin in part.pins]
+    for path in NETLISTS.glob("*/*.asy"):
+        pins += re.findall(r"(?m)^PINATTR PinName (\S+)", path.read_text())
+    for path in NETLISTS.glob("*/*.kicad_sym"):
+        pins += re.findall(r'\(name "([^"]+)"', path.read_text())
+    assert "ring0" in pins
+    assert not [pin for pin in pins if re.fullmatch(r"(?i)r\d+", pin)]
