@@ -48,6 +48,9 @@ _PAPERS = {
     "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
 }  # fmt: skip
 _STAMP = 40  # mm, height of the title block
+_COMMENT = 80  # letters of a line in it
+_VALUE = 56  # letters of a value
+_NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")
 _OURS = frozenset({".save", ".print", ".end", ".include", ".inc"})
 _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(152, 78, 163)")
 
@@ -88,7 +91,7 @@ def project(deck: Deck) -> dict[str, str]:
     items = [_item(element, drawn, plain) for element in top.elements]
     once = Counter(net for item in items for net in item.nets)
     items += [_probe(net, plain["PROBE"]) for net in once if once[net] == 1 and net not in GROUND]
-    title = shorten(deck.files[deck.main].partition("\n")[0].lstrip("* "), 56) or deck.name
+    title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
     sources = {e.name: _reference(e.statement.words[0]) for e in top.elements}
     commands = [
         " ".join(sources.get(w.lower(), w) for w in s.text.split())
@@ -151,9 +154,15 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     rest = [_reference(w) if w.lower() in element.sources else w for w in rest]
     value = " ".join(rest)
     fields = symbol.fields | {
-        "Reference": name, "Value": value, "Sim.Params": spice(letter, value),
+        "Reference": name, "Value": _shown(value), "Sim.Params": spice(letter, value),
     }  # fmt: skip
     return _placed(symbol, fields, nets)
+
+
+def _shown(value: str) -> str:
+    """A value to be read: six digits, one short line; ``Sim.Params`` has it all."""
+    short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
+    return short if len(short) <= _VALUE else short[: _VALUE - 2].rpartition(" ")[0] + " …"
 
 
 def _probe(net: str, symbol: Symbol) -> _Item:
@@ -210,19 +219,19 @@ def _sheet(
         puts = list(_rows(counted, width))
         bottom = max(put.y + put.item.reach[3] for put in puts) + 3
         right = GRID * (max(put.x + put.item.reach[1] for put in puts) + MARGIN // 2)
-        height = GRID * (bottom + 2 * len(commands)) + _STAMP
+        height = GRID * (bottom + len(commands)) + _STAMP
         paper = next((p for p, (w, h) in _PAPERS.items() if right <= w and height <= h), "A0")
         if paper in _ENOUGH[width]:
             break
     marks = list(_marks(puts, plain))
-    texts = [_text(line, MARGIN, bottom + 2 * k, name) for k, line in enumerate(commands)]
+    texts = [_text(line, MARGIN, bottom + k, name) for k, line in enumerate(commands)]
     used = {put.item.symbol.name: put.item.symbol for put in [*puts, *marks]}
     return write((
         "kicad_sch",
         *HEAD,
         ("uuid", sheet),
         ("paper", paper),
-        ("title_block", ("title", title)),
+        ("title_block", ("title", name), ("comment", 1, shorten(title, _COMMENT))),
         ("lib_symbols", *(s.definition(f"{LIBRARY}:{s.name}") for s in used.values())),
         *(_label(*label, name) for put in puts for label in _labels(put)),
         *texts,

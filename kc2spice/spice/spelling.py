@@ -33,7 +33,7 @@ _COMMON = frozenset(
     ("abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sgn",
      "sin", "sinh", "sqrt", "tan", "tanh", "uramp")
 )  # fmt: skip
-_VECTOR = re.compile(r"(?i)@(?:\w\.)?([\w.]+)\[(?:i|current)\]|([vi])\(([^()]+)\)")
+_VECTOR = re.compile(r"(?i)@(?:\w\.)?([\w.]+)\[(?:i|id|current)\]|([vi])\(([^()]+)\)")
 
 
 class Dialect(Writer, ABC):
