@@ -24,6 +24,7 @@ DECKS = ("ngspice", *SPEAKERS)
 DIALECTS = (*DECKS, "verilog-a")
 _RUN_LINE = re.compile(r"(\* Run it with:\s+)ngspice -b (\S+).*")
 _NGSPICE_COMMAND = re.compile(r"\*.*\bngspice (-\w|\w+_plot)")  # other commands of a deck's head
+_REASON = re.compile(r"\* {8}\S")  # of an option, on the line behind it
 
 
 def translate(deck: Deck, dialect: str) -> Deck:
@@ -107,10 +108,16 @@ def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:
         if s.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
             continue
         said = (_RUN_LINE.sub(rf"\g<1>{speaker.command} \2", line) for line in s.comments)
-        lines += [line for line in said if not _NGSPICE_COMMAND.match(line)]
+        lines += [line for line in said if not _dropped(line, speaker)]
         if s.text:
             lines.append(speaker.card(s))
     return "\n".join(lines) + "\n"
+
+
+def _dropped(line: str, speaker: Dialect) -> bool:
+    """Commands of another simulator, and reasons that stood behind options that are now one."""
+    reason = _REASON.match(line) and ".options" in speaker.joined
+    return bool(_NGSPICE_COMMAND.match(line) or reason)
 
 
 def _merged(cards: list[Statement], joined: frozenset[str]) -> list[Statement]:

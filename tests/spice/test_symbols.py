@@ -177,7 +177,8 @@ SYMBOL = {
 HEAD = {"version": None, "generator": None, "generator_version": None}
 UUID = {"uuid": None}
 SHEET = {
-    **HEAD, **UUID, "paper": None, "title_block": {"title": None, "comment": None}, "lib_symbols": SYMBOL,
+    **HEAD, **UUID, "paper": None, "title_block": {"title": None, "comment": None},
+    "lib_symbols": SYMBOL,
     "global_label": {"shape": None, "at": None, **EFFECTS, **UUID},
     "text": {"exclude_from_sim": None, "at": None, **EFFECTS, **UUID},
     "symbol": {

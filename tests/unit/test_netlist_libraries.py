@@ -7,9 +7,10 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.deck import Deck
+from kc2spice.spice.dialect import translate
 from kc2spice.spice.elements import circuit
 from kc2spice.spice.lint import lint
-from kc2spice.spice.read import read_lib
+from kc2spice.spice.read import read_deck, read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(p for p in NETLISTS.glob("*/*.lib") if not p.name.endswith(".ltspice.lib"))
@@ -89,3 +90,23 @@ def test_no_pin_reads_as_a_resistor():
         pins += re.findall(r'\(name "([^"]+)"', path.read_text())
     assert "ring0" in pins
     assert not [pin for pin in pins if re.fullmatch(r"(?i)r\d+", pin)]
+
+
+@pytest.mark.parametrize("name", ["kick_and_catch", "pwm_coil", "harvester_bridge", "harmonic"])
+def test_decks_for_xyce_are_in_its_own_words(name):
+    """One line of time options (the last replaces others), no ``uramp``, a ceiling of the step."""
+    deck = translate(read_deck(NETLISTS / name / f"{name}.cir"), "xyce")
+    text = deck.files[deck.main]
+    transient = re.findall(r"(?m)^\.tran (\S+) (\S+) (\S+) (\S+)", text)
+    assert text.lower().count(".options timeint") == len(transient)
+    assert all(float(ceiling) <= 1e-6 for *_, ceiling in transient)
+    assert "* Run it with:  Xyce" in text
+    assert "ngspice" not in text
+    cards = "\n".join(
+        line for t in deck.files.values() for line in t.splitlines() if line[:1] != "*"
+    )
+    assert "uramp" not in cards
+    assert "uramp" in LOOP or name != "kick_and_catch"
+
+
+LOOP = (NETLISTS / "kick_and_catch" / "pid.lib").read_text()
