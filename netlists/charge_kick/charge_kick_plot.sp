@@ -2,8 +2,8 @@
 * Run it with:  ngspice charge_kick_plot.sp
 source charge_kick.cir
 run
-plot v(kick_r0) v(kick_r1) v(sphere_y) ylabel 'um' title 'charge_kick'
+plot v(kick_ring0) v(kick_ring1) v(sphere_y) ylabel 'um' title 'charge_kick'
 plot @r.xkick_driver.rout[i] v(xcatch.i) i(vkick_drive) i(vcontrol_enable) ylabel 'A' title 'charge_kick'
-plot @b.xcontact.br0[i] @b.xcontact.br1[i] ylabel 'N' title 'charge_kick'
+plot @b.xcontact.bring0[i] @b.xcontact.bring1[i] ylabel 'N' title 'charge_kick'
 plot v(contact_v) ylabel 'm/s' title 'charge_kick'
 plot v(kick_drive_out) v(control_enable) ylabel 'V' title 'charge_kick'
