@@ -16,7 +16,7 @@ model {name} {name}
 model v vsource
 model resistor resistor
 x1 (anode 0 {rings} 0) {name}
-vdrive (anode 0) v type="pulse" val0=0 val1={volts} delay=1u rise=0.1u fall=0.1u width=24.9u period=1
+v1 (anode 0) v type="pulse" val0=0 val1={volts} delay=1u rise=0.1u fall=0.1u width=24.9u period=1
 {free}
 control
   options tran_method="trap"
