@@ -34,12 +34,14 @@ def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndar
 
 
 def balance(
-    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
-) -> Balance:
+    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray],
+    *, pressed: bool = False,
+) -> Balance:  # fmt: skip
     """Work of voltage and forces on the body against its exact response to the same loads.
 
     What the exact response takes in and does not store is damped. The electrical part needs the
     body's current among the waveforms. The scale is the largest energy stored at any time.
+    ``pressed`` judges until nothing presses on the body any more: the ringing after that is coarse.
     """
     t, none = waves["time"], np.zeros(waves["time"].size)
     loads = np.column_stack(
@@ -66,5 +68,8 @@ def balance(
         entries[what] = entries.get(what, 0.0) + float(found[-1])
         gap += found - took
     entries |= {"stored": float(response.stored[-1]), "damped": float(damped[-1])}
+    if pressed:
+        load = np.abs(list(forces.values())).max(axis=0, initial=0.0)
+        gap = gap[: int(np.flatnonzero(load > 1e-9 * load.max()).max(initial=0)) + 1]
     scale = float(np.ptp(response.stored))
     return Balance(entries, float(np.abs(gap).max()), scale, STORED)

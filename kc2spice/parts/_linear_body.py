@@ -29,7 +29,7 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import UNRATED, reference, subcircuit
+from kc2spice.spice.realize import COARSE, FOLLOWED, UNRATED, reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -214,7 +214,9 @@ class LinearBody(PartType):
         volts = self.limit(part, build)
         rating = UNRATED if volts is None else f"{volts:.4g} V between {RATED}"
         title = self.headline(part)
-        return (subcircuit(build.model(part), name, header, title=title, rating=rating),)
+        watch = COARSE if build.scene.solver.ringing == "coarse" else FOLLOWED
+        model = build.model(part)
+        return (subcircuit(model, name, header, title=title, rating=rating, watch=watch),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}
@@ -277,7 +279,8 @@ class LinearBody(PartType):
         known = all(_voltage_name(part, modal, p) in waves for p in voltages)
         if forces is None or not known:
             return {}
-        return {part.name: chipbook.balance(part.name, modal, waves, forces)}
+        pressed = build.scene.solver.ringing == "coarse"
+        return {part.name: chipbook.balance(part.name, modal, waves, forces, pressed=pressed)}
 
     def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
         """(ports, ports) displacement [m] per force [N] at rest, electrodes at constant voltage."""

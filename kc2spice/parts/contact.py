@@ -62,6 +62,7 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
+    throws = True
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         _, b = sides(part, scene)

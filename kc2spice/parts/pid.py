@@ -1,10 +1,10 @@
-"""PID controller of the sphere's height as an operational-amplifier circuit (paper 2.4)."""
+"""PID controller of the sphere's height: operational amplifiers (paper 2.4), or its law alone."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -45,6 +45,9 @@ class Control(Section):
     kd: Annotated[float, si("A s/m")] = 20.0
     rolloff: Time = Field(100e-9, gt=0, description="time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0)
+    form: Literal["opamps", "ideal"] | None = Field(
+        None, description="of its netlist: amplifiers, or the law without them, which is faster"
+    )
     enable_at: Time | tuple[Time, ...] = Field(0.5e-3, description="one time or a list")
     disable_at: tuple[Time, ...] = Field((), description="after each enable_at but the last")
     of: str | None = Field(None, description="the sphere whose height it controls; the only one")
@@ -121,23 +124,28 @@ def pid_subcircuit(
     pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
     supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
     rail = max(15.0, HEADROOM * sense * control.current_limit)
-    params = (
-        Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
-        *_gains(control),
-        positive("current_limit", control.current_limit, "A", "largest coil current"),
+    ideal = control.form == "ideal"
+    amplifiers = (
         Param("offset", 0.0, "V", "input offset of the error amplifier; 1 mV is 1 um of height"),
         positive("rail", rail, "V", "supply of the signal amplifiers"),
         *((supply,) if output else ()),
     )
+    params = (
+        Param("setpoint", control.setpoint, "m", "height of the sphere's centre"),
+        *_gains(control),
+        positive("current_limit", control.current_limit, "A", "largest coil current"),
+        *(() if ideal else amplifiers),
+    )
     gains = [param.name for param in params]
     text = render(
-        "pid.j2",
+        "pid_ideal.j2" if ideal else "pid.j2",
         header=part_header(
             header,
             f"{name}: controller of the sphere's height",
             pins,
             params,
-            rating="its output stays within current_limit" + " and compliance" * output,
+            rating="its output stays within current_limit"
+            + " and compliance" * (output and not ideal),
         ),
         name=name,
         pins=[pin.name for pin in pins],
@@ -151,13 +159,14 @@ def pid_subcircuit(
         output=output,
     )
     part = Subcircuit(name, pins, params, text)
-    return self_contained(part, [opamp_subcircuit(header)])
+    return part if ideal else self_contained(part, [opamp_subcircuit(header)])
 
 
 class Pid(PartType):
     name = "pid"
-    title = "PID controller of a sphere's height, of operational amplifiers"
+    title = "PID controller of a sphere's height"
     schema = Control
+    exact: ClassVar[Mapping[str, Any]] = {"form": "ideal"}
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -284,11 +293,15 @@ class Pid(PartType):
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         coils = "real coils" if _remote(part, scene) else "current-driven coils"
-        detail = f"op-amp PID, output clamped at {part.keys.current_limit:g} A, {coils}"
+        form = "ideal" if part.keys.form == "ideal" else "op-amp"
+        detail = f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
         return Modelled(part.name, "circuit", detail)
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         keys, usual = part.keys, Control()
+        if keys.form == "ideal":
+            yield ErrorRow("controller", None, 0.0, "its law", "the netlist has no amplifiers")
+            return
         gains = ("kp", "ki", "kd", "rolloff")
         known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
         known = known and usual.current_limit <= keys.current_limit <= HIGHEST

@@ -20,44 +20,33 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
-from kc2spice.scene.parttype import PartType
+from kc2spice.scene.parttype import PartType, Setting
 
 BUDGET_KEYS = (
     "rom.order", "rom.tolerance", "rom.band", "solver.reltol", "solver.chgtol",
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Values of keys, the error that they are good for, and what they cost beside other rows."""
-
-    error: float
-    keys: dict[str, Any]
-    cost: float = 1.0
-
-
 # Contact excites the chip far beyond the band of a harmonic sweep, so that the band matters more
-# than the tolerance. Found over all kicks: at most 1.1e-3, 4.2e-4 and 7.9e-5. Fewer states than
-# these give contact forces so ragged that it cannot be told which rings close; more do not help:
-# two contact phases make the launch so sensitive that 48 or 60 Krylov states do no better.
+# than the tolerance. Found over all kicks: at most 1.7e-3, 8.8e-4 and 7.5e-5. Fewer states than
+# these give contact forces so ragged that it cannot be told which rings close.
 REDUCTION = (
-    Setting(2e-3, {"rom.tolerance": 1e-6, "rom.band": (0.0, 500e3)}, cost=10),  # states
-    Setting(6e-4, {"rom.tolerance": 1e-3, "rom.band": (0.0, 1e6)}, cost=17),
-    Setting(8e-5, {"rom.tolerance": 1e-2, "rom.band": (0.0, 2e6)}, cost=39),
+    Setting(2e-3, {"rom.tolerance": 1e-6, "rom.band": (0.0, 500e3)}, cost=12),  # states
+    Setting(1e-3, {"rom.tolerance": 1e-3, "rom.band": (0.0, 1e6)}, cost=17),
+    Setting(8e-5, {"rom.tolerance": 1e-2, "rom.band": (0.0, 2e6)}, cost=40),
 )
-# Found over kicks of 40 to 105 V, the worse of launch and position: 7.9e-4, 2.9e-4, 1.4e-4, 9.1e-5,
-# 6.1e-5, 3.0e-5, 1.4e-5 and 6.8e-6. A reltol of 3e-2 gives 5.4e-3, but its contact makes or loses
-# 4 % of the energy.
+# Found over kicks of 40 to 105 V of that chip with 39 states, the worse of launch and position:
+# 2.4e-4, 1.1e-4, 5.3e-5, 2.8e-5, 2.6e-5 and 1.4e-5. Errors of motion in free flight and in contact
+# fall as (reltol chgtol)^0.55, time points grow with its cube root.
 STEPPING = (
-    Setting(1.2e-3, {"solver.reltol": 1e-2, "solver.chgtol": 1e-9}, cost=2.0e3),  # time points
-    Setting(6e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-9}, cost=3.0e3),
-    Setting(2.5e-4, {"solver.reltol": 1e-3, "solver.chgtol": 1e-9}, cost=4.4e3),
-    Setting(1.5e-4, {"solver.reltol": 1e-4, "solver.chgtol": 1e-8}, cost=5.9e3),
-    Setting(1e-4, {"solver.reltol": 3e-4, "solver.chgtol": 1e-9}, cost=6.6e3),
-    Setting(5e-5, {"solver.reltol": 1e-4, "solver.chgtol": 1e-9}, cost=9.4e3),
-    Setting(2.2e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=13.9e3),
-    Setting(1e-5, {"solver.reltol": 1e-5, "solver.chgtol": 1e-10}, cost=27.9e3),
+    Setting(3e-4, {"solver.reltol": 1e-2, "solver.chgtol": 1e-8}, cost=0.7e3),  # time points
+    Setting(1.2e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-8}, cost=1.0e3),
+    Setting(5.5e-5, {"solver.reltol": 8e-4, "solver.chgtol": 1e-8}, cost=1.3e3),
+    Setting(3e-5, {"solver.reltol": 3e-4, "solver.chgtol": 1e-8}, cost=1.7e3),
+    Setting(1.5e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=5.5e3),
 )
+# What only scenes whose result is a launch may do: forget how the body rings after it.
+LAUNCH: dict[str, Any] = {"solver.ringing": "coarse", "solver.max_step": 50e-6}
 # Error of the smooth lookup over its points: 1.3e-3 at 31, 2.9e-5 at 101, 3.3e-6 at 201, 5e-8 at
 # 801, thus by the third power of the spacing. A force that is off by e of the largest all the way
 # moves the flight by F e T^2 / 2 m, at most twice e of the travel. Points cost text, not time.
@@ -67,18 +56,43 @@ FEWEST_CELLS, MOST_CELLS = 20, 2000
 LOOKUP_SHARE = 0.05  # of the budget is left to the lookup at least
 
 
+_TARGETS = ("order", "tolerance")  # stand for each other
+
+
 @dataclass(frozen=True)
 class Stages:
     """What a scene has that costs accuracy: a transient, a reduced body, a lookup.
 
     ``lookup`` is the dotted key of the lookup's points, None where there is none. A lookup's error
-    grows over a ``flight``.
+    grows over a ``flight``. ``throws`` tells whether the result is a launch; ``reductions`` and
+    ``steppings`` are the settings known for its bodies and its motion.
     """
 
     transient: bool
     reduced: bool
     lookup: str | None
     flight: bool
+    throws: bool = False
+    reductions: tuple[Setting, ...] = REDUCTION
+    steppings: tuple[Setting, ...] = STEPPING
+
+    @classmethod
+    def of(cls, types: Mapping[str, PartType], transient: bool) -> Stages:
+        """Stages of a scene with parts of these types."""
+        lookups = [f"{name}.{kind.lookup_key}" for name, kind in types.items() if kind.lookup_key]
+        bodies = [kind.reductions for kind in types.values() if kind.reduced]
+        own = bodies[0] if bodies and all(each is bodies[0] for each in bodies) else ()
+        steppings = next((kind.steppings for kind in types.values() if kind.steppings), STEPPING)
+        throws = transient and any(kind.throws for kind in types.values())
+        return cls(
+            transient=transient,
+            reduced=bool(bodies),
+            lookup=lookups[0] if len(lookups) == 1 else None,
+            flight=transient,
+            throws=throws and steppings is STEPPING,
+            reductions=own or REDUCTION,
+            steppings=steppings,
+        )
 
 
 def divide(stages: Stages, budget: float) -> dict[str, Setting]:
@@ -124,8 +138,8 @@ def _lookup(stages: Stages, share: float) -> Setting:
 
 
 def _rows(stages: Stages) -> dict[str, tuple[Setting, ...]]:
-    rows: dict[str, tuple[Setting, ...]] = {"reduction": REDUCTION, "time stepping": STEPPING}
-    return rows if stages.reduced else {"time stepping": STEPPING}
+    rows = {"time stepping": stages.steppings}
+    return {"reduction": stages.reductions, **rows} if stages.reduced else rows
 
 
 def _sum(choice: tuple[Setting, ...]) -> float:
@@ -146,6 +160,8 @@ def known_error(rows: tuple[Setting, ...], values: Mapping[str, Any]) -> float |
 def _meets(value: Any, limit: Any) -> bool:
     if isinstance(limit, tuple):  # a band is met by a wider one
         return bool(value[0] <= limit[0] and value[1] >= limit[1])
+    if isinstance(limit, int):  # an order is known for itself alone: the next may well be worse
+        return bool(value == limit)
     return value is not None and value <= limit
 
 
@@ -154,14 +170,21 @@ def stages_of(data: Mapping[str, Any], types: Mapping[str, PartType]) -> Stages:
     asked = [kind.analysis_type for kind in types.values() if kind.analysis_type]
     table = data.get("analysis")
     own = table.get("type", "transient") if isinstance(table, Mapping) else None
-    lookups = [f"{name}.{kind.lookup_key}" for name, kind in types.items() if kind.lookup_key]
-    transient = (own or (asked[0] if asked else "transient")) == "transient"
-    return Stages(
-        transient=transient,
-        reduced=any(kind.reduced for kind in types.values()),
-        lookup=lookups[0] if len(lookups) == 1 else None,
-        flight=transient,
-    )
+    return Stages.of(types, (own or (asked[0] if asked else "transient")) == "transient")
+
+
+def budget_keys(data: Mapping[str, Any], types: Mapping[str, PartType]) -> tuple[str, ...]:
+    """Dotted keys that an error budget sets; one on the command line replaces the file's."""
+    return (*BUDGET_KEYS, *(LAUNCH if stages_of(data, types).throws else ()))
+
+
+def _launch(solver: Any) -> dict[str, Any]:
+    """LAUNCH with steps within the simulated time."""
+    try:
+        stop = quantity(solver.get("stop", LAUNCH["solver.max_step"]), "s")
+    except (UsageError, AttributeError):
+        return LAUNCH  # the schema complains about it
+    return {**LAUNCH, "solver.max_step": min(LAUNCH["solver.max_step"], stop)}
 
 
 def fill(
@@ -169,7 +192,7 @@ def fill(
 ) -> tuple[dict[str, Any], frozenset[str]]:
     """A scene's raw ``data`` with the keys that its error_budget sets, and their names.
 
-    What the scene says itself stays; order and tolerance of the reduction stand for each other.
+    What the scene says itself stays.
     """
     filled = dict(data)
     if data.get("error_budget") is None:
@@ -180,13 +203,17 @@ def fill(
         return filled, frozenset()  # left for the schema to complain about
     if not budget > 0:
         return filled, frozenset()
+    stages = stages_of(data, types)
+    keys = [item for setting in divide(stages, budget).values() for item in setting.keys.items()]
+    if stages.throws:
+        keys += _launch(filled.get("solver", {})).items()
+        keys += [(f"{n}.{k}", v) for n, kind in types.items() for k, v in kind.exact.items()]
     names: list[str] = []
-    for setting in divide(stages_of(data, types), budget).values():
-        for name, value in setting.keys.items():
-            section, key = name.split(".")
-            table = filled.get(section, {})
-            taken = {"tolerance": ("order", "tolerance")}.get(key, (key,))
-            if isinstance(table, Mapping) and not any(each in table for each in taken):
-                filled[section] = {**table, key: value}
-                names.append(name)
+    for name, value in keys:
+        section, key = name.split(".")
+        table = filled.get(section, {})
+        taken = {"tolerance": _TARGETS, "order": _TARGETS}.get(key, (key,))
+        if isinstance(table, Mapping) and not any(each in table for each in taken):
+            filled[section] = {**table, key: value}
+            names.append(name)
     return filled, frozenset(names)

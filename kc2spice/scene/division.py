@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from kc2spice.scene.budget import REDUCTION, STEPPING, Stages, divide, known_error, lookup_error
+from kc2spice.scene.budget import Stages, divide, known_error, lookup_error
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import ErrorRow
 
@@ -17,14 +17,8 @@ KEYS = {
 
 def stages(scene: Scene) -> Stages:
     """What of a checked scene costs accuracy."""
-    lookups = [f"{p.name}.{p.type.lookup_key}" for p in scene.parts.values() if p.type.lookup_key]
-    transient = scene.analysis.type == "transient"
-    return Stages(
-        transient=transient,
-        reduced=any(part.type.reduced for part in scene.parts.values()),
-        lookup=lookups[0] if len(lookups) == 1 else None,
-        flight=transient,
-    )
+    types = {part.name: part.type for part in scene.parts.values()}
+    return Stages.of(types, scene.analysis.type == "transient")
 
 
 def division(scene: Scene, *, estimate: bool = False) -> tuple[ErrorRow, ...]:
@@ -63,7 +57,7 @@ def _expected(scene: Scene, found: Stages, stage: str, values: dict[str, Any]) -
         return lookup_error(found, next(iter(values.values())))
     if not found.transient:
         return scene.rom.tolerance
-    return known_error(REDUCTION if stage == "reduction" else STEPPING, values)
+    return known_error(found.reductions if stage == "reduction" else found.steppings, values)
 
 
 def _value(scene: Scene, name: str) -> Any:

@@ -17,7 +17,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import identifier, read_bounded, text_of
 from kc2spice.core.toml import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml
 from kc2spice.core.words import did_you_mean
-from kc2spice.scene.budget import BUDGET_KEYS, fill
+from kc2spice.scene.budget import budget_keys, fill
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import composed
 from kc2spice.scene.keys import model_keys, scene_keys, submodel
@@ -91,7 +91,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         if "part" not in data[name]:
             data[name] = {**kind.defaults(data[name], data), **data[name]}
     if ("error_budget",) in source.overrides:
-        _drop_budgeted(data, source)
+        _drop_budgeted(data, source, budget_keys(data, types))
     tables = _copied(data)  # what the budget sets is left open in them
     data, budgeted = fill(data, types)
     frame = {key: data[key] for key in data if key not in types}
@@ -316,9 +316,9 @@ def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source
     table[path[-1]] = value
 
 
-def _drop_budgeted(data: dict[str, Any], source: _Source) -> None:
-    """Drop what the file says about keys that an overriding error_budget sets."""
-    for name in BUDGET_KEYS:
+def _drop_budgeted(data: dict[str, Any], source: _Source, keys: tuple[str, ...]) -> None:
+    """Drop what the file says about ``keys``, which an overriding error_budget sets."""
+    for name in keys:
         section, key = name.split(".")
         if (section, key) not in source.overrides and isinstance(data.get(section), dict):
             data[section].pop(key, None)

@@ -70,6 +70,15 @@ class ErrorRow:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """Values of dotted keys, the relative error that they are good for, what they cost."""
+
+    error: float
+    keys: dict[str, Any]
+    cost: float = 1.0
+
+
+@dataclass(frozen=True)
 class Surface:
     """What a part offers to a contact: its pins there and their distance from the axis [m].
 
@@ -161,6 +170,14 @@ class PartType(ABC):
     reduced: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
     lookup_key: ClassVar[str | None] = None
+    #: reductions measured for bodies of this type, from loose to tight; empty: those of any body
+    reductions: ClassVar[tuple[Setting, ...]] = ()
+    #: time steppings measured where it makes the motion, likewise
+    steppings: ClassVar[tuple[Setting, ...]] = ()
+    #: keys of its own that an error budget sets, as they cost nothing of it
+    exact: ClassVar[Mapping[str, Any]] = {}
+    #: whether it throws what rests on it, so that a launch is the result of a transient
+    throws: ClassVar[bool] = False
     #: type of the analysis that it asks for (:meth:`analysis`)
     analysis_type: ClassVar[str | None] = None
 

@@ -45,6 +45,9 @@ class Solver(Section):
     reltol: Ratio = Field(1e-4, gt=0, lt=1)
     chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
     trtol: Ratio = Field(1.0, ge=1, le=10, description="of ngspice: trust in the error estimate")
+    ringing: Literal["followed", "coarse"] | None = Field(
+        None, description="of bodies; coarse where only what they throw is asked for: fewer steps"
+    )
     method: Literal["trap", "gear"] = "trap"
     max_step: Time = Field(10e-6, gt=0)
     stop: Time = Field(5e-3, gt=0)

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 MICRO = 1e-6  # 1 V on a displacement pin is 1 um, 1 V on a charge node 1 uC
 STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
 SIEMENS = 1.0  # of a state without inertia; its capacitance is its relaxation time
-FAST = 3.0  # times the lowest frequency; slower modes need less care, see kick.j2
-SHARE = 0.01  # of the clamped capacitance that step control sees; its charge is the modes' own
 SILENT = 1e-9  # of the largest share of a mode in every port; such modes move no port
 LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 # A block whose smallest singular value is this far below the band integrates constant inputs.
@@ -33,6 +31,23 @@ FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
 _INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of the templates
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What step control sees of a body: an error of charge is its error of motion, see kick.j2.
+
+    Modes below ``full`` times the lowest frequency sit on less than a microfarad by the ``power``
+    of their frequency; a ``share`` of the clamped capacitance is one, whose charge is the modes'.
+    """
+
+    full: float
+    power: int
+    share: float
+
+
+FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
+COARSE = Watch(8.0, 4, 1e-4)  # only what a contact throws is: half the time points
 
 
 @dataclass(frozen=True)
@@ -82,6 +97,7 @@ def subcircuit(
     rating: str = UNRATED,
     ports: Sequence[str] | None = None,
     dense: bool = False,
+    watch: Watch = FOLLOWED,
 ) -> Subcircuit:
     """One ``.subckt`` with the pins of every port of ``rom``.
 
@@ -100,6 +116,7 @@ def subcircuit(
     header : origin; that of the model itself unless given.
     title, rating : what the device is and what it stands, for the head of the library.
     ports : names of the ports to bring out, all by default; the others see no load.
+    watch : how closely step control follows the modes of the resonator form.
 
     Raises
     ------
@@ -115,7 +132,8 @@ def subcircuit(
     if conservative and not dense and rom.symmetric and not rom.first_order:
         try:
             modal = resonators(rom)
-            return _resonators(modal, name, header, (title, rating), rom.facts.get("mass_kg"))
+            mass = rom.facts.get("mass_kg")
+            return _resonators(modal, name, header, (title, rating), mass, watch)
         except UsageError as error:
             if error.where != "resonator form":
                 raise
@@ -243,16 +261,18 @@ class _Mode:
 
 
 def _resonators(
-    model: Resonators, name: str, header: Header, told: tuple[str, str], mass: float | None
-) -> Subcircuit:
+    model: Resonators, name: str, header: Header, told: tuple[str, str], mass: float | None,
+    watch: Watch,
+) -> Subcircuit:  # fmt: skip
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 3 w_1)^2)``: step control sees an error of charge, ``C`` times that
-    of the displacement, and slow modes decide nothing in a contact, but ring long after it.
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or as ``watch`` says: step control sees an error of
+    charge, ``C`` times that of the displacement, and slow modes decide nothing in a contact, but
+    ring long after it.
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
     ``C = G d / w^2``.
     """
@@ -267,7 +287,7 @@ def _resonators(
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
     scale = np.where(scale > 0, scale, 1.0)
-    farads = _farad(omega[:heavy])
+    farads = _farad(omega[:heavy], watch)
     modes = [
         _mode(j, omega[j], damp[j], gain[j], scale[j], float(farads[j]), terminals, base)
         for j in range(heavy)
@@ -293,8 +313,9 @@ def _resonators(
         modes=modes,
         silent=model.order - kept.order,
         weighted=farads.min() < STATE,
-        full=FAST,
-        share=SHARE,
+        full=watch.full,
+        power=watch.power,
+        share=watch.share,
         leak=LEAK,
     )
     return Subcircuit(name, pins, params, text)
@@ -385,9 +406,9 @@ def _audible(model: Resonators) -> Resonators:
     )  # fmt: skip
 
 
-def _farad(omega: np.ndarray) -> np.ndarray:
+def _farad(omega: np.ndarray, watch: Watch) -> np.ndarray:
     """Capacitance of every mode's two states."""
-    return STATE * np.minimum(1.0, (omega / (FAST * omega.min())) ** 2)
+    return STATE * np.minimum(1.0, (omega / (watch.full * omega.min())) ** watch.power)
 
 
 def _head(
@@ -473,7 +494,7 @@ def _blocks(
         outputs=[_Output(i, t.pins[0], t.sums, t.through) for i, t in enumerate(outputs, 1)],
         blocks=_block_cards(model, farad, terminals, base),
         farad=farad,
-        share=SHARE,
+        share=FOLLOWED.share,
         leak=LEAK,
     )
     return Subcircuit(name, pins, (), text)

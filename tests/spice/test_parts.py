@@ -190,13 +190,18 @@ Rcoils drive ret 3192
         "error": ("v(xpid.e)", 1 / 2e3),
     }
     if control.ki:
-        vectors["integral"] = ("v(xpid.i)", -10.0 / 2e3)
+        scale = 1 / control.ki if control.form == "ideal" else -10.0 / 2e3
+        vectors["integral"] = ("v(xpid.i)", scale)
     parts = [opamp_subcircuit(header), pid_subcircuit(header, control, load=load)]
     return bench(parts, cards, vectors, stop)
 
 
-def test_controller_follows_the_law(header, tmp_path):
-    control = Control()
+FORMS = pytest.mark.parametrize("form", ["opamps", "ideal"])
+
+
+@FORMS
+def test_controller_follows_the_law(header, form, tmp_path):
+    control = Control(form=form)
     # a ramp of 2 mm/s through the set point: P and D both inside the clamp
     deck = controller(header, control, "0 2499 1e-03 2501", 1e-3)
     waves = run_deck(deck, tmp_path)
@@ -209,8 +214,9 @@ def test_controller_follows_the_law(header, tmp_path):
     assert np.abs(waves["error"] - error)[late].max() < 1e-5 * 1e-3
 
 
-def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header, tmp_path):
-    control = Control()
+@FORMS
+def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header, form, tmp_path):
+    control = Control(form=form)
     # 3 ms far below the set point, then just above it
     position = "0 1000 3e-03 1000 3.01e-03 2501 4e-03 2501"
     waves = run_deck(controller(header, control, position, 4e-3, 1e-3), tmp_path)
@@ -238,9 +244,10 @@ def test_every_current_limit_acts(header, kp, limit, tmp_path):
     assert np.abs(waves["i"] - law)[late].max() < 5e-4 * limit
 
 
+@FORMS
 @pytest.mark.parametrize("limit", [0.1, 1.0])
-def test_command_to_a_driver_reaches_every_limit(header, limit, tmp_path):
-    control = Control(kp=200.0, ki=0.0, kd=0.0, current_limit=limit)
+def test_command_to_a_driver_reaches_every_limit(header, limit, form, tmp_path):
+    control = Control(kp=200.0, ki=0.0, kd=0.0, current_limit=limit, form=form)
     cards = """Vy y 0 DC 0
 Venable enable 0 1
 Xpid y enable command 0 pid
@@ -258,12 +265,13 @@ def test_stages_without_gain_are_left_out(header, gains, tmp_path):
     assert [stage in text for stage in stages] == [gain > 0 for gain in gains]
 
 
+@FORMS
 @pytest.mark.parametrize("how", ["export", "instance"])
-def test_controller_has_the_gains_asked_for(header, how, tmp_path):
+def test_controller_has_the_gains_asked_for(header, how, form, tmp_path):
     """Small signals by ``KP + KI / s + KD s / (1 + s rolloff)``, exported or set in the deck."""
-    control = Control(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7)
+    control = Control(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7, form=form)
     given = f"kp={control.kp} ki={control.ki} kd={control.kd} rolloff={control.rolloff}"
-    exported = control if how == "export" else Control()
+    exported = control if how == "export" else Control(form=form)
     cards = f"""Vy y 0 DC 2500 AC 1
 Venable enable 0 1
 Xpid y enable command 0 pid {given if how == "instance" else ""}
@@ -274,6 +282,8 @@ Xpid y enable command 0 pid {given if how == "instance" else ""}
     law = control.kp + control.ki / s + control.kd * s / (1 + s * control.rolloff)
     # KI is 1.6 % of the law at 100 Hz. Three stages of 15 to 25 MHz lag by 30 ns together.
     error = np.abs(-1e6 * waves["out"] / law - 1)
+    if form == "ideal":  # milliohm and kiloohm at the differentiator
+        assert error.max() < 5e-6
     assert error[0] < 1e-3
     assert (error / waves["frequency"]).max() < 2 * np.pi * 40e-9 + 1e-5
 
