@@ -9,14 +9,17 @@ from __future__ import annotations
 import multiprocessing as mp
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.report.plots import load
+
+T = TypeVar("T")
 
 # A fork has all modules already and does not run the script again that uses this package.
 _START = "fork" if "fork" in mp.get_all_start_methods() else None
@@ -59,6 +62,32 @@ class PlotWorker:
         self._ours.close()
 
 
+def share(function: Callable[..., list[T]], directory: Path, items: Sequence[Any]) -> list[T]:
+    """``function(directory, items)``, every second item in a fork of this process where it can.
+
+    For the process of a :class:`PlotWorker`, which has no threads that a fork would break.
+    """
+    if _START != "fork" or len(items) < 2 or (os.cpu_count() or 1) < 2:
+        return function(directory, items)
+    ours, theirs = mp.Pipe(duplex=False)
+    child = os.fork()
+    if child == 0:
+        theirs.send(_answer(function, (directory, items[1::2])))
+        os._exit(0)
+    theirs.close()
+    try:
+        mine = function(directory, items[::2])
+        good, rest = ours.recv()
+    finally:
+        ours.close()
+        os.waitpid(child, 0)
+    if not good:
+        raise rest
+    found: list[T] = [*mine, *rest]
+    found[::2], found[1::2] = mine, rest
+    return found
+
+
 def require_matplotlib() -> None:
     """Before anything is computed.
 
@@ -84,11 +113,16 @@ def _serve(parents: Connection, own: Connection) -> None:
             function, arguments = own.recv()
         except (EOFError, OSError):
             return
-        try:
-            answer = (True, function(*arguments))
-        except Exception as error:
-            answer = (False, error)
+        answer = _answer(function, arguments)
         try:
             own.send(answer)
         except OSError:  # killed meanwhile: nobody is left to tell
             return
+
+
+def _answer(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
+    """Whether it went well, and what it returned or raised."""
+    try:
+        return True, function(*arguments)
+    except Exception as error:
+        return False, error

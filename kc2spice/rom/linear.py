@@ -394,7 +394,8 @@ def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
 
 
 def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
-    plain = values.toarray() if sparse.issparse(values) else np.asarray(values)
+    full = isinstance(values, np.ndarray) or not sparse.issparse(values)  # asks scipy last
+    plain = np.asarray(values) if full else values.toarray()
     _finite(plain, letter, where)
     if plain.ndim != 2:
         raise UsageError(

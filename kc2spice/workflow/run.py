@@ -18,7 +18,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
 from kc2spice.report.plots import Picture
-from kc2spice.report.plotworker import PlotWorker
+from kc2spice.report.plotworker import PlotWorker, share
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.model import Scene
@@ -81,7 +81,7 @@ def run(
         with kept_on_failure(work, out, scene.name):
             done = complete(scene, work, progress, trust=trust, deck=deck)
         return write_run_files(
-            done, work, lambda figures: plots.draw(draw_all, work, figures).result, keep=keep
+            done, work, lambda figures: plots.draw(share, draw_all, work, figures).result, keep=keep
         )
 
 

@@ -16,7 +16,6 @@ from types import ModuleType
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import brentq
 from scipy.sparse.csgraph import shortest_path
 from skfem import ElementHex1, ElementHex2, MeshHex1, MeshHex2
 
@@ -225,7 +224,12 @@ def _growth(length: float, first: float, count: int) -> float:
     if count == 1 or length <= first * count:
         return 1.0
     powers = np.arange(count)
-    return float(brentq(lambda g: first * np.sum(g**powers) - length, 1.0, length / first))
+    growth, step = length / first, 1.0  # Newton's method from above: convex, so it never overshoots
+    while step > 1e-13 * growth:
+        sizes = growth**powers
+        step = (sizes.sum() - length / first) / (powers * sizes / growth).sum()
+        growth -= step
+    return float(growth)
 
 
 def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:
