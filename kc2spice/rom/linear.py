@@ -325,7 +325,7 @@ def with_potentials(
         K_up, K_pp = sparse.csc_array(K_up), sparse.csc_array(K_pp)
         K = Schur(sparse.csc_array(K_uu), K_up, sparse.csc_array(K_up.T), -K_pp)
         k_pV = np.zeros((K_pp.shape[0], electrodes)) if k_pV is None else np.asarray(k_pV)
-        k_pV = k_pV.reshape(-1, electrodes)
+        k_pV = k_pV.reshape(K_pp.shape[0], -1)
         lift = -K.inner.solve(k_pV)
         b = b + K_up @ lift
         C0 = C0 - k_pV.T @ lift

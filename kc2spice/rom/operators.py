@@ -60,6 +60,8 @@ class Schur:
         return Schur(*(sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
+        if np.iscomplexobj(x):  # of real blocks, whose factor takes real vectors
+            return self @ x.real + 1j * (self @ x.imag)
         return self.uu @ x - self.up @ self.inner.solve(self.pu @ x)
 
     def scaled(self, t: np.ndarray) -> Schur:

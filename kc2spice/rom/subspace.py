@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.krylov import DEFLATION, extend
 from kc2spice.rom.operators import Schur
@@ -35,6 +36,8 @@ from kc2spice.rom.response import (
     grid,
     relative_size,
 )  # fmt: skip
+
+linalg = lazy("scipy.linalg")
 
 WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
@@ -239,7 +242,7 @@ def _rational(
     if worst > limit:
         raise _unsettled(search.response, band, worst, limit)
     proof = f"checked against the full model at {search.points} frequencies"
-    V, rounding = search.basis, 0.0
+    V, rounding = search.modal, 0.0
     if not search.static:
         K = pencil.coefficients[0]
         K = abs(K.uu if isinstance(K, Schur) else K)
@@ -299,6 +302,7 @@ class _Search:
             dual = pencil.transposed()
             self._sides.append(_Sketch(sketch, dual.coefficients, dual.B))
         self._used: list[complex] = []
+        self.turn = np.empty((0, 0))
         self.response = Response(pencil.project(self.basis))
         self._previous = self.response
         self.static = self._add_static()
@@ -336,7 +340,7 @@ class _Search:
             raise SimulationError("no frequency is left to sample", where="reduction")
         measure = size.max(axis=(1, 2))
         if self.points % 2:
-            measure = self._sides[0].residual(s, self.response.states(s))
+            measure = self._sides[0].residual(s, self.turn @ self.response.states(s))
             if self.two_sided:
                 dual = Response(self.response.pencil.transposed())
                 measure = measure * self._sides[1].residual(s, dual.states(s))
@@ -384,7 +388,14 @@ class _Search:
         self.basis = np.hstack([self.basis, fresh])
         for side in self._sides:
             side.extend(fresh)
-        self._previous, self.response = self.response, Response(self.pencil.project(self.basis))
+        self.turn = _modes(self.pencil.project(self.basis))
+        self._previous, self.response = self.response, Response(self.pencil.project(self.modal))
+
+    @property
+    def modal(self) -> np.ndarray:
+        """The basis turned into the modes of its projection, which makes them small differences of
+        few large numbers: what is projected on them anew keeps the digits of thin bodies."""
+        return self.basis @ self.turn
 
 
 class _Sketch:
@@ -408,6 +419,17 @@ class _Sketch:
         )  # fmt: skip
         size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny
         return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
+
+
+def _modes(pencil: Pencil) -> np.ndarray:
+    """Undamped modes of a small symmetric pencil of second order, the unit matrix of any other."""
+    if pencil.degree == 2 and pencil.symmetric:
+        K, _, M = pencil.coefficients
+        try:
+            return np.asarray(linalg.eigh(K, M)[1])
+        except np.linalg.LinAlgError:  # no definite mass
+            pass
+    return np.eye(pencil.size)
 
 
 def _parts(x: np.ndarray) -> list[np.ndarray]:
