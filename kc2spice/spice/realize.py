@@ -517,8 +517,8 @@ def _block_port(
             cards = _through(t, terminals, direct, base) if np.abs(direct).max() > 0 else ()
             sums = _nonzero(rate, base) + tuple(replace(c, label=f"t{c.label}") for c in cards)
             return replace(t, sums=sums)
-        through = -(rate @ model.B)
-        through[t.column] = mass if mass is not None else 0.0
+        through = -(rate @ model.B)  # F = m a - y'', y'' = C A^2 z + C A B u
+        through[t.column] = 0.0 if mass is None else mass + through[t.column]
         return replace(t, sums=_nonzero(-(rate @ A), base),
                        through=_through(t, terminals, through, base))  # fmt: skip
     return replace(
