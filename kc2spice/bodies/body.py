@@ -22,8 +22,7 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -38,6 +37,7 @@ from kc2spice.bodies.device import (
     Shape,
     make_device,
     node_shares,
+    part_named,
     spread,
 )
 from kc2spice.bodies.keys import Damping
@@ -204,7 +204,7 @@ def device(
         not piezoelectric.
     """
     keys = validated(Body, keys, where)
-    with _part(where):
+    with part_named(where):
         found = read_mesh(
             home / keys.mesh,
             unit=quantity(f"1 {keys.unit}", "m", where="unit"),
@@ -216,16 +216,6 @@ def device(
         groups = _Groups(found, keys)
         solid = _solid(keys, groups)
         return make_device(solid, _setup(keys, groups, solid))
-
-
-@contextmanager
-def _part(where: str) -> Iterator[None]:
-    """Errors within say which part they are about."""
-    try:
-        yield
-    except UsageError as error:
-        error.where = where if error.where is None else f"{where}: {error.where}"
-        raise
 
 
 class _Groups:

@@ -17,7 +17,8 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 
 def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:
-    """Capacitances (of the first electrical port, the others shorted), static stroke of the first
+    """Capacitances (of the first electrical port, those of others under their names, each with the
+    rest shorted), static stroke of the first
     mechanical port per volt, and the lowest resonances that the electrical ports excite (of a body
     without any: the others), all electrodes shorted and all open, without damping.
 
@@ -46,6 +47,9 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
 
     facts["capacitance_free_f"] = float(model.D[e[0], e[0]] + load[:, 0] @ rest[:, 0])
     facts["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
+    for k, port in enumerate(e[1:], 1):
+        free = float(model.D[port, port] + load[:, k] @ rest[:, k])
+        facts[f"{model.ports[port].name}_capacitance_f"] = free
     if force is not None:
         facts["free_stroke_m_per_v"] = float(model.B[:, force] @ rest[:, 0])
     facts["resonance_short_hz"] = _resonance(model, solve, e, shift)

@@ -13,18 +13,20 @@ of which :func:`kc2spice.rom.linear.with_potentials` eliminates p exactly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.solid import Solid, assemble, element
+from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
@@ -89,6 +91,16 @@ class Device:
     drive: sparse.csc_array
     lift: np.ndarray
     shift: float
+
+
+@contextmanager
+def part_named(where: str) -> Iterator[None]:
+    """Errors within say which part they are about."""
+    try:
+        yield
+    except UsageError as error:
+        error.where = where if error.where is None else f"{where}: {error.where}"
+        raise
 
 
 def make_device(solid: Solid, setup: Setup) -> Device:
@@ -174,9 +186,9 @@ def node_shares(solid: Solid, *, facets: np.ndarray | None = None,
                 elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
     """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
     if facets is not None:
-        basis = BoundaryFacetBasis(solid.mesh, element(solid.mesh), facets=facets, intorder=4)
+        basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=4)
     else:
-        basis = Basis(solid.mesh, element(solid.mesh), elements=elements, intorder=4)
+        basis = Basis(solid.mesh, solid.element, elements=elements, intorder=4)
     weights = basis.dx
     if solid.axisymmetric:
         weights = weights * np.asarray(basis.global_coordinates())[0]
@@ -243,7 +255,8 @@ def _potentials(
     taken = np.zeros(len(live), int)
     for pin, nodes in [*setup.electrodes.items(), *((None, n) for n in setup.floating)]:
         where = "floating electrode" if pin is None else f"electrodes.{pin}"
-        if not live[nodes].any():
+        nodes = nodes[live[nodes]]
+        if not nodes.size:
             raise UsageError(
                 "electrode on a material that is not piezoelectric", where=where,
                 expected="a face of a piezoelectric group",
@@ -255,6 +268,7 @@ def _potentials(
             got=f"{np.sum(taken > 1)} common nodes", expected="a gap between any two of them",
             hint="one pin may have several groups: PIN = [GROUP, GROUP]",
         )  # fmt: skip
+    _require_grounded(K_pp, live, taken)
     free = np.flatnonzero(live & (taken == 0))
     identity = sparse.eye_array(len(live), format="csc")
     Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
@@ -263,6 +277,16 @@ def _potentials(
     R = sparse.hstack([none, *(_indicator(n, live) for n in driven.values())], "csc")
     ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
     return Q, R, ports
+
+
+def _require_grounded(K_pp: sparse.csc_array, live: np.ndarray, taken: np.ndarray) -> None:
+    """A piece of ceramic without any electrode has no determined potential."""
+    _, piece = connected_components(K_pp, directed=False)
+    if np.setdiff1d(piece[live], piece[taken > 0]).size:
+        raise UsageError(
+            "a ceramic touches no electrode: its potential is undetermined", where="electrodes",
+            hint="every piezoelectric piece needs an electrode on one face at least",
+        )  # fmt: skip
 
 
 def _indicator(nodes: np.ndarray, live: np.ndarray) -> sparse.csc_array:

@@ -14,19 +14,19 @@ layer, silver, solder and wires, the air.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import Field
 
+from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
+from kc2spice.bodies.device import Device, part_named
 from kc2spice.bodies.keys import Damping, Mesh
-from kc2spice.bodies.piezo import piezo_model
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Ratio, Section
 from kc2spice.core.schema import validated
-from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
 from kc2spice.fem.materials import Material, material
-from kc2spice.fem.potentials import PiezoOperators
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import LinearModel
 
 _CELLS = 20  # along the largest radius (or half the height) before refinement
 
@@ -76,11 +76,12 @@ class Disc(Section):
 
 
 def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc") -> LinearModel:
-    """Full model of the disc. ``refine`` divides the cells of ``keys.mesh`` once more.
+    """The linear model of :func:`device`."""
+    return device(keys, refine=refine, where=where).model
 
-    Facts: ``mass_kg``, ``unknowns``, ``capacitance_free_f``, ``capacitance_clamped_f``,
-    ``resonance_short_hz``, ``resonance_open_hz``, ``feedback_capacitance_f`` if there is one, and
-    ``rigid_modes`` (1 if the support is free: then K is singular along z).
+
+def device(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc") -> Device:
+    """The disc with its mesh. ``refine`` divides the cells of ``keys.mesh`` once more.
 
     Raises
     ------
@@ -88,34 +89,21 @@ def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc
     """
     disc = validated(Disc, keys, where)
     materials = _materials(disc, where)
-    ports = [_electrical("anode")]
-    if any(layer.feedback for layer in disc.layers):
-        ports.append(_electrical("feedback"))
-    ports.append(Port("centre", "mechanical", "um", "N"))
-    qualities = _qualities(disc, materials, where) if disc.damping.per_material else ()
-    return piezo_model(operators(disc, refine=refine, where=where), ports, disc.damping, qualities)
-
-
-def operators(disc: Disc, *, refine: int = 1, where: str = "disc") -> PiezoOperators:
-    """The assembled operators before potentials are eliminated."""
-    materials = _materials(disc, where)
     heights = _heights(disc)
     blocks = [
         Block((0.0, layer.diameter / 2), (heights[i], heights[i + 1]), materials[i])
         for i, layer in enumerate(disc.layers)
     ]
-    return assemble(
-        blocks,
-        _electrodes(disc, materials, heights, where),
-        _supports(disc, heights, where),
-        [_centre(disc, heights, where)],
-        size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
-        refine=refine * disc.mesh.refine,
-    )
-
-
-def _electrical(name: str) -> Port:
-    return Port(name, "electrical", "V", "A", (name, "cathode"))
+    with part_named(where):
+        return turned(
+            blocks,
+            _electrodes(disc, materials, heights, where),
+            _supports(disc, heights, where),
+            {"centre": _centre(disc, heights, where)},
+            size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
+            refine=refine * disc.mesh.refine,
+            damping=disc.damping,
+        )
 
 
 def _materials(disc: Disc, where: str) -> list[Material]:
@@ -134,7 +122,9 @@ def _materials(disc: Disc, where: str) -> list[Material]:
                 got=f"{layer.electrodes:g} m",
                 expected=f"at most {layer.diameter:g} m",
             )
-        materials.append(one if layer.poling == "up" else one.poled((0, 0, -1)))
+        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
+        quality = layer.quality or one.quality
+        materials.append(replace(poled, name=f"layers[{i}] ({one.name})", quality=quality))
     if not any(one.piezoelectric for one in materials):
         raise UsageError(
             "no piezoelectric layer",
@@ -142,20 +132,6 @@ def _materials(disc: Disc, where: str) -> list[Material]:
             got=", ".join(one.name for one in materials),
         )
     return materials
-
-
-def _qualities(disc: Disc, materials: list[Material], where: str) -> list[float]:
-    qualities = []
-    for i, (layer, one) in enumerate(zip(disc.layers, materials, strict=True)):
-        quality = layer.quality or one.quality
-        if quality is None:
-            raise UsageError(
-                "damping per material needs the quality of each",
-                where=f"{where}.layers.{i}.quality",
-                got=f"none for {one.name}",
-            )
-        qualities.append(quality)
-    return qualities
 
 
 def _heights(disc: Disc) -> list[float]:

@@ -17,9 +17,11 @@ from skfem import Basis
 
 from kc2spice.bodies.device import Device
 from kc2spice.bodies.recover import Motion
-from kc2spice.fem.solid import Solid, element, strains
+from kc2spice.fem.solid import Solid, strains
 
-INSTANTS = 200  # at which extremes are looked for: half evenly spread, half of most energy
+# Instants at which extremes are looked for, half evenly spread, half of most energy: at least so
+# many, and more where points times instants stay below this.
+INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
 
 
@@ -39,7 +41,7 @@ class Probe:
     """Evaluates fields at the same points of every element: its nodes, or Gauss points."""
 
     def __init__(self, device: Device, *, gauss: bool) -> None:
-        self.device = device
+        self.device, self.gauss = device, gauss
         solid = device.solid
         self.basis = _points(solid, gauss)
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
@@ -61,6 +63,8 @@ class Probe:
         solid = self.device.solid
         d, nodes = solid.components, self.basis.element_dofs.T
         N = np.stack([value for value, _, _ in self._operators], 1)
+        if not self.gauss:  # strains may be taken beside the nodes
+            N = np.broadcast_to(np.eye(N.shape[1]), N.shape)
         moves = np.zeros((*N.shape[:2], 3))
         axes = [0, 1, 2] if d == 3 else [0, 2]
         moves[..., axes] = np.einsum("eql,elc->eqc", N, u.reshape(-1, d)[nodes])
@@ -87,25 +91,38 @@ class Probe:
 def _points(solid: Solid, gauss: bool) -> Basis:
     if gauss:
         return solid.basis(2)
-    local = element(solid.mesh).doflocs
-    return Basis(solid.mesh, element(solid.mesh), quadrature=(local.T, np.ones(len(local))))
+    local = solid.element.doflocs
+    if solid.order == 1:  # where its strains are best, and a collapsed edge has none
+        local = 0.5 + (local - 0.5) / np.sqrt(3)
+    return Basis(solid.mesh, solid.element, quadrature=(local.T, np.ones(len(local))))
 
 
 def principal(stress: np.ndarray) -> np.ndarray:
     """Largest principal stress of Voigt stresses (..., 6): the trigonometric root of the cubic."""
-    xx, yy, zz, yz, xz, xy = np.moveaxis(stress, -1, 0)
+    xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
-    a, b, c = xx - mean, yy - mean, zz - mean
+    parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
+    size = np.abs(parts).max(axis=0)
+    a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)  # cubes of tiny ones vanish
     radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
     determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
     cube = np.where(radius > 0, radius, 1.0) ** 3
     angle = np.arccos(np.clip(determinant / (2 * cube), -1, 1)) / 3
-    return np.asarray(mean + 2 * radius * np.cos(angle))
+    return np.asarray(mean + 2 * size * radius * np.cos(angle))
+
+
+# What is looked for in each material: unit, and the name of its limit.
+QUANTITIES = {
+    "principal_stress": ("Pa", "tensile_strength"),
+    "electric_field": ("V/m", "breakdown_field"),
+    "opposing_field": ("V/m", "depoling_field"),
+}
 
 
 @dataclass(frozen=True)
 class Extreme:
-    """Largest value in one material over time: ``value`` at ``instant`` [s], ``place`` [m].
+    """Largest value of one of :data:`QUANTITIES` in one material over time: ``value`` at
+    ``instant`` [s], ``place`` [m].
 
     ``curve`` (instants,) is the largest in the material at each of ``time``; ``limit`` is the
     material's, None if it is not known.
@@ -122,14 +139,15 @@ class Extreme:
     curve: np.ndarray
 
 
-def extremes(motion: Motion, instants: int = INSTANTS) -> list[Extreme]:
-    """Largest principal stress of every material and largest field of the piezoelectric ones.
+def extremes(motion: Motion) -> list[Extreme]:
+    """Of every material the largest principal stress, of the piezoelectric ones the largest field
+    and the largest one against the poling.
 
     Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
     linear elasticity grows without bound as the mesh is refined.
     """
     probe = Probe(motion.device, gauss=True)
-    chosen = _instants(motion, instants)
+    chosen = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     u, phi = probe.nodal(motion.basis, np.zeros((motion.voltages.shape[1], motion.basis.shape[1])))
@@ -141,35 +159,42 @@ def extremes(motion: Motion, instants: int = INSTANTS) -> list[Extreme]:
     T_V, E_V = probe.stress(np.zeros((u.shape[0], drive.shape[1])), drive)
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[chosen]
-    curves = {key: np.empty((2, len(chosen))) for key in _quantities(solid)}
+    names = np.array([material.name for material in solid.materials])
+    own = {name: np.flatnonzero(names[probe.owner] == name) for name in dict.fromkeys(names)}
+    poling = np.array([material.axis for material in solid.materials])[probe.owner]
+    curves = {key: np.empty((2, len(chosen))) for key in _asked(solid)}
     for start in range(0, len(chosen), CHUNK):
         part = slice(start, min(start + CHUNK, len(chosen)))
-        stress = principal(np.moveaxis(T @ states[part].T, -1, 0))
-        field = np.linalg.norm(np.moveaxis(E @ states[part].T, -1, 0), axis=-1)
-        for number, quantity in curves:
-            own = np.flatnonzero(probe.owner == number)
-            values = (stress if quantity == "principal_stress" else field)[:, own]
-            best = values.argmax(axis=1)
-            curves[number, quantity][:, part] = values.max(axis=1), own[best]
+        field = np.moveaxis(E @ states[part].T, -1, 0)
+        values = {
+            "principal_stress": principal(np.moveaxis(T @ states[part].T, -1, 0)),
+            "electric_field": np.linalg.norm(field, axis=-1),
+            "opposing_field": 0.0 - np.einsum("kpi,pi->kp", field, poling),
+        }
+        for name, quantity in curves:
+            inside = values[quantity][:, own[name]]
+            best = inside.argmax(axis=1)
+            curves[name, quantity][:, part] = inside.max(axis=1), own[name][best]
     found = []
-    for (number, quantity), (curve, points) in curves.items():
+    for (name, quantity), (curve, points) in curves.items():
         k = int(curve.argmax())
-        material = solid.materials[number]
-        stress_like = quantity == "principal_stress"
-        limit = material.tensile_strength if stress_like else material.depoling_field
+        unit, limit = QUANTITIES[quantity]
+        material = solid.materials[probe.owner[int(points[k])]]
         found.append(Extreme(
-            material.name, quantity, "Pa" if stress_like else "V/m", float(curve[k]), limit,
+            name, quantity, unit, float(curve[k]), getattr(material, limit),
             float(motion.time[chosen[k]]), tuple(places[:, int(points[k])]),
             motion.time[chosen], curve,
         ))  # fmt: skip
     return found
 
 
-def _quantities(solid: Solid) -> Iterator[tuple[int, str]]:
-    for number, material in enumerate(solid.materials):
-        yield number, "principal_stress"
-        if material.piezoelectric:
-            yield number, "electric_field"
+def _asked(solid: Solid) -> Iterator[tuple[str, str]]:
+    active = {m.name: m.piezoelectric for m in solid.materials}
+    for name, piezoelectric in active.items():
+        yield name, "principal_stress"
+        if piezoelectric:
+            yield name, "electric_field"
+            yield name, "opposing_field"
 
 
 def _instants(motion: Motion, count: int) -> np.ndarray:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy import sparse
 
 from kc2spice.core.quantities import Count, Frequency, Rate, Ratio, Section
 
@@ -82,21 +80,3 @@ class Damping(Section):
         at = self.frequency(resonance_hz)
         assert at is not None
         return self.alpha, self.zeta / (math.pi * at)
-
-    def matrix(
-        self,
-        M: sparse.csc_array,
-        K: sparse.csc_array,
-        parts: Sequence[sparse.csc_array],
-        qualities: Sequence[float],
-        resonance_hz: float,
-    ) -> sparse.csc_array:
-        """E of a model with stiffness K, whose ``parts`` belong to materials of ``qualities``."""
-        alpha, beta = self.rayleigh(resonance_hz)
-        E = alpha * M
-        if not self.per_material:
-            return (E + beta * K).tocsc()
-        omega = 2 * math.pi * float(self.frequency(resonance_hz) or resonance_hz)
-        for part, quality in zip(parts, qualities, strict=True):
-            E = E + part / (quality * omega)
-        return E.tocsc()

@@ -14,18 +14,19 @@ that the preload leaves in the ceramic, contact compliance, the electrodes' meta
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
+from kc2spice.bodies.device import Device, part_named
 from kc2spice.bodies.keys import Damping, Mesh
-from kc2spice.bodies.piezo import piezo_model
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Ratio, Section
 from kc2spice.core.schema import validated
-from kc2spice.fem.axisymmetric import Block, Electrode, Face, Fixed, assemble
 from kc2spice.fem.materials import material
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import LinearModel
 
 _CELLS = 8  # along the largest radius before refinement
 
@@ -91,7 +92,14 @@ class Langevin(Section):
 def build(
     keys: Langevin | Mapping[str, Any], *, refine: int = 1, where: str = "langevin"
 ) -> LinearModel:
-    """Full model of the sandwich; facts as those of the disc.
+    """The linear model of :func:`device`."""
+    return device(keys, refine=refine, where=where).model
+
+
+def device(
+    keys: Langevin | Mapping[str, Any], *, refine: int = 1, where: str = "langevin"
+) -> Device:
+    """The sandwich with its mesh; facts as those of the disc.
 
     Raises
     ------
@@ -99,33 +107,26 @@ def build(
     """
     body = validated(Langevin, keys, where)
     _require_fit(body, where)
-    blocks, qualities = _blocks(body, where)
+    blocks = _blocks(body, where)
     bottom, top = min(b.z[0] for b in blocks), _front_end(body)
     faces = {
         "front": Face((0.0, body.front[-1].diameter / 2), top),
         "back": Face((0.0, _back_radius(body)), bottom),
     }
-    held = [Fixed("r", (0.0, faces["back"].r[1]), (bottom, bottom))]
-    held.append(Fixed("z", (0.0, faces["back"].r[1]), (bottom, bottom)))
-    named = {"front": faces["front"]} if body.support == "back" else faces
-    operators = assemble(
-        blocks,
-        _electrodes(body.rings),
-        held if body.support == "back" else [],
-        list(named.values()),
-        size=max(b.r[1] for b in blocks) / _CELLS,
-        refine=refine * body.mesh.refine,
-    )
-    ports = [Port("anode", "electrical", "V", "A", ("anode", "cathode"))]
-    ports += [Port(name, "mechanical", "um", "N") for name in named]
-    if body.damping.per_material and None in qualities:
-        missing = blocks[qualities.index(None)].material.name
-        raise UsageError(
-            "damping per material needs the quality of each",
-            where=f"{where}.quality",
-            got=f"none for {missing}",
+    held = []
+    if body.support == "back":
+        end = (0.0, faces.pop("back").r[1])
+        held = [Fixed("r", end, (bottom, bottom)), Fixed("z", end, (bottom, bottom))]
+    with part_named(where):
+        return turned(
+            blocks,
+            _electrodes(body.rings),
+            held,
+            faces,
+            size=max(b.r[1] for b in blocks) / _CELLS,
+            refine=refine * body.mesh.refine,
+            damping=body.damping,
         )
-    return piezo_model(operators, ports, body.damping, [q for q in qualities if q])
 
 
 def _stack_height(rings: Rings) -> float:
@@ -148,7 +149,7 @@ def _require_fit(body: Langevin, where: str) -> None:
         wrong = "the bolt does not pass through the rings", "bolt.diameter", body.bolt.diameter
     elif body.bolt.diameter >= narrowest:
         wrong = "the bolt is thicker than a mass", "bolt.diameter", body.bolt.diameter
-    elif depth > _front_end(body) - _stack_height(body.rings):
+    elif depth > sum(step.length for step in body.front) * (1 + 1e-9):
         wrong = "the bolt reaches through the front mass", "bolt.depth", depth
     elif min(body.front[0].diameter, body.back[0].diameter) <= body.rings.inner:
         wrong = "a mass falls through the rings", "rings.inner", body.rings.inner
@@ -158,41 +159,43 @@ def _require_fit(body: Langevin, where: str) -> None:
         raise UsageError(wrong[0], where=f"{where}.{wrong[1]}", got=f"{wrong[2]:g} m")
 
 
-def _blocks(body: Langevin, where: str) -> tuple[list[Block], list[float | None]]:
+def _blocks(body: Langevin, where: str) -> list[Block]:
     """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
     blocks: list[Block] = []
-    qualities: list[float | None] = []
 
-    def add(r: tuple[float, float], z: tuple[float, float], part: Any, key: str, up: bool) -> None:
+    def add(
+        r: tuple[float, float], z: tuple[float, float], part: Any, key: str, up: int = 1
+    ) -> None:
         one = material(part.material, f"{where}.{key}.material")
-        blocks.append(Block(r, z, one if up else one.poled((0, 0, -1))))
-        qualities.append(part.quality or one.quality)
+        quality = part.quality or one.quality
+        poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
+        blocks.append(Block(r, z, poled))
 
     rings, bolt = body.rings, body.bolt
     core = bolt.diameter / 2
     for i in range(rings.count):
         z = (i * rings.thickness, (i + 1) * rings.thickness)
-        add((rings.inner / 2, rings.outer / 2), z, rings, "rings", i % 2 == 0)
+        add((rings.inner / 2, rings.outer / 2), z, rings, f"rings[{i}]", (-1) ** i)
     thread = _stack_height(rings) + (bolt.depth or body.front[0].length)
     height = _stack_height(rings)
     for i, step in enumerate(body.front):
         for low, high, inner in _cut(height, height + step.length, thread, core):
-            add((inner, step.diameter / 2), (low, high), step, f"front.{i}", True)
+            add((inner, step.diameter / 2), (low, high), step, f"front[{i}]")
         height += step.length
     height = 0.0
     for i, step in enumerate(body.back):
-        add((core, step.diameter / 2), (height - step.length, height), step, f"back.{i}", True)
+        add((core, step.diameter / 2), (height - step.length, height), step, f"back[{i}]")
         height -= step.length
-    add((0.0, core), (height, thread), bolt, "bolt", True)
+    add((0.0, core), (height, thread), bolt, "bolt")
     if bolt.head_diameter is not None and bolt.head_length is not None:
-        add((0.0, bolt.head_diameter / 2), (height - bolt.head_length, height), bolt, "bolt", True)
+        add((0.0, bolt.head_diameter / 2), (height - bolt.head_length, height), bolt, "bolt")
     if not blocks[0].material.piezoelectric:
         raise UsageError(
             "the rings are not piezoelectric",
             where=f"{where}.rings.material",
             got=blocks[0].material.name,
         )
-    return blocks, qualities
+    return blocks
 
 
 def _cut(low: float, high: float, thread: float, core: float) -> list[tuple[float, float, float]]:

@@ -16,6 +16,7 @@ from scipy.linalg import eigh
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.krylov import block_arnoldi
+from kc2spice.rom.march import resonant
 
 ORDER = 40
 SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
@@ -77,13 +78,15 @@ def recover(
                 expected=f"{len(time)} values of one of {', '.join(names)}",
             )  # fmt: skip
         u[:, names.index(name)] = wave
-    basis, poles = _modes(device, order, float(time[-1] - time[0]))
-    force = u @ (basis.T @ device.model.B).T
-    return Motion(device, np.asarray(time), u, basis, _integrate(np.asarray(time), force, poles))
+    t = np.asarray(time)
+    basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))
+    states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
+    return Motion(device, t, u, basis, states)
 
 
-def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mass-normalised modes (n, q) of the projected model and their pairs of poles (2, q)."""
+def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mass-normalised modes (n, q) of the projected model, their frequencies [rad/s] and damping
+    [1/s] each by itself."""
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
     V = block_arnoldi(
@@ -91,30 +94,8 @@ def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndar
     )
     K, E, M = model.pencil.project(V).coefficients
     squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-    squares = np.maximum(squares, (SLOWEST / span) ** 2)
-    damping = np.einsum("ij,ik,kj->j", X, E, X) / 2
-    root = np.sqrt(damping**2 - squares + 0j)
-    root = np.where(np.abs(root) < SLOWEST * np.sqrt(squares), SLOWEST * np.sqrt(squares), root)
-    return V @ X, np.array([-damping + root, -damping - root])
-
-
-def _integrate(time: np.ndarray, force: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """States (times, q) of ``x'' - (p1 + p2) x' + p1 p2 x = force``, linear between samples.
-
-    ``x = (w1 - w2) / (p1 - p2)`` with ``w' = p w + force``, each step exact:
-    ``w+ = e^a w + h f (e^a - 1)/a + h df (e^a - 1 - a)/a^2``, ``a = p h``.
-    """
-    w = -force[0] / poles
-    states = np.empty(force.shape)
-    states[0] = ((w[0] - w[1]) / (poles[0] - poles[1])).real
-    for k, h in enumerate(np.diff(time)):
-        a = poles * h
-        first = np.expm1(a) / a
-        # the series where rounding would eat the difference
-        second = np.where(np.abs(a) < 1e-3, 0.5 + a / 6 + a**2 / 24, (first - 1) / a)
-        w = np.exp(a) * w + h * (force[k] * first + (force[k + 1] - force[k]) * second)
-        states[k + 1] = ((w[0] - w[1]) / (poles[0] - poles[1])).real
-    return states
+    omega = np.sqrt(np.maximum(squares, (SLOWEST / span) ** 2))
+    return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
 def _electrical(device: Device) -> list[int]:

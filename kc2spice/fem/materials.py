@@ -85,8 +85,10 @@ class Material:
     eps_S : (3, 3) permittivity at constant strain [F/m]; that of vacuum where none is given.
     conductor : no field inside; a face against an insulator is an electrode.
     quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
-    tensile_strength, depoling_field : limits [Pa], [V/m], None if not known.
+    tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], field
+        against the poling and field in any direction [V/m] that it stands, None if not known.
     sources : where each number comes from.
+    axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     """
 
     name: str
@@ -99,7 +101,9 @@ class Material:
     loss_tangent: float | None = None
     tensile_strength: float | None = None
     depoling_field: float | None = None
+    breakdown_field: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
+    axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"
@@ -134,7 +138,10 @@ class Material:
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9):
             raise UsageError("not a rotation", where=self.name, got=R.tolist())
         M = bond(R)
-        return replace(self, C=M @ self.C @ M.T, e=R @ self.e @ M.T, eps_S=R @ self.eps_S @ R.T)
+        return replace(
+            self, C=M @ self.C @ M.T, e=R @ self.e @ M.T, eps_S=R @ self.eps_S @ R.T,
+            axis=R @ self.axis,
+        )  # fmt: skip
 
     def poled(self, direction: Sequence[float]) -> Material:
         """The material with its z axis (poling of a ceramic) along ``direction`` in body axes.
@@ -228,6 +235,7 @@ class MaterialTable(Section):
     loss_tangent: Ratio | None = Field(None, ge=0)
     tensile_strength: Pressure | None = Field(None, gt=0)
     depoling_field: Annotated[float, si("V/m")] | None = Field(None, gt=0)
+    breakdown_field: Annotated[float, si("V/m")] | None = Field(None, gt=0)
     source: str = ""
     sources: dict[str, str] = Field(default_factory=dict)
 
@@ -274,7 +282,7 @@ class MaterialTable(Section):
         sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
         return Material(
             name, self.density, C, e, eps, self.conductor, self.quality, self.loss_tangent,
-            self.tensile_strength, self.depoling_field, sources,
+            self.tensile_strength, self.depoling_field, self.breakdown_field, sources,
         )  # fmt: skip
 
     def _stiffness(self, where: str) -> np.ndarray:

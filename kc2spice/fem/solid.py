@@ -1,4 +1,5 @@
-"""Piezoelectric solids on any mesh of scikit-fem: tetrahedra, hexahedra, axisymmetric triangles.
+"""Piezoelectric solids on any mesh of scikit-fem: tetrahedra, hexahedra, axisymmetric
+triangles and quadrilaterals.
 
 Weak form of ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E`` and
 ``E = -grad phi``, for a displacement u and a potential phi on the nodes of one scalar element:
@@ -16,12 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
-from skfem import Basis, ElementHex2, ElementTetP2, ElementTriP2
-from skfem.mesh import Mesh, MeshHex, MeshTet
+from skfem import Basis, ElementHex1, ElementHex2, ElementQuad2, ElementTetP2, ElementTriP2
+from skfem.mesh import Mesh, MeshHex, MeshQuad, MeshTet
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import Material
@@ -35,7 +36,8 @@ _FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
 
 @dataclass(frozen=True)
 class Solid:
-    """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled).
+    """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled), with shape
+    functions of ``order`` (1 on hexahedra only). Materials of one name are one in reports.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Solid:
     materials: tuple[Material, ...]
     owner: np.ndarray
     axisymmetric: bool = False
+    order: Literal[1, 2] = 2
 
     def __post_init__(self) -> None:
         determinant = self.mesh.mapping().detDF(self.basis(2).X)
@@ -55,6 +58,8 @@ class Solid:
                 "elements turned inside out", where="mesh", got=f"{flipped.sum()} of them",
                 expected="Jacobian determinants of one sign", hint="repair or refine the mesh",
             )  # fmt: skip
+        for material in self.materials if self.axisymmetric else ():
+            _require_isotropic_about_z(material)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
             raise UsageError(
                 "axisymmetric mesh crosses its axis", where="mesh",
@@ -66,9 +71,19 @@ class Solid:
         """Components of the displacement."""
         return self.mesh.dim()
 
+    @property
+    def element(self) -> Any:
+        """The scalar element of the mesh."""
+        mesh = self.mesh
+        if isinstance(mesh, MeshHex):
+            return ElementHex1() if self.order == 1 else ElementHex2()
+        if isinstance(mesh, MeshTet):
+            return ElementTetP2()
+        return ElementQuad2() if isinstance(mesh, MeshQuad) else ElementTriP2()
+
     def basis(self, order: int = ORDER, **options: Any) -> Basis:
         """The scalar basis whose degrees of freedom are called nodes here."""
-        return Basis(self.mesh, element(self.mesh), intorder=order, **options)
+        return Basis(self.mesh, self.element, intorder=order, **options)
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
         """Numbers of the nodes of some elements."""
@@ -85,11 +100,18 @@ class Operators:
     K_pp: sparse.csc_array
 
 
-def element(mesh: Mesh) -> Any:
-    """The quadratic scalar element of a mesh."""
-    if isinstance(mesh, MeshTet):
-        return ElementTetP2()
-    return ElementHex2() if isinstance(mesh, MeshHex) else ElementTriP2()
+def _require_isotropic_about_z(material: Material) -> None:
+    """Nothing changes when it is turned by 30 or 45 degrees."""
+    for angle in (np.pi / 6, np.pi / 4):
+        c, s = np.cos(angle), np.sin(angle)
+        turned = material.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+        pairs = [(material.C, turned.C), (material.e, turned.e), (material.eps_S, turned.eps_S)]
+        if any(not np.allclose(a, b, rtol=0, atol=0.02 * np.abs(a).max()) for a, b in pairs):
+            raise UsageError(
+                "an axisymmetric body needs materials that are isotropic about its axis",
+                got=material.name,
+                hint='use a mesh (part = "body"), or give the material\'s average in the plane',
+            )
 
 
 def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

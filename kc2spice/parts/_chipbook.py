@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._modalstep import chip_response
 from kc2spice.parts.sphere import integral
+from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part

@@ -460,12 +460,13 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
     )
 
 
-def depoling_voltage(part: Part, *, series: bool) -> float | None:
-    """Voltage [V] at which a layer reaches the depoling field of its material, the same field in
-    all layers in series; None where no limit is known."""
+def depoling_voltage(layers: Sequence[Any], where: str, *, series: bool) -> float | None:
+    """Voltage [V] at which one of the layers (keys ``material``, ``thickness``) reaches the
+    depoling field of its material, the same field in all of them in series; None where no limit
+    is known."""
     from kc2spice.fem.materials import material
 
-    found = [(material(layer.material, part.name), layer.thickness) for layer in part.keys.layers]
+    found = [(material(layer.material, where), layer.thickness) for layer in layers]
     active = [(one.depoling_field, thick) for one, thick in found if one.piezoelectric]
     fields = [limit for limit, _ in active if limit is not None]
     if not active or len(fields) < len(active):

@@ -23,6 +23,7 @@ from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
 from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
@@ -33,11 +34,23 @@ if TYPE_CHECKING:
     from kc2spice.bodies.recover import Motion
 
 MOST = 20  # instants that one run writes
+FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
+BENT = 0.05  # share of the second direction among normals that makes an edge
 SHOWN = 0.1  # of the body's size: the largest displacement in the picture
-ADVICE = (
-    "look at the VTU file: edges of clamps and re-entrant corners exceed any limit when refined"
-)
-_QUANTITIES = {"principal_stress": ("stress", "pa"), "electric_field": ("field", "v_m")}
+_SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+# Word and unit of the metrics, panel and scale of the plot, and what going beyond means.
+_QUANTITIES = {
+    "principal_stress": (
+        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULAR}",
+    ),
+    "electric_field": (
+        "field", "v_m", "largest field in kV/mm", "it may break down; lower the drive",
+    ),
+    "opposing_field": (
+        "opposing_field", "v_m", "largest field against the poling in kV/mm",
+        "it may depolarise; drive it along its poling, or less far",
+    ),
+}  # fmt: skip
 # What the last run of each part gave: metrics, checks, figures and files all ask for it.
 _recent: dict[str, tuple[Waveforms, Recovered]] = {}
 
@@ -62,15 +75,21 @@ class Recovered:
 class FieldKeys(BodyKeys):
     """Whether a run recovers what happens inside the body; instants become VTU files."""
 
-    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] = False
+    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
+        None, description="true, or instants that become VTU files too; none if absent"
+    )
 
 
 class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass gives its :meth:`device`."""
 
     @abstractmethod
-    def device(self, part: Part, scene: Scene) -> Device:
-        """The full model with its mesh."""
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+        """The full model with its mesh, every cell divided by ``refine`` along each axis."""
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+            return self.device(part, scene, refine).model
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
@@ -93,7 +112,7 @@ class MeshedBody(LinearBody):
         if recovered is None:
             return found
         for each in recovered.extremes:
-            quantity, unit = _QUANTITIES[each.quantity]
+            quantity, unit, *_ = _QUANTITIES[each.quantity]
             found[f"{quantity}_{_slug(each.material)}_{unit}"] = each.value
             found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
         return found | {"worst_stress_time_s": recovered.worst.instant}
@@ -105,7 +124,8 @@ class MeshedBody(LinearBody):
             if each.limit is not None:
                 what = each.quantity.replace("_", " ")
                 name = f"{what} in {each.material} of {part.name}"
-                yield Check(name, each.value, each.limit, each.unit, ADVICE, "warn")
+                advice = _QUANTITIES[each.quantity][-1]
+                yield Check(name, each.value, each.limit, each.unit, advice, "warn")
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         yield from super().figures(part, build, waves)
@@ -187,16 +207,15 @@ def _slug(material: str) -> str:
 
 def _over_time(name: str, found: Recovered) -> Figure:
     panels = []
-    for quantity, (label, scale) in {
-        "principal_stress": ("largest principal stress in MPa", 1e-6),
-        "electric_field": ("largest field in kV/mm", 1e-6),
-    }.items():
-        rows = [each for each in found.extremes if each.quantity == quantity]
+    for quantity, (_, _, label, _) in _QUANTITIES.items():
+        rows = [e for e in found.extremes if e.quantity == quantity]
+        if quantity == "opposing_field":  # else the panel above says it all
+            rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue
-        curves = tuple(Curve(e.material, 1e3 * e.time, scale * e.curve) for e in rows)
+        curves = tuple(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve) for e in rows)
         limits = dict.fromkeys(e.limit for e in rows if e.limit and e.value > 0.2 * e.limit)
-        levels = tuple((scale * limit, "limit") for limit in limits)
+        levels = tuple((1e-6 * limit, "limit") for limit in limits)
         panels.append(Panel("time in ms", label, curves, levels=levels))
     caption = "Largest value in each material at any Gauss point; limits where they are near."
     return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))
@@ -212,11 +231,7 @@ def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str)
     moves = moves[basis.nodal_dofs[0]].T
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
     factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
-    edges = (
-        mesh.edges[:, mesh.boundary_edges()]
-        if mesh.dim() == 3
-        else mesh.facets[:, mesh.boundary_facets()]
-    )
+    edges = _edges(mesh)
     curves = (
         _wires("at rest", mesh.p, edges, ":"),
         _wires(f"displacement x {factor:g}", mesh.p + factor * moves, edges, "-"),
@@ -224,6 +239,26 @@ def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str)
     caption = f"At {1e3 * instant:.4g} ms, {what}."
     panel = Panel("mm", "mm", curves, equal=True)
     return Figure(f"{name}_{stem}", f"Deformed {name}", caption, (panel,))
+
+
+def _edges(mesh: Any) -> np.ndarray:
+    """Vertices (2, edges) of the surface mesh; only where faces meet at an angle if it is fine."""
+    facets = mesh.boundary_facets()
+    if mesh.dim() == 2:
+        return np.asarray(mesh.facets[:, facets])
+    if 4 * facets.size < FINE:
+        return np.asarray(mesh.edges[:, mesh.boundary_edges()])
+    corners = mesh.p[:, mesh.facets[:, facets]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
+    own = mesh.f2e[:, facets]
+    # the sum of n n' over the faces at an edge has rank one where they lie in one plane
+    spread = np.zeros((mesh.edges.shape[1], 3, 3))
+    for edge in own:
+        np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
+    edge = np.unique(own)
+    value = np.linalg.eigvalsh(spread[edge])
+    return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
 
 
 def _wires(label: str, points: np.ndarray, edges: np.ndarray, style: str) -> Curve:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from kc2spice.bodies import bimorph
 from kc2spice.bodies.device import Device
@@ -11,7 +10,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
 from kc2spice.parts._linear_body import depoling_voltage, layered
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
@@ -43,7 +42,7 @@ dc = "50 V"
     source = "FE (piezoelectric, hexahedra)"
 
     def rated(self, part: Part) -> float | None:
-        return depoling_voltage(part, series=part.keys.wiring != "parallel")
+        return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring != "parallel")
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         keys = part.keys
@@ -57,15 +56,11 @@ dc = "50 V"
             found.append(Port("base", "acceleration"))
         return tuple(found)
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
-        with clock.stage("assemble", f"matrices of {part.name}"):
-            return bimorph.build(self.body_keys(part), scene.home, refine=refine)
-
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [part.keys.length for _ in part.keys.layers])
 
-    def device(self, part: Part, scene: Scene) -> Device:
-        return bimorph.device(self.body_keys(part), scene.home, where=part.name)
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+        return bimorph.device(self.body_keys(part), scene.home, refine=refine, where=part.name)
 
 
 register(Bimorph())

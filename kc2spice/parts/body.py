@@ -8,10 +8,9 @@ from typing import Any
 
 from kc2spice.bodies import body
 from kc2spice.bodies.device import Device
-from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
@@ -36,14 +35,7 @@ class Body(MeshedBody):
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(scene.home / part.keys.mesh)}
 
-    def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
-        with clock.stage("mesh", f"mesh and matrices of {part.name}"):
-            return self._refined(part, scene, refine).model
-
-    def device(self, part: Part, scene: Scene) -> Device:
-        return self._refined(part, scene, 1)
-
-    def _refined(self, part: Part, scene: Scene, refine: int) -> Device:
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         # unset keys stay out: a group is picked by the keys that it has
         keys = self.body_keys(part).model_dump_json(exclude_unset=True)
         return _device(keys, scene.home, refine, file_stamp(scene.home / part.keys.mesh), part.name)

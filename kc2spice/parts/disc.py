@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from kc2spice.bodies import disc
+from kc2spice.bodies.device import Device
 from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import BodyKeys, LinearBody, depoling_voltage, layered
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.parts._linear_body import depoling_voltage, layered
+from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
 
-class DiscKeys(disc.Disc, BodyKeys):
-    """Keys of the body, and its own reduction if it has one."""
+class DiscKeys(disc.Disc, FieldKeys):
+    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
 
 
-class Disc(LinearBody):
+class Disc(MeshedBody):
     name = "disc"
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
@@ -31,14 +32,13 @@ class Disc(LinearBody):
         return (*electrical, Port("centre", "mechanical"))
 
     def rated(self, part: Part) -> float | None:
-        return depoling_voltage(part, series=part.keys.wiring == "series")
+        return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring == "series")
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [layer.diameter for layer in part.keys.layers])
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
-        with clock.stage("assemble", f"matrices of {part.name}"):
-            return disc.build(self.body_keys(part), refine=refine, where=part.name)
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+        return disc.device(self.body_keys(part), refine=refine, where=part.name)
 
 
 register(Disc())

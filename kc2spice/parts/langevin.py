@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from kc2spice.bodies import langevin
-from kc2spice.parts._linear_body import BodyKeys, LinearBody
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.bodies.device import Device
+from kc2spice.parts._linear_body import depoling_voltage
+from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
 
-class LangevinKeys(langevin.Langevin, BodyKeys):
-    """Keys of the body, and its own reduction if it has one."""
+class LangevinKeys(langevin.Langevin, FieldKeys):
+    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
 
 
-class Langevin(LinearBody):
+class Langevin(MeshedBody):
     name = "langevin"
     title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
     schema = LangevinKeys
@@ -52,9 +52,11 @@ stop = "100 kHz"
         anode = Port("anode", "electrical", pins=("anode", "cathode"))
         return (anode, *(Port(name, "mechanical") for name in faces))
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
-        with clock.stage("assemble", f"matrices of {part.name}"):
-            return langevin.build(self.body_keys(part), refine=refine, where=part.name)
+    def rated(self, part: Part) -> float | None:
+        return depoling_voltage([part.keys.rings], part.name, series=False)
+
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+        return langevin.device(self.body_keys(part), refine=refine, where=part.name)
 
 
 register(Langevin())

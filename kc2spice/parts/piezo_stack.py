@@ -18,7 +18,7 @@ from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip, Damping
-from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
@@ -38,6 +38,7 @@ from kc2spice.scene.settings import Rom
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.convergence import MeshError
+    from kc2spice.bodies.device import Device
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
     from kc2spice.scene.gates import FullSolution, Table
@@ -67,12 +68,14 @@ class Drive(Section):
         return pulse(0.0, self.voltage, self.start, self.width, self.edge, self.period, self.count)
 
 
-class Stack(Chip, BodyKeys):
+class Stack(Chip, FieldKeys):
     """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
 
     electrical: Literal["open", "short", "driven"] = "driven"
     rated_field: Annotated[float, si("V/m")] = Field(
-        2e6, gt=0, description="largest field in a layer; usual of cofired stacks: 120 V at 60 um"
+        2e6, gt=0,
+        description="largest field in a layer along its poling: an assumption, 120 V at 60 um; "
+        "set what the maker of the stack allows",
     )
     drive: Drive | None = Field(None, description="pulse of an ideal source on the anode")
     driver: dict[str, dict[str, Any]] | None = Field(
@@ -80,7 +83,7 @@ class Stack(Chip, BodyKeys):
     )
 
 
-class PiezoStack(LinearBody):
+class PiezoStack(MeshedBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
@@ -135,6 +138,7 @@ class PiezoStack(LinearBody):
         return (*rings[: kept_rings(part, scene)], anode)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         yield from _problems(part, scene)
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
@@ -223,6 +227,12 @@ class PiezoStack(LinearBody):
             _assembled(chip)
         with clock.stage("reduce", "elimination of the potentials"):
             return _device(chip)
+
+    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+        from kc2spice.bodies.piezo_stack import sector_device
+
+        chip = chip_of(part.keys)
+        return sector_device(chip, _assembled(chip), part.keys.rated_field)
 
     def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
         from kc2spice.parts._chip_full import players

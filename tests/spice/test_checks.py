@@ -8,7 +8,7 @@ from device import built, deck_of
 from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.parts._modalstep import chip_response
+from kc2spice.rom.march import chip_response
 from kc2spice.scene.judge import require
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.judge import verdict

@@ -10,9 +10,9 @@ from device import bench, built, chip
 from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts._modalstep import chip_response
 from kc2spice.parts.contact import contact_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import SHARE, without_inertia
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.load import load_scene

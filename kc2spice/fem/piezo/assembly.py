@@ -84,7 +84,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     require_memory(kick)
     mesh = kick_mesh(kick) if mesh is None else mesh
     M, K_uu, K_uphi, K_phi = assemble_matrices(
-        mesh, _poled(piezo_material(kick.material), kick.poling), *_cap_materials(kick)
+        mesh, poled(piezo_material(kick.material), kick.poling), *_cap_materials(kick)
     )
     if isinstance(kick.mounting, float):
         K_uu = _symmetric(K_uu + kick.mounting * bottom_face(mesh))
@@ -92,7 +92,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
         face = top_face(mesh)
         K_uu = _symmetric(K_uu + kick.preload_spring / QUARTERS / face.sum() * face)
     free = free_displacements(mesh, kick)
-    anode, inner = _electrodes(mesh)
+    anode, inner = electrodes(mesh)
     K_up, k_uV = K_uphi[free][:, inner], K_uphi[free] @ anode
     K_pp, k_pV = K_phi[inner][:, inner], K_phi[inner] @ anode
     rings = [Port(f"ring{i}", "mechanical") for i in range(len(mesh.rings))]
@@ -121,7 +121,7 @@ def _shift(kick: Chip) -> float:
     return float((FREE_SHIFT * slowest / (kick.height + 2 * max(kick.half))) ** 2)
 
 
-def _poled(material: PiezoMaterial, axis: str) -> PiezoMaterial:
+def poled(material: PiezoMaterial, axis: str) -> PiezoMaterial:
     """The ceramic with its poling along ``axis``."""
     if axis == "z":
         return material
@@ -305,7 +305,7 @@ def free_displacements(mesh: KickMesh, kick: Chip) -> np.ndarray:
     return np.flatnonzero(free)
 
 
-def _electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
+def electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
     """Potentials (nodes,) that 1 V on the anode prescribes, and the numbers of the free ones: those
     within a layer. Within a level of several layers all follow from the electrodes between them."""
     steps, levels = mesh.steps, len(mesh.spans)

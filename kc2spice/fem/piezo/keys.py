@@ -21,6 +21,7 @@ from kc2spice.core.quantities import (
     Ratio,
     Section,
     Stiffness,
+    si,
 )
 from kc2spice.core.units import EPSILON_0
 from kc2spice.fem.materials import material
@@ -41,6 +42,12 @@ class Material(Section):
         (3370.0, 3300.0), description="relative, 11 and 33, at constant permittivity_at"
     )
     permittivity_at: Literal["stress", "strain"] = "stress"
+    tensile_strength: Pressure | None = Field(
+        None, gt=0, description="largest principal stress; that of PZT-5H is assumed if absent"
+    )
+    depoling_field: Annotated[float, si("V/m")] | None = Field(
+        None, gt=0, description="largest field against poling; that of PZT-5H is assumed if absent"
+    )
 
     def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
@@ -97,6 +104,7 @@ def _from_library(given: object) -> object:
         "density": named.density, "stiffness": tuple(map(float, c)),
         "coupling": (float(e[2, 0]), float(e[2, 2]), float(e[0, 4])),
         "permittivity": (float(eps[0, 0]), float(eps[2, 2])), "permittivity_at": "strain",
+        "tensile_strength": named.tensile_strength, "depoling_field": named.depoling_field,
     }  # fmt: skip
     found = Material(**keys)
     same = (found.tensors()[0], C), (found.tensors()[1], named.e), (found.tensors()[2], named.eps_S)

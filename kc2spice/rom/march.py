@@ -1,4 +1,4 @@
-"""The chip's exact answer to recorded loads, and the energy that it holds: a book to check by."""
+"""Exact answers of modes to recorded loads, and the energy that they hold."""
 
 from __future__ import annotations
 
@@ -32,17 +32,18 @@ def chip_response(model: Resonators, t: np.ndarray, load: np.ndarray) -> ChipRes
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
-    z[:, :heavy], rate = _resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
+    z[:, :heavy], rate = resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
     z[:, heavy:] = _relaxing(model.omega[heavy:], model.damp[heavy:], t, drive[:, heavy:])
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
     return ChipResponse(z @ model.gain + load @ model.D, stored)
 
 
-def _resonant(
+def resonant(
     omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements and rates (n, modes)."""
+    """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, which starts in
+    equilibrium and is linear between the times."""
     a, b = _roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
         x_a = _march(a, t, drive)
@@ -77,7 +78,8 @@ def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Roots of ``s^2 + damp s + omega^2``; equal ones are moved apart by 1e-4 of omega."""
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
-    return -damp / 2 + half, -damp / 2 - half
+    fast = -damp / 2 - half
+    return omega**2 / fast, fast  # their sum would lose the slow one of a mode damped hard
 
 
 def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
