@@ -73,7 +73,8 @@ class Stack(Chip, FieldKeys):
 
     electrical: Literal["open", "short", "driven"] = "driven"
     rated_field: Annotated[float, si("V/m")] = Field(
-        2e6, gt=0,
+        2e6,
+        gt=0,
         description="largest field in a layer along its poling: an assumption, 120 V at 60 um; "
         "set what the maker of the stack allows",
     )
