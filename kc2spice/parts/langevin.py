@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from kc2spice.bodies import langevin
 from kc2spice.bodies.device import Device
-from kc2spice.parts._linear_body import depoling_voltage
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
@@ -51,9 +50,6 @@ stop = "100 kHz"
         faces = ("front",) if part.keys.support == "back" else ("front", "back")
         anode = Port("anode", "electrical", pins=("anode", "cathode"))
         return (anode, *(Port(name, "mechanical") for name in faces))
-
-    def rated(self, part: Part) -> float | None:
-        return depoling_voltage([part.keys.rings], part.name, series=False)
 
     def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         return langevin.device(self.body_keys(part), refine=refine, where=part.name)

@@ -192,11 +192,14 @@ class Reduction:
         def good(order: int) -> bool:
             return self.error(order) <= tolerance and (not keep or self.structure(order).stable)
 
-        low, high = max(0, min(self.first, self.size) - 1), self.size
-        if not good(high):
+        low = max(0, min(self.first, self.size) - 1)
+        # The last directions may be rounding and add but that: then fewer are better.
+        fewer = [self.size, *(self.size - 2**k for k in range(10) if self.size - 2**k > low)]
+        high = next((order for order in fewer if good(order)), None)
+        if high is None:
             raise SimulationError(
                 "the tolerance is out of reach", where="reduction",
-                got=f"estimate {self.error(high):.1e} with {high} states",
+                got=f"estimate {min(map(self.error, fewer)):.1e} with up to {self.size} states",
                 expected=f"at most {tolerance:g}",
                 hint="ask for a larger tolerance or a narrower band",
             )  # fmt: skip

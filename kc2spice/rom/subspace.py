@@ -242,13 +242,13 @@ def _rational(
     if worst > limit:
         raise _unsettled(search.response, band, worst, limit)
     proof = f"checked against the full model at {search.points} frequencies"
-    V, rounding = search.modal, 0.0
+    rounding = 0.0
     if not search.static:
-        K = pencil.coefficients[0]
+        K, V = pencil.coefficients[0], abs(search.basis)
         K = abs(K.uu if isinstance(K, Schur) else K)
-        rounding = np.finfo(float).eps * float((abs(V).T @ (K @ abs(V))).max())
+        rounding = np.finfo(float).eps * float((V.T @ (K @ V)).max())
     found = Subspace(search.response.pencil, worst, search.static, proof, rounding)
-    return _with_rounding(pencil, V, band, found)
+    return _with_rounding(pencil, search.modal, band, found)
 
 
 def _with_rounding(
