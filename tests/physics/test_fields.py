@@ -116,7 +116,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
 @pytest.mark.parametrize(("device", "port", "symmetric"), [
     (lambda: langevin.device(SANDWICH), "front", 1),
     (lambda: chip(mounting="glued", bottom_cap={"thickness": 1e-4}), "ring2", 4),
-    (lambda: chip(preload_spring=1.0, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
+    (lambda: chip(preload_spring=1, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
 ])  # fmt: skip
 def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, symmetric):
     """Statics: the axial stress over any cross-section is the force on the end."""
