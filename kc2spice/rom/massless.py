@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.modal import Resonators
-from kc2spice.rom.response import Response, largest_error, telling
+from kc2spice.rom.response import Judge, Response, telling
 
 SHARE = 1e-3  # of a port's static compliance: what its answer at the band's end may change by
 FAR = 2.0  # times the band's end: no lower mode answers at once
@@ -44,11 +44,11 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
         return model
     band = certificate.band_hz
     exact = Response(model.linear().pencil)
-    frequency = telling(exact, band, True)
+    judge = Judge(exact, telling(exact, band, True), band)
     for count in range(_beyond(model, band[1]), 0, -1):
         found = _relaxing(model, count)
         error = certificate.error_estimate
-        error += largest_error(Response(found.linear().pencil), exact, frequency, band)
+        error += judge.error(Response(found.linear().pencil))
         if tolerance is None or error <= tolerance:
             cut = found.omega[-1] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -29,13 +30,7 @@ from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
-from kc2spice.rom.response import (
-    Response,
-    around,
-    grid,
-    largest_error,
-    telling,
-)  # fmt: skip
+from kc2spice.rom.response import Judge, Response, around, grid, telling
 from kc2spice.rom.structure import Structure, structure
 from kc2spice.rom.subspace import Subspace, is_definite, subspace
 
@@ -140,7 +135,7 @@ def _krylov(
     reduced = large.leading(order)
     reference = Response(large)
     frequency = telling(reference, band, True)
-    error = SAFETY * largest_error(Response(reduced), reference, frequency, band)
+    error = SAFETY * Judge(reference, frequency, band).error(Response(reduced))
     method = f"difference to {large.size} states at resonances, flanks and notches"
     return _certified(model, reduced, band, error, method, structure(reduced, band))
 
@@ -167,11 +162,14 @@ class Reduction:
         """Largest order."""
         return self.pencil.size
 
+    @cached_property
+    def _judge(self) -> Judge:
+        return Judge(self.whole, self.frequency, self.band)
+
     def error(self, order: int) -> float:
         """Estimated largest relative error of any transfer function over the band."""
         found = Response(self.pencil.leading(order))
-        difference = largest_error(found, self.whole, self.frequency, self.band)
-        error = self.space.error + SAFETY * difference
+        error = self.space.error + SAFETY * self._judge.error(found)
         return max(error, ROUNDING)
 
     def structure(self, order: int) -> Structure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
@@ -226,38 +227,50 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
     return frequency
 
 
-def largest_error(
-    found: Response, exact: Response, frequency: np.ndarray, band: tuple[float, float]
-) -> float:
-    """:func:`relative_error` over the band: at ``frequency`` [Hz], then closer and closer around
-    where it is largest. Entries of ``exact`` that are zero but for rounding do not count."""
-    s = 2j * np.pi * frequency
-    reference = exact.transfer(s)
-    counted = ~exact.cancelled(s)
-    floor = FLOOR * np.abs(reference).max(axis=0)
+@dataclass(frozen=True)
+class Judge:
+    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once."""
 
-    def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
-        difference = np.abs(found.transfer(2j * np.pi * points) - H)
-        base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
-        return np.asarray((difference / base * counted).max(axis=(1, 2)))
+    exact: Response
+    frequency: np.ndarray
+    band: tuple[float, float]
 
-    at, ratio = exact.within((0.9 * band[0], 1.1 * band[1]))
-    error = sizes(frequency, reference)
-    for _ in range(PEAK_ROUNDS):
-        inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
-        top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
-        low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-        spans = [
-            np.linspace(frequency[i], frequency[j], ZOOM) for i, j in zip(low, high, strict=True)
-        ]
-        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
-        if not new.size:
-            break
-        error = np.r_[error, sizes(new, exact.transfer(2j * np.pi * new))]
-        frequency = np.r_[frequency, new]
-        order = np.argsort(frequency)
-        frequency, error = frequency[order], error[order]
-    return float(error.max())
+    @cached_property
+    def _known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The exact response, which entries are not zero but for rounding, their floors."""
+        s = 2j * np.pi * self.frequency
+        reference = self.exact.transfer(s)
+        return reference, ~self.exact.cancelled(s), FLOOR * np.abs(reference).max(axis=0)
+
+    def error(self, found: Response) -> float:
+        """:func:`relative_error` over the band: at ``frequency``, then closer and closer around
+        where it is largest."""
+        reference, counted, floor = self._known
+        frequency = self.frequency
+
+        def sizes(points: np.ndarray, H: np.ndarray) -> np.ndarray:
+            difference = np.abs(found.transfer(2j * np.pi * points) - H)
+            base = np.maximum(np.abs(H), floor) + np.finfo(float).tiny
+            return np.asarray((difference / base * counted).max(axis=(1, 2)))
+
+        at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
+        error = sizes(frequency, reference)
+        for _ in range(PEAK_ROUNDS):
+            inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
+            top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
+            low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
+            spans = [
+                np.linspace(frequency[i], frequency[j], ZOOM)
+                for i, j in zip(low, high, strict=True)
+            ]
+            new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+            if not new.size:
+                break
+            error = np.r_[error, sizes(new, self.exact.transfer(2j * np.pi * new))]
+            frequency = np.r_[frequency, new]
+            order = np.argsort(frequency)
+            frequency, error = frequency[order], error[order]
+        return float(error.max())
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:

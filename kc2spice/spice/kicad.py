@@ -177,9 +177,7 @@ def _controlled(letter: str, name: str, title: str) -> Symbol:
 
 
 def _marks() -> dict[str, Symbol]:
-    earth = _line(
-        (0.0, 0.0), (0.0, -1.27), (0.9, -1.27), (0.0, -2.2), (-0.9, -1.27), (0.0, -1.27)
-    )
+    earth = _line((0.0, 0.0), (0.0, -1.27), (0.9, -1.27), (0.0, -2.2), (-0.9, -1.27), (0.0, -1.27))
     flag = _line((0.0, 0.0), (0.0, 1.27), (-1.0, 1.9), (0.0, 2.54), (1.0, 1.9), (0.0, 1.27))
     spot: Tree = ("circle", ("center", 0.0, 3.3), ("radius", 0.762), _STROKE, _FILL)
     ends = ((0, 0, "top"),)
