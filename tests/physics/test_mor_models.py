@@ -1,6 +1,7 @@
 """Models of other tools: matrices to ROM to subcircuit to ngspice, against the full matrices."""
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,13 @@ FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
 def built(name):
     matrices, band = FAMILIES[name]()
     return matrices, LinearModel(**families.as_files(matrices), name=name), (0.0, band)
+
+
+@cache
+def reduced(name, tolerance):
+    """The model of a family, reduced once for all tests."""
+    _, model, band = built(name)
+    return reduce(model, band=band, tolerance=tolerance)
 
 
 def reduced_matrices(rom):
@@ -80,8 +88,8 @@ def test_beam_has_the_textbook_frequencies():
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
 @pytest.mark.parametrize("name", FAMILIES)
 def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
-    _, model, band = built(name)
-    rom = reduce(model, band=band, tolerance=tolerance)
+    _, model, _ = built(name)
+    rom = reduced(name, tolerance)
     frequency, expected = truth(name)
     error = worst(families.full_response(reduced_matrices(rom), frequency), expected)
     estimate = rom.certificate.error_estimate
@@ -98,8 +106,8 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
 @pytest.mark.parametrize("name", FAMILIES)
 def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):
     tolerance = 1e-5
-    matrices, model, band = built(name)
-    rom = reduce(model, band=band, tolerance=tolerance)
+    matrices, _, band = built(name)
+    rom = reduced(name, tolerance)
     part = subcircuit(rom, "part", dense=dense)
     frequency = np.linspace(band[1] / 80, band[1], 80)
     found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
@@ -278,8 +286,8 @@ def test_random_models_are_stable_and_passive_at_every_order(seed):
 
 def test_statespace_is_the_same_system():
     for name in FAMILIES:
-        _, model, band = built(name)
-        rom = reduce(model, band=band, tolerance=1e-4)
+        _, _, band = built(name)
+        rom = reduced(name, 1e-4)
         space = rom.to_statespace()
         frequency = np.linspace(0.01, 1, 30) * band[1]
         own = families.full_response(reduced_matrices(rom), frequency)
