@@ -99,26 +99,40 @@ def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     return body.type.full(body, scene, clock), build_models(scene, clock).model(part)
 
 
-def buzzer(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
-    """Impedance of a diaphragm."""
-    scene = load_scene(name, [])
-    full, reduced = models(scene, "disc")
+@dataclass(frozen=True)
+class Analyser:
+    """A body in front of an impedance analyser: full model, figures of the reduced one and of
+    ngspice, folder of the run."""
+
+    full: LinearModel
+    reduced: Mapping[str, Any]
+    ngspice: Mapping[str, Any]
+    out: Path
+
+
+def analysed(name: str, part: str) -> Analyser:
+    """What an analyser reads off a body whose scene is an ac analysis."""
+    full, reduced = models(load_scene(name, []), part)
     record, waves, out = simulate(name)
     frequency = waves["frequency"].real
     read = analyse(frequency, impedance(reduced, frequency, "anode")).metrics()
-    metrics = record["metrics"]
+    return Analyser(full, read, record["metrics"], out)
+
+
+def buzzer(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
+    """Impedance of a diaphragm."""
+    seen = analysed(name, "disc")
+    facts = seen.full.facts
     found = {
-        "resonance_hz": Answer(
-            full.facts["resonance_short_hz"], read["resonance_hz"], metrics["resonance_hz"]
-        ),
-        "capacitance_f": Answer(
-            full.facts["capacitance_free_f"], read["capacitance_f"], metrics["capacitance_f"]
-        ),
-    }
+        quantity: Answer(facts[fact], seen.reduced[quantity], seen.ngspice[quantity])
+        for quantity, fact in (
+            ("resonance_hz", "resonance_short_hz"), ("capacitance_f", "capacitance_free_f"),
+        )
+    }  # fmt: skip
     if "feedback_capacitance_f" in entry:
         fact = "feedback_capacitance_f"
-        found[fact] = Answer(full.facts[fact], None, None)
-    return found, out
+        found[fact] = Answer(facts[fact], None, None)
+    return found, seen.out
 
 
 def loaded(model: LinearModel, frequency: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
@@ -160,16 +174,11 @@ def harvester(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], P
 
 def stack(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     """Impedance of a stack."""
-    scene = load_scene(name, [])
-    full, reduced = models(scene, "stack")
-    record, waves, out = simulate(name)
-    frequency = waves["frequency"].real
-    read = analyse(frequency, impedance(reduced, frequency, "anode")).metrics()
-    near = np.linspace(0.99, 1.01, 21) * read["resonance_hz"]
-    admittance = np.abs(1 / impedance(full.select(["anode"]), near, "anode"))
+    seen, quantity = analysed(name, "stack"), "resonance_hz"
+    near = np.linspace(0.99, 1.01, 21) * seen.reduced[quantity]
+    admittance = np.abs(1 / impedance(seen.full.select(["anode"]), near, "anode"))
     exact = float(near[admittance.argmax()])
-    answer = Answer(exact, read["resonance_hz"], record["metrics"]["resonance_hz"])
-    return {"resonance_hz": answer}, out
+    return {quantity: Answer(exact, seen.reduced[quantity], seen.ngspice[quantity])}, seen.out
 
 
 def tone(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:

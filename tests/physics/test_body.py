@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.sparse.linalg import eigsh
+from skfem.mesh import MeshTet
 
 from kc2spice.bodies.bimorph import Bimorph
 from kc2spice.bodies.bimorph import build as build_bimorph
-from kc2spice.bodies.body import Body, build, device
+from kc2spice.bodies.body import Body, _Groups, build, device
 from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import build as build_disc
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
+from kc2spice.fem.mesh_file import Group, GroupedMesh
 from kc2spice.rom.reduce import reduce
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "bracket"
@@ -305,6 +307,13 @@ def test_damping_of_each_material(coarse):
 def test_errors_name_the_group(coarse, changes, message):
     with pytest.raises(UsageError, match=message):
         build(keys(**changes), coarse)
+
+
+def test_empty_group_is_named():
+    found = GroupedMesh(MeshTet(), {"foot": Group(1, np.empty(0, int))})
+    with pytest.raises(UsageError, match="group is empty") as error:
+        _Groups(found, keys()).get("foot", "fixed")
+    assert (error.value.where, error.value.got) == ("fixed", "foot")
 
 
 def test_group_of_two_materials_is_named(tmp_path):
