@@ -132,9 +132,9 @@ def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str]
 
 def print_facts(title: str, facts: Mapping[str, Any]) -> None:
     """Numbers of a result, each with the unit that its key ends in."""
-    from kc2spice.report.words import fact
+    from kc2spice.report.words import fact, flat
 
-    plain = {name: value for name, value in facts.items() if _is_plain(value)}
+    plain = {name: value for name, value in flat(facts).items() if _is_plain(value)}
     rows = [fact(name, value, digits=6) for name, value in plain.items()]
     if rows:
         print_table(title, [(name, text.replace("\u2212", "-")) for name, text in rows])

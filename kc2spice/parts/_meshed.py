@@ -114,7 +114,8 @@ class MeshedBody(LinearBody):
         for each in recovered.extremes:
             quantity, unit, *_ = _QUANTITIES[each.quantity]
             found[f"{quantity}_{_slug(each.material)}_{unit}"] = each.value
-            found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
+            if each.limit is not None:
+                found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
         return found | {"worst_stress_time_s": recovered.worst.instant}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:

@@ -9,7 +9,7 @@ from typing import Any
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import Picture
 from kc2spice.report.sketch import circuit, devices
-from kc2spice.report.words import check_name, fact, quantity, worded
+from kc2spice.report.words import check_name, fact, flat, quantity, worded
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plan import plan
 
@@ -49,8 +49,7 @@ def write_run(
 
 
 def _facts(title: str, facts: Mapping[str, Any]) -> Section:
-    plain = {k: v for k, v in facts.items() if not isinstance(v, Mapping)}
-    return Section(title, [fact(key, value) for key, value in plain.items()])
+    return Section(title, [fact(key, value) for key, value in flat(facts).items()])
 
 
 def _checks(result: Mapping[str, Any]) -> Section:

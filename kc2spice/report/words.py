@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
@@ -42,6 +43,15 @@ def unit_of(key: str) -> str:
 
 def _suffix(key: str) -> tuple[str, str]:
     return next(((s, u) for s, u in _SUFFIXES if key.endswith(s)), ("", ""))
+
+
+def flat(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """A result's numbers with those of tables within it under ``TABLE_NAME``."""
+    found: dict[str, Any] = {}
+    for name, value in facts.items():
+        inner = flat(value) if isinstance(value, Mapping) else None
+        found |= {name: value} if inner is None else {f"{name}_{k}": v for k, v in inner.items()}
+    return found
 
 
 def fact(key: str, value: Any, digits: int = 5) -> tuple[str, str]:
