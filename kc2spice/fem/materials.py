@@ -120,6 +120,18 @@ class Material:
         return self.eps_S + self.e @ np.linalg.solve(self.C, self.e.T)
 
     @property
+    def indentation_modulus(self) -> float:
+        """Modulus [Pa] of a half-space pressed along z, fields zero; E / (1 - nu^2) if isotropic.
+
+        Of a material that is isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
+        Structures 41 (2004), eq. 13.
+        """
+        c11, c13, c33, c44 = self.C[0, 0], self.C[0, 2], self.C[2, 2], self.C[3, 3]
+        mean = np.sqrt(c11 * c33)
+        slender = (mean**2 - c13**2) / c11
+        return float(2 * np.sqrt(slender / (1 / c44 + 2 / (mean + c13))))
+
+    @property
     def d(self) -> np.ndarray:
         """(3, 6) piezoelectric strain coefficients [C/N] = [m/V]."""
         return np.linalg.solve(self.C, self.e.T).T

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from skfem import Basis, BilinearForm, ElementVector, FacetBasis
+from skfem import Basis, BilinearForm, ElementVector, FacetBasis, LinearForm
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import bond
@@ -20,6 +20,7 @@ from kc2spice.rom.linear import Port
 QUARTERS = 4
 FREE_SHIFT = 1e-3
 _AXES = 3
+_FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def assemble_kick(kick: Chip, mesh: KickMesh | None = None) -> PiezoSystem:
     require_memory(kick)
     mesh = kick_mesh(kick) if mesh is None else mesh
     M, K_uu, K_uphi, K_phi = assemble_matrices(
-        mesh, poled(piezo_material(kick.material), kick.poling), *_cap_materials(kick)
+        mesh, poled(piezo_material(kick.material), kick.poling), *cap_materials(kick)
     )
     if isinstance(kick.mounting, float):
         K_uu = _symmetric(K_uu + kick.mounting * bottom_face(mesh))
@@ -133,7 +134,7 @@ def poled(material: PiezoMaterial, axis: str) -> PiezoMaterial:
     )  # fmt: skip
 
 
-def _cap_materials(kick: Chip) -> tuple[PiezoMaterial | None, PiezoMaterial | None]:
+def cap_materials(kick: Chip) -> tuple[PiezoMaterial | None, PiezoMaterial | None]:
     """Elastic materials of the caps below and above."""
     own = piezo_material(kick.material)
     found: list[PiezoMaterial | None] = []
@@ -316,6 +317,25 @@ def electrodes(mesh: KickMesh) -> tuple[np.ndarray, np.ndarray]:
     anode = np.where(live & ~free, 1 - np.abs(plane % (2 * steps) / steps - 1), 0.0)
     each = len(mesh.plane)
     return np.repeat(anode, each), np.flatnonzero(np.repeat(free, each))
+
+
+def patch_shape(mesh: KickMesh, radii: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+    """(3 nodes,) shape of a unit axial force on the top, spread as ``pressure`` is: straight lines
+    over ``radii`` [m], nothing beyond them."""
+    slab = mesh.top or mesh.active[-1]
+    z = slab.layer.p[2]
+    facets = slab.layer.facets_satisfying(lambda x: np.abs(x[2] - z.max()) < 1e-6 * np.ptp(z))
+    basis = FacetBasis(slab.layer, ElementVector(mesh.element), facets=facets, intorder=_FINE)
+
+    def spread(v, w):  # type: ignore[no-untyped-def]
+        return np.interp(np.hypot(w.x[0], w.x[1]), radii, pressure, right=0.0) * v[2]
+
+    dofs = (_AXES * mesh.node[:, None] + np.arange(_AXES)).ravel()
+    dofs = dofs + _AXES * (slab.first + mesh.steps * (slab.count - 1)) * len(mesh.plane)
+    load = np.bincount(
+        dofs, LinearForm(spread).assemble(basis), _AXES * len(mesh.plane) * len(mesh.heights)
+    )
+    return load / load.sum()
 
 
 def ring_shapes(mesh: KickMesh, axis: str = "z") -> np.ndarray:

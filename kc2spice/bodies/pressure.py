@@ -1,0 +1,302 @@
+"""Pressure on the top of a layered stack: contact ports that converge with the mesh.
+
+A force on a circle of the mesh's nodes is a line load, whose dent grows without limit as the mesh
+gets finer. Here a port is a pressure, a hat function of the radius, and the displacement averaged
+with it. The mesh of the whole stack is too coarse for them; only a patch of them is a port of it,
+pressed as by a flat punch: with the shares ``w = S^-1 1 / (1' S^-1 1)`` of the hats, S (n, n) their
+static compliance, every hat moves by the same ``S w = s 1``. Then
+
+    u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
+
+where S is that of a round stack of the same layers on a graded axisymmetric mesh and ``s_patch``
+that of the patch on the coarse mesh of the same round stack: what the coarse mesh has too little is
+put back where it is missing. What differs between the round stack and the real one is smooth, thus
+the same for all hats, and dynamic: the patch has it. The matrix is positive semi-definite because
+``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
+
+The hats answer at once, as residual modes do (:mod:`kc2spice.rom.massless`): the dents' own modes
+lie above the sound's frequency over the patch, ten megahertz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from skfem import BoundaryFacetBasis
+from skfem.mesh import MeshQuad
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.fem.materials import Material
+from kc2spice.fem.piezo.assembly import (
+    PiezoMaterial,
+    assemble_kick,
+    cap_materials,
+    free_displacements,
+    patch_shape,
+    piezo_material,
+)
+from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
+from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.fem.solid import Solid, assemble
+from kc2spice.rom.linear import LinearModel, Port
+
+CELLS = 3  # of the graded mesh between two hats
+GROWTH = 1.3  # from cell to cell away from the hats
+COARSER = 1.5  # from hat to hat beyond those that are ports
+PATCH = "patch"
+
+
+@dataclass(frozen=True)
+class Hats:
+    """Hat functions of the radius: hat j is 1 at ``nodes[j]`` and 0 at its neighbours [m].
+
+    The first ``count`` are equally spaced; those beyond serve to spread the patch's pressure. The
+    last node is the patch's edge, where no hat stands.
+    """
+
+    nodes: np.ndarray
+    count: int
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Their integrals over the plane [m^2]."""
+        return self._moments(0)
+
+    @property
+    def distances(self) -> np.ndarray:
+        """Radius [m] whose square is the mean of ``r^2`` over each: there a paraboloid's mean gap
+        is its gap."""
+        return np.sqrt(self._moments(2) / self._moments(0))
+
+    def _moments(self, power: int) -> np.ndarray:
+        x, w = np.polynomial.legendre.leggauss(4)
+        a, b = self.nodes[:-1], self.nodes[1:]
+        r = (a + b)[:, None] / 2 + (b - a)[:, None] / 2 * x
+        part = np.pi * (b - a)[:, None] * w * r ** (1 + power)
+        up = (r - a[:, None]) / (b - a)[:, None]
+        falling, rising = (part * (1 - up)).sum(axis=1), (part * up).sum(axis=1)
+        return falling + np.r_[0.0, rising[:-1]]
+
+
+def hats(spacing: float, count: int, patch: float) -> Hats:
+    """``count`` hats every ``spacing`` [m], then ever wider ones up to the radius ``patch`` [m]."""
+    nodes = list(spacing * np.arange(count + 1))
+    while nodes[-1] + COARSER * (step := COARSER * (nodes[-1] - nodes[-2])) < patch:
+        nodes.append(nodes[-1] + step)
+    return Hats(np.array([*nodes, patch]), count)
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """``shares`` (n,) of the hats in the patch, and what they give more than it (count, count)."""
+
+    shares: np.ndarray
+    compliance: np.ndarray
+
+
+def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
+    """Shares and additional compliance [m/N] of the hats on the stack's top.
+
+    Raises
+    ------
+    SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
+    """
+    S = dents(chip, shape, cells)
+    shares = np.linalg.solve(S, np.ones(len(S)))
+    shares /= shares.sum()
+    coarse = _patch_compliance(_round(chip), shape, shares)
+    added = S[: shape.count, : shape.count] - coarse
+    lowest = float(np.linalg.eigvalsh(added)[0])
+    if lowest < 0:
+        raise SimulationError(
+            "the mesh of the stack is softer than a graded one under a patch of pressure",
+            where="contact.shape", got=f"compliance {lowest:.3g} m/N of a hat", expected="above 0",
+            hint="raise kick.mesh.sectors, or lower contact.spacing",
+        )  # fmt: skip
+    return Pressed(shares, added)
+
+
+def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
+    """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
+    the chip's smaller side, on a roller, electrodes at constant voltage."""
+    heights, materials = _layers(chip)
+    solid = _graded(shape, min(chip.half), heights, materials, cells)
+    r, z = solid.basis(1).doflocs
+    near = 1e-9 * heights[-1]
+    held = np.column_stack([r < near, z < near]).ravel()  # the axis and the roller
+    full = assemble(solid)
+    planes = heights[_active(materials)]
+    on_plane = (np.abs(z[:, None] - planes) < near).any(axis=1) if planes.size else z < 0
+    inner = np.flatnonzero((full.K_pp.diagonal() > 0) & ~on_plane)
+    free = np.flatnonzero(~held)
+    blocks = full.K_uu[free][:, free], full.K_up[free][:, inner], full.K_pp[inner][:, inner]
+    loads = np.zeros((2 * z.size, len(shape.nodes) - 1))
+    loads[1::2] = _hat_loads(solid, shape, heights[-1])
+    S = loads[free].T @ _static(*blocks, loads[free])
+    return (S + S.T) / 2
+
+
+def _active(materials: list[Material]) -> np.ndarray:
+    """Numbers of the heights on which an electrode lies: below and above piezoelectric layers."""
+    layers = np.flatnonzero([made_of.piezoelectric for made_of in materials])
+    return np.unique([layers, layers + 1])
+
+
+def _hat_loads(solid: Solid, shape: Hats, top: float) -> np.ndarray:
+    """(nodes, hats) unit axial forces, spread over the top as the hats are."""
+    facets = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - top) < 1e-9 * top)
+    basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=5)
+    r = np.asarray(basis.global_coordinates())[0]
+    loads = np.zeros((int(basis.N), len(shape.nodes) - 1))
+    for j, column in enumerate(loads.T):
+        pressure = np.interp(r, shape.nodes, np.eye(len(shape.nodes))[j], right=0.0)
+        for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
+            np.add.at(column, nodes, (np.asarray(function[0]) * basis.dx * r * pressure).sum(1))
+    return loads / loads.sum(axis=0)
+
+
+def _graded(
+    shape: Hats, radius: float, heights: np.ndarray, materials: list[Material], cells: int
+) -> Solid:
+    """Quadrilaterals that grow away from the hats, with a line at every height."""
+    ends = zip(shape.nodes[:-1], shape.nodes[1:], strict=True)
+    inner = np.concatenate([*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends),
+                            shape.nodes[-1:]])  # fmt: skip
+    r = np.concatenate([inner, _growing(inner[-1], radius, inner[-1] - inner[-2])[1:]])
+    z, step = [heights[-1:]], shape.nodes[1] / cells
+    for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
+        down = _growing(0.0, high - low, step)
+        z.append(np.r_[high - down[1:-1], low])
+        step = down[-1] - down[-2]
+    z = np.concatenate(z)[::-1]
+    mesh = MeshQuad.init_tensor(r, z)
+    middle = mesh.p[1][mesh.t].mean(axis=0)
+    names = list(dict.fromkeys(made_of.name for made_of in materials))
+    owner = [names.index(made_of.name) for made_of in materials]
+    found = tuple(next(m for m in materials if m.name == name) for name in names)
+    layer = np.searchsorted(heights, middle) - 1
+    return Solid(mesh, found, np.array(owner)[layer], axisymmetric=True)
+
+
+def _growing(start: float, end: float, step: float) -> np.ndarray:
+    """Points from ``start`` to ``end`` whose distances grow from about ``step`` on."""
+    points = [start]
+    while points[-1] + 1.5 * (step := GROWTH * step) < end:
+        points.append(points[-1] + step)
+    return np.array([*points, end])
+
+
+def _layers(chip: Chip) -> tuple[np.ndarray, list[Material]]:
+    """Heights [m] from the bottom, and the material of each layer, poled as the stack is."""
+    own, (below, above) = piezo_material(chip.material), cap_materials(chip)
+
+    def layer(made_of: PiezoMaterial, sign: float, name: str) -> Material:
+        return Material(name, made_of.density, made_of.C, sign * made_of.e, made_of.eps)
+
+    thickness = [chip.height / chip.layers] * chip.layers
+    materials = [layer(own, *((1.0, "up") if k % 2 else (-1.0, "down")))
+                 for k in range(chip.layers)]  # fmt: skip
+    if chip.bottom_cap is not None and below is not None:
+        thickness.insert(0, chip.bottom_cap.thickness)
+        materials.insert(0, layer(below, 0.0, "below"))
+    if chip.top_cap is not None and above is not None:
+        thickness.append(chip.top_cap.thickness)
+        materials.append(layer(above, 0.0, "above"))
+    return np.r_[0.0, np.cumsum(thickness)], materials
+
+
+def _round(chip: Chip) -> Chip:
+    """The round stack of the same layers and the same mesh under the hats."""
+    given = {
+        name: getattr(chip, name) for name in ("height", "layers", "bottom_cap", "top_cap",
+                                                "material", "mesh", "damping")
+    }  # fmt: skip
+    return Chip(**given, diameter=2 * min(chip.half))
+
+
+def _patch_compliance(chip: Chip, shape: Hats, shares: np.ndarray) -> float:
+    """Static compliance [m/N] of the patch on the chip's own mesh, whole device."""
+    mesh = kick_mesh(chip)
+    system = assemble_kick(chip, mesh)
+    load = patch_load(chip, mesh, shape, shares)
+    found = _static(system.K_uu, system.K_up, system.K_pp, load[:, None])
+    return float(load @ found[:, 0]) / system.sectors
+
+
+def patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> np.ndarray:
+    """(n,) unit force on the sector, as the shares of the hats spread it."""
+    pressure = np.append(shares / shape.areas, 0.0)
+    return patch_shape(mesh, shape.nodes, pressure)[free_displacements(mesh, chip)]
+
+
+def _static(
+    K_uu: sparse.csc_array, K_up: sparse.csc_array, K_pp: sparse.csc_array, loads: np.ndarray
+) -> np.ndarray:
+    """(n, loads) displacements at rest, electrodes at constant voltage."""
+    whole = K_uu
+    if K_pp.shape[0]:
+        whole = sparse.block_array([[K_uu, K_up], [K_up.T, -K_pp]], format="csc")
+    # newtons and coulombs differ by twenty orders of magnitude
+    scale = 1 / np.sqrt(np.abs(whole.diagonal()))
+    equal = sparse.diags_array(scale)
+    factor = splu(
+        (equal @ whole @ equal).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
+    right = np.zeros((whole.shape[0], loads.shape[1]))
+    right[: len(loads)] = scale[: len(loads), None] * loads
+    return np.asarray(scale[: len(loads), None] * factor.solve(right)[: len(loads)])
+
+
+def with_patch(system: PiezoSystem, load: np.ndarray) -> PiezoSystem:
+    """The same sector with the patch as its one mechanical port."""
+    electrical = [port for port in system.ports if port.kind == "electrical"]
+    ports = (Port(PATCH, "mechanical"), *electrical)
+    return replace(system, B=load[:, None], ports=ports)
+
+
+def with_hats(model: LinearModel, compliance: np.ndarray, names: tuple[str, ...], pace: float
+              ) -> LinearModel:  # fmt: skip
+    """``model`` with the hats ``names`` as ports instead of the patch, which all of them move.
+
+    ``compliance`` (n, n) [m/N] is what they give more, damped as stiffness is: ``pace`` [s] is
+    ``beta`` of ``E = beta K``. It becomes n states without inertia, the last of the model.
+
+    Raises
+    ------
+    SimulationError : ``compliance`` is not positive definite.
+    """
+    size, shapes = np.linalg.eigh(compliance)
+    if size[0] <= 0:
+        raise SimulationError(
+            "the springs of a contact give more than the surface", where="contact.spacing",
+            got=f"compliance {size[0]:.3g} m/N of a pressure", expected="above 0",
+            hint="change contact.spacing",
+        )  # fmt: skip
+    n, where = len(size), [port.name for port in model.ports].index(PATCH)
+    stiff = 1.0 / np.sqrt(size.max())  # as gains, so that the states are of the size of the dents
+    own = stiff * np.sqrt(size)[:, None] * shapes.T
+    others = np.delete(np.arange(len(model.ports)), where)
+    B = np.vstack([
+        np.hstack([np.repeat(model.B[:, [where]], n, axis=1), model.B[:, others]]),
+        np.hstack([own, np.zeros((n, len(others)))]),
+    ])  # fmt: skip
+    D = np.zeros((n + len(others),) * 2)
+    D[n:, n:] = model.D[np.ix_(others, others)]
+
+    def grown(matrix, value: float):  # type: ignore[no-untyped-def]
+        if sparse.issparse(matrix):
+            return sparse.block_diag([matrix, value * sparse.eye_array(n)], format="csc")
+        return np.block([
+            [matrix, np.zeros((len(matrix), n))], [np.zeros((n, len(matrix))), value * np.eye(n)]
+        ])  # fmt: skip
+
+    ports = (*(Port(name, "mechanical") for name in names), *(model.ports[k] for k in others))
+    return replace(
+        model, M=grown(model.M, 0.0), E=grown(model.E, pace * stiff**2),
+        K=grown(model.K, stiff**2), B=B, C=B.T.copy(), D=D, ports=ports,
+    )  # fmt: skip
