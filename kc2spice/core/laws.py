@@ -513,10 +513,15 @@ class Device(ABC):
 
 @dataclass(frozen=True)
 class Contact(Device):
-    """One-sided springs from the pins ``ports`` against the pin ``b``.
+    """One-sided springs from the pins ``ports`` against the pin ``b``, and dry friction.
 
-    ``F_i = stiffness_i pen_i^power (1 + damping pen_i')`` where ``pen_i = u_i - u_b - gap_i > 0``
+    ``F_i = stiffness_i pen_i^power max(0, 1 + damping pen_i')``, ``pen_i = u_i - u_b - gap_i > 0``
     (Hunt and Crossley 1975; ``damping`` in s/m). ``stiffness`` (n,) [N/m^power], ``gaps`` (n,) [m].
+    Surfaces that part faster than ``1 / damping`` do not pull: the dent is left behind.
+
+    With ``friction`` a force of at most ``friction sum F_i`` (Coulomb) acts against the sliding of
+    the pin ``slide`` over ``rail``: ``sum F_i friction clip(v / creep, -1, 1)`` at the speed v;
+    below the speed ``creep`` [m/s] it is viscous, which stands for sticking.
     """
 
     name: str
@@ -525,73 +530,115 @@ class Contact(Device):
     gaps: np.ndarray
     damping: float = 0.0
     power: float = 1.0
+    friction: float = 0.0
+    creep: float = 1e-4
     kind: str = "displacement"
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        """The ports, then ``b``."""
+        """The ports, ``b``, and with friction ``slide`` and ``rail``."""
         own = tuple(Pin(p, self.kind) for p in self.ports)
-        return (*own, Pin("b", self.kind, grounded=True))
+        along = (Pin("slide", self.kind), Pin("rail", self.kind, grounded=True))
+        return (*own, Pin("b", self.kind, grounded=True), *(along if self.friction else ()))
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        """Approach of every pair, and their rates where there is damping."""
+        """Approach of every pair, their rates where there is damping, the speed of sliding."""
         near = tuple(Tap(p, "b") for p in self.ports)
-        return near + tuple(Tap(p, "b", rate=True) for p in self.ports if self.damping)
+        rates = tuple(Tap(p, "b", rate=True) for p in self.ports if self.damping)
+        return near + rates + ((Tap("slide", "rail", rate=True),) if self.friction else ())
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """A force per pair."""
-        return tuple(Flow(p, "b") for p in self.ports)
+        """A force per pair, and the friction."""
+        along = (Flow("slide", "rail"),) if self.friction else ()
+        return (*(Flow(p, "b") for p in self.ports), *along)
 
     @property
     def affine(self) -> bool:
-        """A linear spring without damping."""
-        return self.power == 1.0 and not self.damping
+        """A linear spring without damping or friction."""
+        return self.power == 1.0 and not self.damping and not self.friction
 
     def _penetration(self, e: np.ndarray) -> np.ndarray:
         return e[: len(self.ports)] - self.gaps
 
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[bool, ...]:
-        """Which pairs are closed."""
-        return tuple((self._penetration(e) > 0.0).tolist())
+    def _factor(self, e: np.ndarray) -> np.ndarray:
+        """``1 + damping pen'`` (n,)."""
+        n = len(self.ports)
+        return 1.0 + self.damping * e[n : 2 * n] if self.damping else np.ones(n)
+
+    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[int, ...]:
+        """Of each pair: 0 open, 1 pressing, 2 parting faster than the dent comes back; then the
+        direction of sliding, 0 below ``creep``."""
+        state = np.where(self._penetration(e) > 0.0, np.where(self._factor(e) > 0.0, 1, 2), 0)
+        slides = int(np.sign(e[-1])) * int(abs(e[-1]) > self.creep) if self.friction else 0
+        return (*state.tolist(), slides)
 
     def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
-        """A closed pair can only open and the other way round."""
-        return np.where(mode, 1.0, -1.0) * self._penetration(e)
+        """A closed pair can open, press or not; sliding can begin to either side, or end."""
+        state = np.array(mode[:-1])
+        edge = np.where(state > 0, 1.0, -1.0) * self._penetration(e)
+        pull = np.where(state == 2, -1.0, 1.0) * np.where(state == 0, 1.0, self._factor(e))
+        found = [edge, pull] if self.damping else [edge]
+        if self.friction:
+            slides = mode[-1]
+            found.append(np.array(_inside(float(e[-1]), -self.creep, self.creep, slides)))
+        return np.concatenate(found)
 
     def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
-        """One pair opens or closes."""
-        now = tuple(not c if k == guard else c for k, c in enumerate(mode))
-        return now, f"{self.ports[guard]} {'closes' if now[guard] else 'opens'}"
+        """One pair opens, closes or lets go; sliding begins or ends."""
+        n = len(self.ports)
+        first = 2 * n if self.damping else n
+        if guard >= first:
+            slides = 0 if mode[-1] else 2 * (guard - first) - 1
+            return (*mode[:-1], slides), f"slide {'begins' if slides else 'ends'}"
+        k, state = guard % n, mode[guard % n]
+        now = (1 if state == 0 else 0) if guard < n else 3 - state
+        said = "opens" if now == 0 else "closes" if state == 0 else ""
+        return (*mode[:k], now, *mode[k + 1 :]), f"{self.ports[k]} {said}" if said else ""
+
+    def _elastic(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Undamped forces (n,) of the closed pairs, and their slopes."""
+        closed, pen = np.array(mode[:-1]) > 0, self._penetration(e)
+        if self.power == 1.0:
+            return self.stiffness * pen * closed, self.stiffness * closed
+        deep = np.maximum(pen, 0.0) * closed
+        slope = self.stiffness * self.power * deep ** (self.power - 1.0)
+        return self.stiffness * deep**self.power, slope
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Forces of the closed pairs."""
-        n, closed = len(self.ports), np.array(mode, dtype=float)
-        pen = self._penetration(e)
-        if self.power == 1.0:
-            elastic, slope = self.stiffness * pen * closed, self.stiffness * closed
-        else:
-            deep = np.maximum(pen, 0.0)
-            elastic = self.stiffness * deep**self.power * closed
-            slope = self.stiffness * self.power * deep ** (self.power - 1.0) * closed
-        if not self.damping:
-            return elastic, np.diag(slope)
-        more = 1.0 + self.damping * e[n:]
-        return elastic * more, np.hstack((np.diag(slope * more), np.diag(elastic * self.damping)))
+        """Forces of the pairs, and the friction."""
+        press = np.array(mode[:-1]) == 1
+        elastic, slope = self._elastic(e, mode)
+        factor = self._factor(e) * press
+        force, parts = elastic * factor, [np.diag(slope * factor)]
+        if self.damping:
+            parts.append(np.diag(elastic * self.damping * press))
+        by_taps = np.hstack(parts)
+        if not self.friction:
+            return force, by_taps
+        slides = mode[-1]
+        drag = self.friction * (float(slides) if slides else e[-1] / self.creep)
+        steep = 0.0 if slides else self.friction * force.sum() / self.creep
+        along = np.append(drag * by_taps.sum(axis=0), steep)
+        by_taps = np.vstack((np.column_stack((by_taps, np.zeros(force.size))), along))
+        return np.append(force, drag * force.sum()), by_taps
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
         """``stiffness pen^(power + 1) / (power + 1)``."""
-        deep = np.maximum(self._penetration(e), 0.0) * np.array(mode, dtype=float)
+        deep = np.maximum(self._penetration(e), 0.0) * (np.array(mode[:-1]) > 0)
         return float((self.stiffness * deep ** (self.power + 1)).sum()) / (self.power + 1)
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
-        """``F_elastic damping pen'^2``."""
-        if not self.damping:
-            return 0.0
+        """What closes the springs less what they store, and friction times speed."""
         n = len(self.ports)
-        deep = np.maximum(self._penetration(e), 0.0) * np.array(mode, dtype=float)
-        return float((self.stiffness * deep**self.power * self.damping) @ e[n:] ** 2)
+        if self.affine:
+            return 0.0
+        through = self.evaluate(t, e, mode)[0]
+        lost = float(through[-1] * e[-1]) if self.friction else 0.0
+        if self.damping:
+            lost += float((through[:n] - self._elastic(e, mode)[0]) @ e[n : 2 * n])
+        return lost
 
 
 @dataclass(frozen=True)

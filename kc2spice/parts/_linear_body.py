@@ -82,6 +82,14 @@ class LinearBody(PartType):
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         """The full model of the whole device, every cell divided by ``refine`` along each axis."""
 
+    def reducible(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        """The model that is reduced: the full one with the ports that the scene needs."""
+        return self.full(part, scene, clock).select([p.name for p in self.kept(part, scene)])
+
+    def finished(self, model: LinearModel, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        """``model``, reduced, with what no reduction touches."""
+        return model
+
     def body_keys(self, part: Part) -> Any:
         """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
         plain: Any = type(part.keys).__mro__[1]
@@ -149,6 +157,14 @@ class LinearBody(PartType):
                 )  # fmt: skip
         return Surface(names, names, names, (0.0,) * len(names)) if names else None
 
+    def indentation_modulus(self, part: Part) -> float | None:
+        layers = getattr(part.keys, "layers", ())
+        if not isinstance(layers, tuple):
+            return None
+        from kc2spice.fem.materials import material
+
+        return material(layers[-1].material, part.name).indentation_modulus if layers else None
+
     # --- model and netlist ----------------------------------------------------------------------
 
     def settings(self, part: Part, scene: Scene) -> Rom:
@@ -180,7 +196,6 @@ class LinearBody(PartType):
         return found | {"massless": massless(part, scene)}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        kept = [port.name for port in self.kept(part, scene)]
         target = self.settings(part, scene)
         without = massless(part, scene)
 
@@ -188,9 +203,8 @@ class LinearBody(PartType):
             from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import reduce
 
-            full = self.full(part, scene, clock)
+            chosen = self.reducible(part, scene, clock)
             with clock.stage("reduce", f"reduction of {part.name}"):
-                chosen = full.select(kept)
                 order = None if target.order is None else min(target.order, chosen.order)
                 small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
             modal = modal_form(small)  # whose later use needs no eigenvalues
@@ -198,7 +212,8 @@ class LinearBody(PartType):
                 return small
             if without:
                 modal = without_inertia(modal, target.tolerance)
-            return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            found = replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
+            return self.finished(found, part, scene, clock)
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),

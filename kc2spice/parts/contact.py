@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,12 +13,21 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
-from kc2spice.core.quantities import Length, Rings, Section, Stiffness
+from kc2spice.core.quantities import (
+    Length,
+    Pressure,
+    Ratio,
+    Rings,
+    Section,
+    Stiffness,
+    Velocity,
+    si,
+)
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     LeftOut,
@@ -39,7 +49,9 @@ OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
 EVENTS = 4e-3
 ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
+CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
 FEW = 20  # events that are not too many for any reltol
+FLOOR = "floor"  # port of a rigid plane
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 
 
@@ -49,13 +61,55 @@ class ContactKeys(Section):
     penalty: Stiffness = Field(1e8, gt=0, description="of a ring of one symmetry sector")
     rings: Rings = Field("needed", description="needed, all, or how many from the centre on")
     a: str | tuple[str, ...] | None = Field(
-        None, description="body, or its ports; the only body that offers a surface"
+        None, description="body, its ports, or gnd; the only body that offers a surface"
     )
     b: str | None = Field(None, description="sphere, or a port of a body; the only sphere")
     gap: Length = Field(0.0, description="at rest, on top of that of the geometry")
     inertia: Literal["massless", "lumped"] = Field(
         "massless", description="of the residual modes behind the ports: left out, or a mass each"
     )
+    shape: Literal["rings", "pressure"] = Field(
+        "rings", description="of the chip's ports: circles of the mesh, or hats of pressure"
+    )
+    spacing: Length = Field(10e-6, gt=0, description="of the hats of pressure")
+    law: Literal["linear", "hertz"] = Field(
+        "linear", description="penalty x, or 4/3 E* sqrt(R) x^(3/2) of a sphere at one port"
+    )
+    modulus: Pressure | None = Field(
+        None, gt=0, description="E* of both sides under law = hertz; by default of their materials"
+    )
+    groove: Ratio | None = Field(
+        None, gt=0, le=180, description="opening angle in degrees of the groove in a that b lies in"
+    )
+    damping: Annotated[float, si("s/m")] = Field(
+        0.0, ge=0, description="of Hunt and Crossley: force times 1 + damping times closing speed"
+    )
+    friction: Ratio = Field(
+        0.0, ge=0, description="Coulomb's coefficient, of pin slide over pin rail"
+    )
+    creep: Velocity = Field(
+        1e-4, gt=0, description="speed below which friction is viscous, for sticking"
+    )
+
+
+@dataclass(frozen=True)
+class Normal:
+    """``F = stiffness x^power max(0, 1 + damping x')`` along the axis, with friction beside it.
+
+    ``stiffness`` in N/m^power, of port k times ``areas[k] / areas[0]`` where there are any;
+    ``friction`` is Coulomb's coefficient, ``creep`` [m/s] the speed at which it is reached.
+    """
+
+    stiffness: float
+    power: float = 1.0
+    damping: float = 0.0
+    friction: float = 0.0
+    creep: float = 1e-4
+    areas: tuple[float, ...] = ()
+
+    def shares(self, count: int) -> np.ndarray:
+        """(count,) each port's stiffness over that of the first."""
+        return np.array(self.areas[:count]) / self.areas[0] if self.areas else np.ones(count)
 
 
 class Contact(PartType):
@@ -65,28 +119,40 @@ class Contact(PartType):
     throws = True
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        _, b = sides(part, scene)
-        rings = tuple(Terminal(port, "um", "N") for port in kept_ports(part, scene))
-        if b.force == b.place:
-            return (*rings, Terminal("b", "um", "N"), Terminal("base", "um", "N", "gnd"))
-        return (
-            *rings,
-            Terminal("v", "m/s", "N"),
-            Terminal("bottom", "um", "-"),
-            Terminal("base", "um", "N", "gnd"),
-        )
+        a, b = sides(part, scene)
+        first = [Terminal(port, "um", "N") for port in kept_ports(part, scene)]
+        if a.rigid:
+            first = [Terminal("va", "m/s", "N"), Terminal("a", "um", "-")]
+        second = [Terminal("b", "um", "N")]
+        if b.rigid:
+            second = [Terminal("v", "m/s", "N"), Terminal("bottom", "um", "-")]
+        along = (Terminal("slide", "um", "N", required=True), Terminal("rail", "um", "N", "gnd"))
+        base = Terminal("base", "um", "N", "gnd")
+        return (*first, *second, *(along if part.keys.friction else ()), base)
 
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        (one, _), (other, b) = _names(part, scene)
+        (one, a), (other, b) = _names(part, scene)
+        joins = {port: one if one == GROUND else f"{one}.{port}"
+                 for port in kept_ports(part, scene)}  # fmt: skip
+        if a.rigid:
+            one = moved_by(one, scene)
+            joins = {"va": f"{one}.{a.force[0]}", "a": f"{one}.{a.place[0]}"}
         other = moved_by(other, scene)
-        joins = {port: f"{one}.{port}" for port in kept_ports(part, scene)}
-        if b.force == b.place:
-            return joins | {"b": f"{other}.{b.force[0]}"}
-        return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
+        if b.rigid:
+            return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
+        return joins | {"b": f"{other}.{b.force[0]}"}
 
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        (one, _), (other, b) = _names(part, scene)
-        return (*(f"{one}.{port}" for port in kept_ports(part, scene)), f"{other}.{b.force[0]}")
+        (one, a), (other, b) = _names(part, scene)
+        first = a.force if a.rigid else kept_ports(part, scene)
+        return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}")
+
+    def closeness(self, part: Part, scene: Scene) -> float:
+        """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
+        that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
+        if part.keys.damping:
+            return DAMPED
+        return CURVED if part.keys.law == "hertz" else 1.0
 
     def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return self.wants(part, scene) if part.keys.inertia == "massless" else ()
@@ -101,6 +167,13 @@ class Contact(PartType):
                 got=f"ring radius {max(a.distance):g} m",
                 expected=f"less than {other}.radius, {b.radius:g} m",
             )
+        if part.keys.shape == "pressure" and not a.areas:
+            yield UsageError(
+                "no ports of pressure on this body", where=f"{part.name}.shape",
+                got=a.ports[0], expected="a piezo_stack, whose contact names no port",
+                hint='shape = "rings" takes its ports as they are',
+            )  # fmt: skip
+        normal(part, scene)  # says what it cannot know
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
@@ -109,14 +182,10 @@ class Contact(PartType):
         under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, added, stiffness(part, build.scene), under=under,
-                rigid=self._velocity(part, build.scene), name=build.libraries[part.name],
+                header, ports, added, normal(part, build.scene), under=under,
+                rigid=(a.rigid, b.rigid), name=build.libraries[part.name],
             ),
         )  # fmt: skip
-
-    def _velocity(self, part: Part, scene: Scene) -> bool:
-        _, b = sides(part, scene)
-        return b.force != b.place
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         forces = {
@@ -124,12 +193,19 @@ class Contact(PartType):
             for r in kept_ports(part, build.scene)
         }
         found = {f"{part.name}.force": Vector("+".join(forces.values()), 1.0, "N")}
+        if part.keys.friction:
+            text = f"@b.x{part.name.lower()}.bslide[i]"
+            found[f"{part.name}.friction"] = Vector(text, 1.0, "N")
         return found | {name: Vector(text, 1.0, "N") for name, text in forces.items()}
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         if pin in ("v", "b"):
             return waves.data.get(f"{part.name}.force")
-        force = waves.data.get(f"{part.name}.force.{pin}")
+        if pin in ("slide", "rail"):
+            force = waves.data.get(f"{part.name}.friction")
+            return force if force is None or pin == "rail" else -force
+        each = "force" if pin == "va" else f"force.{pin}"
+        force = waves.data.get(f"{part.name}.{each}")
         return None if force is None else -force
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -189,23 +265,41 @@ class Contact(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, scene = part.name, build.scene
         ports = kept_ports(part, scene)
-        law = laws.Contact(n, ports, np.full(len(ports), stiffness(part, scene)), gaps(part, scene))
-        place = "bottom" if self._velocity(part, scene) else "b"
-        pins = (*((port, f"{n}.{port}") for port in ports), (place, f"{n}.b"))
+        (a, b), own = sides(part, scene), normal(part, scene)
+        law = laws.Contact(
+            n, ports, own.stiffness * own.shares(len(ports)), gaps(part, scene), own.damping,
+            own.power, own.friction, own.creep,
+        )  # fmt: skip
+        first = ("a",) if a.rigid else ports
+        pins = tuple((pin, f"{n}.{port}") for pin, port in zip(first, ports, strict=True))
+        pins += (("bottom" if b.rigid else "b", f"{n}.b"),)
         results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
+        if own.friction:
+            pins += (("slide", f"{n}.slide"), ("rail", f"{n}.rail"))
+            results[f"{n}.friction"] = laws.reading(f"{n}.slide.through")
         every = tuple((1.0, f"{n}.{r}.through") for r in ports)
         return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
-        count = len(kept_ports(part, scene))
-        detail = f"{count} unilateral springs, {stiffness(part, scene):g} N/m each"
+        count, own = len(kept_ports(part, scene)), normal(part, scene)
+        if own.areas:
+            detail = f"{count} hats of pressure on {own.stiffness / own.areas[0]:g} N/m3, which is "
+            detail += "taken from the surface"
+        elif own.power == 1.0:
+            detail = f"{count} unilateral springs, {own.stiffness:g} N/m each"
+        else:
+            detail = f"Hertz's law, {own.stiffness:g} N/m^1.5"
+        if own.damping:
+            detail += f", damping of Hunt and Crossley {own.damping:g} s/m"
+        if own.friction:
+            detail += f", friction {own.friction:g}, viscous below {own.creep:g} m/s"
         return Modelled(part.name, "closed form", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         a, _ = sides(part, scene)
         (one, _), (other, _) = _names(part, scene)
         kept = len(kept_ports(part, scene))
-        if len(a.ports) > 1:
+        if len(a.ports) > 1 and not a.areas:
             yield LeftOut(
                 "pressure between the ports",
                 f"one force per port of {one} stands for it",
@@ -218,7 +312,8 @@ class Contact(PartType):
                 "the mesh's and rattles behind the springs",
                 "part of the reduced model's certified error",
             )  # fmt: skip
-        what = f"friction, adhesion and plastic flow between {one} and {other}"
+        dry = "" if part.keys.friction else "friction, "
+        what = f"{dry}adhesion and plastic flow between {one} and {other}"
         yield LeftOut(what, "the law is elastic and normal to the surface", "not estimated")
         if kept < len(a.ports):
             gap, estimate = float(gaps(part, scene, every=True)[kept]), reach(part, scene)
@@ -244,10 +339,48 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
     return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
 
 
-def stiffness(part: Part, scene: Scene) -> float:
-    """Stiffness [N/m] of the whole device's spring at each port."""
-    a, _ = sides(part, scene)
-    return a.sectors * float(part.keys.penalty)
+def normal(part: Part, scene: Scene) -> Normal:
+    """The whole device's law at each port.
+
+    A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
+    sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove of
+    opening angle g both flanks are approached by ``s x``, ``s = sin(g/2)``, and push along the axis
+    with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one.
+    """
+    keys, (a, b) = part.keys, sides(part, scene)
+    value, power = a.sectors * float(keys.penalty), 1.0
+    if a.areas:
+        value = a.foundation * a.areas[0]
+    if keys.law == "hertz":
+        round_ = [1 / side.radius for side in (a, b) if side.radius is not None]
+        if not round_ or len(a.ports) > 1:
+            raise UsageError(
+                "Hertz's law is that of a sphere at one point", where=f"{part.name}.law",
+                got=f"{len(a.ports)} ports, {len(round_)} spheres",
+                expected="a sphere against one port or another sphere",
+                hint='law = "linear"',
+            )  # fmt: skip
+        value, power = 4 / 3 * _modulus(part, scene) / math.sqrt(sum(round_)), 1.5
+    if keys.groove is not None:
+        value *= 2 * math.sin(math.radians(keys.groove) / 2) ** (1 + power)
+    return Normal(value, power, keys.damping, keys.friction, keys.creep, a.areas)
+
+
+def _modulus(part: Part, scene: Scene) -> float:
+    """``E*`` [Pa] of both sides."""
+    if part.keys.modulus is not None:
+        return float(part.keys.modulus)
+    compliance = 0.0
+    for name, _ in _names(part, scene):
+        body = scene.parts.get(name)
+        modulus = None if body is None else body.type.indentation_modulus(body)
+        if modulus is None:
+            raise UsageError(
+                f"no modulus of {name} is known", where=f"{part.name}.modulus",
+                expected='a pressure such as "110 GPa", or a material of both sides',
+            )  # fmt: skip
+        compliance += 1 / modulus
+    return 1 / compliance
 
 
 def gaps(part: Part, scene: Scene, *, every: bool = False) -> np.ndarray:
@@ -292,6 +425,8 @@ def _side(
                 "table takes the defaults",
             )  # fmt: skip
         return offers[0]
+    if chosen == GROUND:
+        return GROUND, Surface((FLOOR,), (FLOOR,), (FLOOR,), (0.0,))
     targets = (chosen,) if isinstance(chosen, str) else chosen
     names = {target.partition(".")[0] for target in targets}
     if len(names) != 1:
@@ -341,10 +476,10 @@ def reach(part: Part, scene: Scene) -> Reach:
 
 
 def thrown(part: Part, scene: Scene) -> bool:
-    """Whether one side starts with a prescribed velocity."""
-    (_, _), (other, _) = _names(part, scene)
+    """Whether one side starts with a prescribed velocity, or each may."""
+    (_, a), (other, _) = _names(part, scene)
     kind = scene.parts[other].type
-    return kind.without_operating_point(scene.parts[other], scene)
+    return a.rigid or kind.without_operating_point(scene.parts[other], scene)
 
 
 # --- what the waveforms say -----------------------------------------------------------------------
@@ -413,41 +548,61 @@ def _loaded(force: np.ndarray) -> slice:
     return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
+def _height(
+    name: str, surface: Surface, port: str, build: Build, waves: Waveforms
+) -> np.ndarray | None:
+    """Position [m] of one side at a port, zero where it touches."""
+    if name == GROUND:
+        return np.zeros(next(iter(waves.data.values())).size)
+    if surface.radius is not None and surface.rigid:
+        y = waves.data.get(f"{name}.y")
+        return None if y is None else y - surface.radius
+    return waves.data.get(f"{name}.u.{port}", waves.data.get(f"{name}.x"))
+
+
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
     """Position [m] of side ``b`` at its lowest point, zero where it touches."""
-    (_, _), (other, b) = _names(part, build.scene)
     if "imprint.depth" in waves:
         return -waves["imprint.depth"]
-    if b.radius is not None:
-        y = waves.data.get(f"{other}.y")
-        return None if y is None else y - b.radius
-    return waves.data.get(f"{other}.u.{b.place[0]}", waves.data.get(f"{other}.x"))
+    (_, _), (other, b) = _names(part, build.scene)
+    return _height(other, b, b.place[0], build, waves)
 
 
 def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
-    """Work that closes the springs against what they store, ``F^2 / (2 eps)`` each.
+    """Work that closes the springs against what they store, ``eps x^(p + 1) / (p + 1)`` each, and
+    what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
     is the work that went into the springs.
     """
-    (one, _), (other, _) = _names(part, build.scene)
-    place = _place(part, build, waves)
-    ports = kept_ports(part, build.scene)
-    if place is None or f"{one}.u.{ports[0]}" not in waves:
+    (one, a), (other, _) = _names(part, build.scene)
+    place, ports = _place(part, build, waves), kept_ports(part, build.scene)
+    own = normal(part, build.scene)
+    found = [_height(one, a, port, build, waves) for port in ports]
+    if place is None or any(each is None for each in found):
         return {}
-    eps = stiffness(part, build.scene)
-    missing, turnover, stored = np.zeros(waves["time"].size), 0.0, 0.0
-    for port in ports:
-        f = waves[f"{part.name}.force.{port}"]
-        closing = integral(f, waves[f"{one}.u.{port}"] - place)
-        energy = (f**2 - f[0] ** 2) / (2 * eps)
+    missing, turnover, stored, damped = np.zeros(waves["time"].size), 0.0, 0.0, 0.0
+    every = zip(ports, found, gaps(part, build.scene), own.shares(len(ports)), strict=True)
+    for port, height, gap, share in every:
+        assert height is not None
+        eps = own.stiffness * share
+        f, p = waves[f"{part.name}.force.{port}"], own.power
+        elastic = f
+        if own.damping:
+            elastic = eps * np.maximum(height - place - gap, 0.0) ** p
+        closing = integral(elastic, height - place)
+        energy = elastic ** (1 + 1 / p) / ((p + 1) * eps ** (1 / p))
+        energy = energy - energy[0]
         missing += closing - energy
         turnover += float(np.abs(np.diff(energy)).sum())
         stored += float(energy[-1])
+        damped += float(integral(f - elastic, height - place)[-1])
     net = float(np.abs(missing).max())
     scale = max(turnover, _kinetic(other, build, waves))
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
     entries = {"stored in the contact": stored}
+    if own.damping:
+        entries["damped in the contact"] = damped
     return {part.name: Balance(entries, net, scale, MISSING, advice)}
 
 
@@ -478,12 +633,12 @@ def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     _, b = sides(part, build.scene)
     every = gaps(part, build.scene, every=True)
-    if b.radius is None or every.size < 2:
+    if b.radius is None or every.size < 2 or part.keys.shape == "pressure":
         return
     ports = kept_ports(part, build.scene)
     deepest = max(float(waves[f"{part.name}.force.{r}"].max()) for r in ports)
     yield Check(
-        "penetration", deepest / stiffness(part, build.scene), float(every[1]), "m",
+        "penetration", deepest / normal(part, build.scene).stiffness, float(every[1]), "m",
         f"the penalty springs give more than the surfaces curve: raise {part.name}.penalty",
         build.scene.checks.penetration,
     )  # fmt: skip
@@ -492,7 +647,8 @@ def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 def _events(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     """Contacts of the port that has most of them, while the drive moves."""
     (one, _), _ = _names(part, build.scene)
-    drive = getattr(build.scene.parts[one].keys, "drive", None)
+    body = build.scene.parts.get(one)
+    drive = getattr(body.keys, "drive", None) if body else None
     if drive is None:
         return
     t, end = waves["time"], drive.start + drive.width + drive.edge
@@ -544,33 +700,42 @@ def contact_subcircuit(
     header: Header,
     rings: tuple[str, ...],
     gaps: np.ndarray,
-    eps: float,
+    law: Normal,
     *,
-    rigid: bool = True,
+    rigid: tuple[bool, bool] = (False, True),
     under: tuple[float, np.ndarray] | None = None,
     name: str = "contact",
 ) -> Subcircuit:
-    """``force = eps max(0, u - bottom - gap)`` between ring pins and the other side.
+    """``law`` of the penetration ``u - bottom - gap`` between ring pins and the other side.
 
-    ``eps`` [N/m] is the stiffness of a whole ring, ``gaps`` [m] one per ring. Given the radius of
-    the sphere that the rings are ``under`` and their own [m], the gaps follow from the parameter
-    ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. The other side is
-    a ``rigid`` body with the pins ``v`` and ``bottom``, or the port ``b`` of an elastic one.
+    ``law`` is that of a whole ring, ``gaps`` [m] one per ring. Given the radius of the sphere that
+    the rings are ``under`` and their own [m], the gaps follow from the parameter ``radius`` as
+    ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A side that is a ``rigid`` body
+    has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
+    ``b``.
     """
-    side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid else (Pin("b", "um", "N"),)
-    pins = (*(Pin(ring, "um", "N") for ring in rings), *side, Pin("base", "um", "N"))
+    first = tuple(Pin(ring, "um", "N") for ring in rings)
+    if rigid[0]:
+        first = (Pin("va", "m/s", "N"), Pin("a", "um", "-"))
+    side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid[1] else (Pin("b", "um", "N"),)
+    along = (Pin("slide", "um", "N"), Pin("rail", "um", "N")) if law.friction else ()
+    pins = (*first, *side, *along, Pin("base", "um", "N"))
     radii = () if under is None else under[1][: len(rings)]
     sphere = [] if under is None else [
         Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
     ]  # fmt: skip
     doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
+    what = "contact penalty of a whole ring" if law.power == 1 else "Hertz: 4/3 E* sqrt(R)"
     params = (
-        positive("eps", eps, "N/m", "contact penalty of a whole ring"),
+        positive("eps", law.stiffness, f"N/m{'' if law.power == 1 else '^1.5'}", what),
         *sphere,
         *(
             Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
+        *([positive("damping", law.damping, "s/m", "of Hunt and Crossley")] if law.damping else []),
+        *([positive("friction", law.friction, "1", "Coulomb's coefficient")] if along else []),
+        *([positive("creep", law.creep, "m/s", "speed of full friction")] if along else []),
     )
     text = render(
         "contact.j2",
@@ -587,9 +752,14 @@ def contact_subcircuit(
         pins=[pin.name for pin in pins],
         parameters=parameter_list(params),
         rings=rings,
+        ends={ring: ("va", "a") if rigid[0] else (ring, ring) for ring in rings},
         squares=[float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
+        law=law,
+        shares=dict(zip(rings, law.shares(len(rings)).tolist(), strict=True)),
+        rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
+        rate="v" if rigid[1] else "rateb",
     )
     return Subcircuit(name, pins, params, text)
 
@@ -614,8 +784,8 @@ def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Reac
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches."""
     for contact in scene.of("contact"):
         (one, _), (other, b) = _names(contact, scene)
-        body = scene.parts[one]
-        modulus = body.type.indentation_modulus(body)
+        body = scene.parts.get(one)
+        modulus = body.type.indentation_modulus(body) if body else None
         if other == sphere.name and b.radius and modulus is not None:
             yield Reach(dent(modulus, sphere.keys.mass, speed, b.radius), why)
 

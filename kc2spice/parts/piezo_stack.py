@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.materials import material
+from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import Chip, Damping
+from kc2spice.parts._linear_body import SOURCES
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
@@ -39,6 +41,7 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.bodies.convergence import MeshError
     from kc2spice.bodies.device import Device
+    from kc2spice.bodies.pressure import Hats, Pressed
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
     from kc2spice.scene.gates import FullSolution, Table
@@ -48,6 +51,7 @@ SECTORS = 4  # the finite-element model is one symmetry sector of this many
 # launches of chips damped by 0.01 % miss by 2.2e-4 at the reltol that is good for 5e-5 at 1 %.
 RINGING, UNDAMPED = 5e-4, 5e-5
 LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly as those of 100 V
+FOUNDATION = 8.0  # E* / spacing
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 MESH_ERROR = 0.02  # of launch and impact, between rings of 50 and 25 um
 
@@ -130,17 +134,22 @@ class PiezoStack(MeshedBody):
         return re.sub(r"^R(\d{1,3})$", r"ring\1", pin)
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        rings = (Port(f"ring{k}", "mechanical") for k in range(part.keys.mesh.rings + 1))
-        return (*rings, Port("anode", "electrical", pins=("anode", "cathode")))
+        own = (Port(f"ring{k}", "mechanical") for k in range(rings(part, scene)))
+        return (*own, Port("anode", "electrical", pins=("anode", "cathode")))
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
-        *rings, anode = self.ports(part, scene)
-        return (*rings[: kept_rings(part, scene)], anode)
+        *own, anode = self.ports(part, scene)
+        return (*own[: kept_rings(part, scene)], anode)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         yield from _problems(part, scene)
+        if part.keys.fields and pressure_hats(part, scene) is not None:
+            yield UsageError(
+                "no fields under hats of pressure", where=f"{part.name}.fields",
+                hint='set contact.shape = "rings" for them',
+            )  # fmt: skip
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
@@ -162,10 +171,19 @@ class PiezoStack(MeshedBody):
                 "the top of a stack that shears moves sideways: nothing can press on it",
                 where=f"{part.name}.poling", got="x", expected="z under a contact",
             )  # fmt: skip
-        radii = ring_radii(part.keys)
+        shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
+        if shape is not None:
+            radii = shape.distances[: shape.count]
         names = ports or tuple(f"ring{k}" for k in range(len(radii)))
-        distance = tuple(float(radii[_ring(part, name)]) for name in names)
-        return Surface(names, names, names, distance, sectors=SECTORS)
+        own = [_ring(part, name, len(radii)) for name in names]
+        distance = tuple(float(radii[k]) for k in own)
+        if shape is None:
+            return Surface(names, names, names, distance, sectors=SECTORS)
+        areas = tuple(float(shape.areas[k]) for k in own)
+        return Surface(
+            names, names, names, distance, sectors=SECTORS, areas=areas,
+            foundation=foundation(part, shape),
+        )  # fmt: skip
 
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Of a kick that lasts as the stack's quarter wave does: the free stroke over 4 H / c."""
@@ -211,7 +229,9 @@ class PiezoStack(MeshedBody):
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        return {"chip": chip_of(part.keys).model_dump(mode="json")}
+        shape = pressure_hats(part, scene)
+        found = {"chip": chip_of(part.keys).model_dump(mode="json")}
+        return found if shape is None else found | {"hats": shape.nodes.tolist()}
 
     def usual(self, scene: Scene) -> Rom:
         """The paper's order: its contact excites the chip far above any band of a response."""
@@ -227,7 +247,44 @@ class PiezoStack(MeshedBody):
         with clock.stage("assemble", "piezoelectric matrices"):
             _assembled(chip)
         with clock.stage("reduce", "elimination of the potentials"):
-            return _device(chip)
+            shape = pressure_hats(part, scene)
+            if shape is None:
+                return _device(chip)
+            model = _patched(chip, shape)
+        return self._with_hats(model, part, scene, clock, chip)
+
+    def reducible(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        shape = pressure_hats(part, scene)
+        if shape is None:
+            return super().reducible(part, scene, clock)
+        chip = chip_of(part.keys)
+        with clock.stage("mesh", "chip mesh"):
+            _mesh(chip)
+        with clock.stage("assemble", "piezoelectric matrices"):
+            _assembled(chip)
+        with clock.stage("reduce", "elimination of the potentials"):
+            return _patched(chip, shape)
+
+    def finished(self, model: LinearModel, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        if pressure_hats(part, scene) is None:
+            return model
+        return self._with_hats(model, part, scene, clock, chip_of(part.keys))
+
+    def _with_hats(
+        self, model: LinearModel, part: Part, scene: Scene, clock: Any, chip: Chip
+    ) -> LinearModel:
+        """``model`` with the kept hats instead of the patch; what the springs of the contact give
+        is taken from them."""
+        from kc2spice.bodies.pressure import with_hats
+
+        shape, count = pressure_hats(part, scene), kept_rings(part, scene)
+        assert shape is not None
+        with clock.stage("assemble", "dents of the hats of pressure"):
+            compliance = _pressed(chip, shape).compliance
+        springs = np.diag(1 / (foundation(part, shape) * shape.areas[: shape.count]))
+        names = tuple(f"ring{k}" for k in range(count))
+        own = (compliance - springs)[:count, :count]
+        return with_hats(model, own, names, part.keys.damping.beta)
 
     def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         from kc2spice.bodies.piezo_stack import sector_device
@@ -278,8 +335,7 @@ class PiezoStack(MeshedBody):
         return found
 
     def indentation_modulus(self, part: Part) -> float:
-        """Modulus [Pa] of the half-space that a contact presses on."""
-        return indentation_modulus(part.keys)
+        return top_material(part.keys).indentation_modulus
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         keys, rom = part.keys, self.settings(part, scene)
@@ -292,7 +348,8 @@ class PiezoStack(MeshedBody):
         detail = (
             f"quarter chip, {keys.layers} layers, {mounted(keys)}, "
             f"reduced to {target}, band {low:g} … {high:g} Hz, anode {keys.electrical}, "
-            f"{kept_rings(part, scene)} rings as ports"
+            f"{kept_rings(part, scene)} "
+            f"{'rings' if pressure_hats(part, scene) is None else 'hats of pressure'} as ports"
         )
         return Modelled(part.name, "FE (piezoelectric, linear)", detail)
 
@@ -305,7 +362,7 @@ class PiezoStack(MeshedBody):
                 "resonance +14 %",
             )  # fmt: skip
         yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
-        kept, every = kept_rings(part, scene), part.keys.mesh.rings + 1
+        kept, every = kept_rings(part, scene), rings(part, scene)
         if kept < every:
             effect = f"{part.name}: ports at ring{kept}"
             effect += f" to ring{every - 1}" if kept + 1 < every else ""
@@ -320,7 +377,8 @@ class PiezoStack(MeshedBody):
         same = (mesh.ring_spacing, mesh.rings, mesh.refine, mesh.sectors) == (
             usual.ring_spacing, usual.rings, usual.refine, usual.sectors,
         )  # fmt: skip
-        return same and bool(scene.of("contact")) and scene.analysis.type == "transient"
+        circles = bool(scene.of("contact")) and pressure_hats(part, scene) is None
+        return same and circles and scene.analysis.type == "transient"
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         mesh, why = part.keys.mesh, f"fixed by {part.name}.mesh, not part of the budget"
@@ -375,6 +433,23 @@ def chip_of(keys: Stack) -> Chip:
     return Chip(**{name: getattr(keys, name) for name in given})
 
 
+def pressure_hats(part: Part, scene: Scene) -> Hats | None:
+    """Hats of pressure on the top where a contact wants them, half as far out as the rings are."""
+    for contact in scene.of("contact"):
+        if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
+            from kc2spice.bodies.pressure import hats
+
+            patch = float(ring_radii(part.keys)[-1])
+            return hats(contact.keys.spacing, max(1, int(patch / 2 / contact.keys.spacing)), patch)
+    return None
+
+
+def foundation(part: Part, shape: Hats) -> float:
+    """Pressure per dent [N/m^3] of springs that are stiffer than the surface under any of the hats:
+    ``8 E* / spacing``; the surface of the usual chip has 6."""
+    return FOUNDATION * top_material(part.keys).indentation_modulus / float(shape.nodes[1])
+
+
 def ring_radii(keys: Chip) -> np.ndarray:
     """Radii [m] of the chip's rings, ring0 (the centre node) first."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
@@ -382,29 +457,36 @@ def ring_radii(keys: Chip) -> np.ndarray:
 
 def kept_rings(part: Part, scene: Scene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants."""
+    count = rings(part, scene)
     wanted = [
-        _ring(part, name.partition(".")[2])
+        _ring(part, name.partition(".")[2], count)
         for other in scene.parts.values()
         for name in (*other.pins.values(), *other.type.wants(other, scene))
         if name.startswith(f"{part.name}.ring")
     ]
-    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("ring")]
+    wanted += [_ring(part, pin, count) for pin in part.pins if pin.startswith("ring")]
     wanted += [
-        _ring(part, probe.of.rpartition(".")[2])
+        _ring(part, probe.of.rpartition(".")[2], count)
         for probe in scene.probes.values()
         if probe.of.startswith((f"{part.name}.u.ring", f"{part.name}.ring"))
     ]
     return 1 + max(wanted, default=-1)
 
 
-def _ring(part: Part, name: str) -> int:
+def rings(part: Part, scene: Scene) -> int:
+    """How many rings there are, the centre counted: circles of the mesh or hats of pressure."""
+    shape = pressure_hats(part, scene)
+    return int(part.keys.mesh.rings) + 1 if shape is None else shape.count
+
+
+def _ring(part: Part, name: str, count: int) -> int:
     match = re.fullmatch(r"ring(\d{1,3})", name)
-    if match is None or int(match[1]) > part.keys.mesh.rings:
+    if match is None or int(match[1]) >= count:
         raise UsageError(
             f"{part.name} has no such port",
             where=part.name,
             got=repr(name),
-            expected=f"ring0 to ring{part.keys.mesh.rings}",
+            expected=f"ring0 to ring{count - 1}",
         )
     return int(match[1])
 
@@ -429,18 +511,12 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     return keys.layers * abs(np.linalg.solve(C, e[axis])[strain] * voltage)
 
 
-def indentation_modulus(keys: Chip) -> float:
-    """Modulus [Pa] of a transversely isotropic half-space pressed along its axis, fields zero.
-
-    Source: Delafargue and Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
-    """
-    C, _, _ = keys.material.tensors()
+def top_material(keys: Chip) -> Material:
+    """What something on the top face presses on."""
     if keys.top_cap is not None and keys.top_cap.material is not None:
-        C = material(keys.top_cap.material, "top_cap.material").C
-    c11, c13, c33, c44 = C[0, 0], C[0, 2], C[2, 2], C[3, 3]
-    mean = np.sqrt(c11 * c33)
-    slender = (mean**2 - c13**2) / c11
-    return float(2 * np.sqrt(slender / (1 / c44 + 2 / (mean + c13))))
+        return material(keys.top_cap.material, "top_cap.material")
+    C, e, eps = keys.material.tensors()
+    return Material("ceramic", keys.material.density, C, e, eps)
 
 
 def _driver(
@@ -533,6 +609,26 @@ def _device(chip: Chip) -> LinearModel:
     from kc2spice.bodies.piezo_stack import from_sector
 
     return from_sector(_assembled(chip))
+
+
+def _patched(chip: Chip, shape: Hats) -> LinearModel:
+    """The device with the patch as its mechanical port."""
+    from kc2spice.bodies.piezo_stack import from_sector
+    from kc2spice.bodies.pressure import patch_load, with_patch
+
+    load = patch_load(chip, _mesh(chip), shape, _pressed(chip, shape).shares)
+    return from_sector(with_patch(_assembled(chip), load))
+
+
+def _pressed(chip: Chip, shape: Hats) -> Pressed:
+    from kc2spice.bodies.pressure import Pressed, pressed
+
+    own = chip.model_dump(mode="json", exclude={"damping"})
+    key = {"chip": own, "hats": shape.nodes.tolist(), "count": shape.count}
+    found, _ = cached(
+        "pressed", key, lambda: pressed(chip, shape), classes=(Pressed,), sources=SOURCES
+    )
+    return found
 
 
 register(PiezoStack())

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.materials import Material, material
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -36,13 +37,29 @@ AIR_VISCOSITY = 1.825e-5  # Pa s
 WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
 
 
+def _stuff(given: str | dict[str, Any]) -> Material:
+    try:
+        return material(given, "sphere.material")
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
 class SphereKeys(Section):
     """Rigid sphere, vertical motion only."""
 
     radius: Length = Field(1e-3, gt=0)
-    density: Density = Field(7850.0, gt=0)
+    density: Density = Field(7850.0, gt=0, description="by default that of the material, or steel")
+    material: str | dict[str, Any] | None = Field(
+        None, description="for contacts that need its modulus"
+    )
     velocity: Velocity = Field(0.0, description="at t = 0; not zero: no operating point is sought")
     height: Length = Field(0.0, description="of the lowest point at t = 0, with a velocity")
+
+    @model_validator(mode="after")
+    def _made_of(self) -> SphereKeys:
+        if self.material is not None and "density" not in self.model_fields_set:
+            object.__setattr__(self, "density", _stuff(self.material).density)
+        return self
 
     @property
     def mass(self) -> float:
@@ -84,6 +101,10 @@ class Sphere(PartType):
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
+
+    def indentation_modulus(self, part: Part) -> float | None:
+        given = part.keys.material
+        return None if given is None else _stuff(given).indentation_modulus
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
@@ -164,6 +185,8 @@ class Sphere(PartType):
         if _moved(part, scene):
             return laws.Equations()
         thrown = start(part, scene)
+        if any(p.type.without_operating_point(p, scene) for p in scene.parts.values()):
+            thrown = thrown or (0.0, 0.0)
         held = scene.joined(n, "v") or scene.joined(n, "bottom")
         speed, height = thrown if thrown else (0.0, None if held else 0.0)
         law = laws.Mass(n, part.keys.mass, scene.gravity, height, speed)

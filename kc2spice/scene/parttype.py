@@ -84,7 +84,9 @@ class Surface:
 
     ``force`` pins take the force, ``place`` pins give the position in um; they differ where a
     force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
-    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for.
+    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. Ports of
+    pressure have ``areas`` [m^2] and a ``foundation``, the pressure per dent [N/m^3] of the springs
+    behind which their own compliance is less by as much.
     """
 
     ports: tuple[str, ...]
@@ -93,6 +95,13 @@ class Surface:
     distance: tuple[float, ...]
     radius: float | None = None
     sectors: int = 1
+    areas: tuple[float, ...] = ()
+    foundation: float = 0.0
+
+    @property
+    def rigid(self) -> bool:
+        """Whether forces act on a velocity node."""
+        return self.force != self.place
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from device import bench, built, chip
 from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import SHARE, without_inertia
@@ -134,7 +134,7 @@ def test_a_bounce_is_that_of_the_plain_equations(tmp_path):
     )  # fmt: skip
     parts = [
         realize(model, HEADER),
-        contact_subcircuit(HEADER, ("ring0",), np.zeros(1), EPS),
+        contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(EPS)),
         sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=-1.0, height=1e-7),
     ]
     cards = f"""Xkick 0 0 ring0 0 kick

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import UsageError
 from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.current_cases import cases
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit
@@ -29,7 +29,7 @@ def test_gaps_are_those_of_the_circle():
 
 def test_contact_law_and_reaction(header, radii, tmp_path):
     gaps = ring_gaps(radii[:3], 1e-3)
-    part = contact_subcircuit(header, ("ring0", "ring1", "ring2"), gaps, 4e8)
+    part = contact_subcircuit(header, ("ring0", "ring1", "ring2"), gaps, Normal(4e8))
     cards = """V0 ring0 0 0.3
 V1 ring1 0 0.2
 V2 ring2 0 0
@@ -81,7 +81,7 @@ def test_free_fall_is_a_parabola(header, tmp_path):
 
 
 def test_elastic_bounce_keeps_its_energy(header, tmp_path):
-    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), Normal(4e8))
     deck = flight(
         header, 0.0, 4e-6, -1.0, 1e-6, "reltol=1e-5 trtol=1 chgtol=1e-10",
         "Vground ring0 0 0\nXcontact ring0 v bottom 0 contact", [ground],
@@ -96,7 +96,7 @@ def test_elastic_bounce_keeps_its_energy(header, tmp_path):
 
 
 def test_resting_contact_rests(header, tmp_path):
-    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), Normal(4e8))
     sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81)
     cards = """Xsphere v bottom y 0 sphere
 Vground ring0 0 0

@@ -10,7 +10,7 @@ from device import deck_of
 
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
@@ -31,7 +31,7 @@ def parts(header, model, radii, table):
     return (
         realize(model, header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
-        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), 4e8),
+        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
         catch_subcircuit(header, table, 0.1),
         opamp_subcircuit(header),
         pid_subcircuit(header, Control()),

@@ -8,7 +8,7 @@ from device import deck_of
 
 from kc2spice.core.errors import UsageError
 from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.contact import contact_subcircuit, ring_gaps
+from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
@@ -29,7 +29,7 @@ def parts(header, model, radii, table):
     made = (
         realize(model, header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
-        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), 4e8),
+        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
         catch_subcircuit(header, table, 0.1, points=81),
         coil_subcircuit(header, table, points=81),
         opamp_subcircuit(header),

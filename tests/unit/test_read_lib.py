@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.spice import read_lib
@@ -19,7 +19,7 @@ RADII = np.array([0.0, 5e-5])
     [
         pid_subcircuit(HEADER, Control()),
         sphere_subcircuit(HEADER, 1e-5, 1e-3, 9.81),
-        contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, 4e8, under=(1e-3, RADII)),
+        contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, Normal(4e8), under=(1e-3, RADII)),
     ],
     ids=lambda part: part.name,
 )
@@ -31,7 +31,7 @@ def test_what_is_written_is_read(part, tmp_path):
 
 
 def test_heads_state_sign_validity_and_range():
-    text = contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, 4e8, under=(1e-3, RADII)).text
+    text = contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, Normal(4e8), under=(1e-3, RADII)).text
     for line in ("* sign: um, m/s and N count upwards", "* validity: ", "* rating: ",
                  "* @param radius=0.001 unit=m range=5e-05..inf radius of the sphere"):  # fmt: skip
         assert f"\n{line}" in text

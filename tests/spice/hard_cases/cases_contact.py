@@ -18,7 +18,7 @@ from hard_cases.kit import (
 from hard_cases.oracle import Plain
 from scipy.interpolate import CubicHermiteSpline
 
-from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.spice.realize import realize
 from laboratory.distance import compare
@@ -62,7 +62,7 @@ def flat_contact(bench):
     model, gap, velocity, stop = chip(6), 1e-6, -1.0, 10e-6
     parts = [
         realize(model, HEADER),
-        contact_subcircuit(HEADER, RINGS, np.zeros(6), 4e8),
+        contact_subcircuit(HEADER, RINGS, np.zeros(6), Normal(4e8)),
         sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=velocity, height=gap),
     ]
     rings = " ".join(RINGS)
@@ -113,7 +113,7 @@ _grazing("10", "10", "15")
 @case("resting contact", "penetration m g / k, relative", 1e-4)
 def rest_for_50_ms(bench):
     """On a rigid plane; the weight presses the spring in by less than a picometre."""
-    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), 4e8)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(4e8))
     sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81)
     cards = """Xsphere v bottom y 0 sphere
 Vground ring0 0 0
@@ -144,7 +144,7 @@ def ten_landings_in_50_ms(bench):
 def bounced(bench, options, ceiling="1e-5", landings=100):
     """Energy change of a sphere that falls 5 um a hundred times onto a rigid plane."""
     speed, height, stiffness = 0.01, 1e-7, 4e8
-    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), stiffness)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(stiffness))
     sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-speed, height=height)
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / stiffness))
     cards = f"""Xsphere v bottom y 0 sphere

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.kit import HEADER, Bench, bench_deck
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.parts.contact import contact_subcircuit
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 
 MASS, STIFFNESS, SPEED, HEIGHT, LANDINGS = SphereKeys().mass, 4e8, 0.01, 1e-7, 100
@@ -44,7 +44,7 @@ class Bounced:
 
 def bounce(law: str, options: str, ceiling: str = "1e-5") -> Bounced:
     """A sphere falls 5 um a hundred times onto a rigid plane."""
-    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), STIFFNESS)
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(STIFFNESS))
     text = ground.text
     if "watched" not in law:
         text = re.sub(r"(?m)^(Snear|Gnear|Inear|Rnear|\.model edge).*\n", "", text)

@@ -1,0 +1,139 @@
+"""Laws beside the penalty spring, each against a closed form or plain equations in scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.contact import normal
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.verify.circuit import solve
+
+MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
+
+
+def ran(scene, directory):
+    """The deck's waveforms with the physics checks, and the independent integrator's ends."""
+    build = Build(scene, {}, libraries(scene))
+    waves = run_deck(make_deck(build), directory)
+    failed = [check for check in verdict(waves, build).checks if not check.passed]
+    ends = Waveforms({"time": np.array([0.0, scene.stop])}, {})
+    return waves, solve(build, ends).results, failed
+
+
+def bounce(**keys):
+    return load_scene({
+        "name": "bounce", "gravity": 0.0,
+        "contact": {"part": "contact", "a": "gnd", **keys},
+        "sphere": {"part": "sphere", "velocity": -1.0, "height": 1e-6},
+        "solver": {"stop": 20e-6, "max_step": 1e-6, "reltol": 1e-4},
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("damping", [0.1, 1.0])
+@pytest.mark.parametrize("law", ["linear", "hertz"])
+def test_restitution_is_that_of_hunt_and_crossley(damping, law, tmp_path):
+    """``ln((1 + c v) / (1 - c e v)) = c v (1 + e)`` at any exponent (Marhefka and Orin 1999)."""
+    keys = {"modulus": 100e9} if law == "hertz" else {"penalty": 1e7}
+    waves, exact, failed = ran(bounce(law=law, damping=damping, **keys), tmp_path)
+    e = brentq(lambda e: np.log((1 + damping) / (1 - damping * e)) - damping * (1 + e),
+               1e-3, min(1.0, 1 / damping) * (1 - 1e-12))  # fmt: skip
+    assert exact["sphere.v"][-1] == pytest.approx(e, rel=1e-8)
+    assert waves["sphere.v"][-1] == pytest.approx(e, rel=2e-4)
+    assert not failed
+
+
+def test_hertz_takes_the_time_of_hertz(tmp_path):
+    """Contact time 2.9432 (25/16 m^2 / (K^2 v))^(1/5), ``K x^(3/2)`` (Johnson 1985, 11.24)."""
+    scene = bounce(law="hertz", modulus=100e9)
+    waves, _, failed = ran(scene, tmp_path)
+    K = normal(scene.parts["contact"], scene).stiffness
+    assert pytest.approx(4 / 3 * 100e9 * np.sqrt(1e-3)) == K
+    t, force = waves["time"], waves["contact.force"]
+    closed = t[np.flatnonzero(force > 0)[[0, -1]]]
+    expected = 2.9432 * (25 / 16 * (MASS / K) ** 2) ** 0.2
+    assert np.ptp(closed) == pytest.approx(expected, rel=2e-3)
+    assert waves["sphere.v"][-1] == pytest.approx(1.0, rel=2e-4)
+    assert not failed
+
+
+def test_a_sphere_in_a_groove_leans_on_both_flanks(tmp_path):
+    """Its weight is held by flanks that are approached by s x and push along the axis with s."""
+    scene = load_scene({
+        "name": "groove", "gravity": 9.81, "sphere": {"part": "sphere"},
+        "contact": {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": 90.0},
+        "solver": {"stop": 1e-3, "max_step": 1e-4},
+    })  # fmt: skip
+    waves, exact, _ = ran(scene, tmp_path)
+    dent = -MASS * 9.81 / (2 * 1e6 * np.sin(np.pi / 4) ** 2)
+    for found in (waves["sphere.y"][-1], exact["sphere.y"][-1]):
+        assert found - 1e-3 == pytest.approx(dent, rel=1e-3)
+
+
+def block(force, until, stop):
+    """A block of 10 g that a horizontal force pushes over a floor."""
+    return load_scene({
+        "name": "block", "gravity": 9.81,
+        "weight": {"part": "mass", "mass": 10e-3, "weight": True},
+        "block": {"part": "mass", "mass": 10e-3, "pins": {"a": "push.out"}},
+        "push": {"part": "source", "kind": "force",
+                 "pulse": {"high": force, "width": until, "edge": 1e-6}},
+        "floor": {"part": "contact", "a": "gnd", "b": "weight", "penalty": 1e5, "friction": 0.3,
+                  "pins": {"slide": "block.a"}},
+        "solver": {"stop": stop, "max_step": 20e-6},
+    })  # fmt: skip
+
+
+def test_a_pushed_block_slides_as_far_as_coulomb_says(tmp_path):
+    """``x = a T^2 / 2 + (a T)^2 / (2 mu g)`` with ``a = F / m - mu g``."""
+    waves, exact, failed = ran(block(0.1, 5e-3, 30e-3), tmp_path)
+    drag = 0.3 * 9.81
+    a = 0.1 / 10e-3 - drag
+    slid = a * 5e-3**2 / 2 + (a * 5e-3) ** 2 / (2 * drag)
+    assert exact["block.x"][-1] == pytest.approx(slid, rel=2e-3)  # creep, and the edges
+    assert waves["block.x"][-1] == pytest.approx(exact["block.x"][-1], rel=1e-3)
+    assert waves["floor.friction"].max() == pytest.approx(0.3 * 10e-3 * 9.81, rel=1e-4)
+    assert not failed
+
+
+def test_a_block_that_is_pushed_too_weakly_creeps(tmp_path):
+    """Below ``mu N`` it moves at ``creep F / (mu N)`` alone."""
+    waves, exact, _ = ran(block(0.01, 5e-3, 10e-3), tmp_path)
+    crept = 1e-4 * 0.01 / (0.3 * 10e-3 * 9.81) * 5e-3
+    for found in (waves["block.x"][-1], exact["block.x"][-1]):
+        assert found == pytest.approx(crept, rel=5e-3)
+
+
+def test_newtons_cradle_against_plain_equations(tmp_path):
+    """Momentum and energy are closed; each sphere as DOP853 has it."""
+    scene = load_scene("newtons_cradle")
+    build = Build(scene, {}, libraries(scene))
+    waves = run_deck(make_deck(build), tmp_path)
+    mass = 4 / 3 * np.pi * 1e-6 * 7860.0
+    K = 4 / 3 * (211.9e9 / (1 - 0.291**2) / 2) * np.sqrt(5e-3)
+
+    def rates(t, y):
+        force = K * np.maximum(y[:4] - y[1:5], 0.0) ** 1.5
+        return np.r_[y[5:], (np.r_[0.0, force] - np.r_[force, 0.0]) / mass]
+
+    start = np.r_[-1e-6, np.zeros(4), 1.0, np.zeros(4)]
+    plain = solve_ivp(rates, (0, scene.stop), start, method="DOP853", rtol=1e-11, atol=1e-14)
+    speeds = np.array([waves[f"sphere{k}.v"] for k in range(1, 6)])
+    assert np.abs(speeds.sum(axis=0) - 1.0).max() < 1e-9
+    assert (speeds[:, -1] ** 2).sum() == pytest.approx(1.0, rel=1e-4)
+    np.testing.assert_allclose(speeds[:, -1], plain.y[5:, -1], atol=1e-4)
+
+
+def test_hertz_asks_for_what_it_cannot_know():
+    with pytest.raises(UsageError, match="modulus"):
+        bounce(law="hertz")
+    with pytest.raises(UsageError, match="one point"):
+        load_scene("impact", ["contact.law=hertz", "contact.rings=3"])
