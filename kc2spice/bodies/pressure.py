@@ -68,9 +68,9 @@ class Hats:
 
     @property
     def distances(self) -> np.ndarray:
-        """Radius [m] whose square is the mean of ``r^2`` over each: there a paraboloid's mean gap
-        is its gap."""
-        return np.sqrt(self._moments(2) / self._moments(0))
+        """Radius [m] at which a paraboloid's gap is that of each hat: the mean over it, where
+        ``r^2`` is the mean of ``r^2``; on the axis that of the tip, on which a sphere rests."""
+        return np.append(0.0, np.sqrt(self._moments(2) / self._moments(0))[1:])
 
     def _moments(self, power: int) -> np.ndarray:
         x, w = np.polynomial.legendre.leggauss(4)

@@ -132,6 +132,8 @@ def test_hats_stand_where_they_should():
     assert np.pi * SPACING**2 / 3 == pytest.approx(shape.areas[0])  # a cone
     assert shape.areas[5] == pytest.approx(2 * np.pi * 5 * SPACING**2)  # Pappus
     whole = (shape.areas * shape.distances**2).sum()  # of a plateau with one falling edge
+    whole += np.pi * SPACING**4 / 10  # the cone's own, whose gap is that of its tip
+    assert shape.distances[0] == 0.0
     a, b = shape.nodes[-2:]
     r = np.linspace(0, b, 200001)
     height = np.interp(r, [a, b], [1.0, 0.0])
