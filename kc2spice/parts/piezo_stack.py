@@ -186,13 +186,15 @@ class PiezoStack(MeshedBody):
         )  # fmt: skip
 
     def speed(self, part: Part, scene: Scene) -> float | None:
-        """Of a kick that lasts as the stack's quarter wave does: the free stroke over 4 H / c."""
+        """Of a kick that lasts as the stack's quarter wave, or as the edge of its pulse: the free
+        stroke over ``4 H / c`` or the edge."""
         voltage = highest_voltage(part, scene)
         if not voltage or not scene.of("contact"):
             return None
         sound = math.sqrt(part.keys.material.stiffness[3] / part.keys.material.density)
         stroke = free_stroke(part.keys, voltage)
-        return max(1e-3, stroke * sound / (4 * part.keys.height))
+        edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
+        return max(1e-3, stroke / max(4 * part.keys.height / sound, edge))
 
     def closeness(self, part: Part, scene: Scene) -> float:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.

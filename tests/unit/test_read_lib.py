@@ -31,7 +31,8 @@ def test_what_is_written_is_read(part, tmp_path):
 
 
 def test_heads_state_sign_validity_and_range():
-    text = contact_subcircuit(HEADER, ("ring0", "ring1"), RADII, Normal(4e8), under=(1e-3, RADII)).text
+    rings = ("ring0", "ring1")
+    text = contact_subcircuit(HEADER, rings, RADII, Normal(4e8), under=(1e-3, RADII)).text
     for line in ("* sign: um, m/s and N count upwards", "* validity: ", "* rating: ",
                  "* @param radius=0.001 unit=m range=5e-05..inf radius of the sphere"):  # fmt: skip
         assert f"\n{line}" in text
