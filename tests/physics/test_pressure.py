@@ -159,8 +159,8 @@ def test_the_hats_add_their_compliance_and_nothing_else():
         ports=(Port("patch", "mechanical"), Port("anode", "electrical", pins=("anode", "ret"))),
     )  # fmt: skip
     added = np.array([[3e-8, 1e-8], [1e-8, 2e-8]])
-    found = with_hats(model, added, ("R0", "R1"), 1e-9)
-    assert [port.name for port in found.ports] == ["R0", "R1", "anode"]
+    found = with_hats(model, added, ("ring0", "ring1"), 1e-9)
+    assert [port.name for port in found.ports] == ["ring0", "ring1", "anode"]
     f = np.array([0.0, 1e4])
     before, after = model.transfer(f), found.transfer(f)
     np.testing.assert_allclose(after[0, :2, :2], before[0, 0, 0] + added, rtol=1e-12)
