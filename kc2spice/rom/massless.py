@@ -34,15 +34,11 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
 
     The cut: from the highest mode down, as long as the inertia left out changes the answer of every
     mechanical port at the end f of the certificate's band by less than ``SHARE`` of its static
-    compliance, ``sum_j (g_j / w_j)^2 (f / f_j)^2``, and the certified error stays within
-    ``tolerance``; ``RINGING_SHARE`` where what is left out would ring. Statics stay exact, the form stays passive. Modes that
-    relax at one pace, as all do under damping proportional to stiffness, become as many states as
-    ports move independently. An acceleration port does not see these states.
-
-    Raises
-    ------
-    UsageError : an electrical port without a capacitance of its own, whose current would be the
-        rate of a state that has none.
+    compliance, ``sum_j (g_j / w_j)^2 (f / f_j)^2`` (``RINGING_SHARE`` where the lowest of these
+    modes would ring), and the certified error stays within ``tolerance``. Statics stay exact, the
+    form stays passive. Modes that relax at one pace, as all do under damping proportional to
+    stiffness, become as many states as ports move independently. An acceleration port does not see
+    these states.
     """
     certificate = model.certificate
     if certificate is None:
