@@ -167,13 +167,12 @@ def _graded(
     inner = np.concatenate([*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends),
                             shape.nodes[-1:]])  # fmt: skip
     r = np.concatenate([inner, _growing(inner[-1], radius, inner[-1] - inner[-2])[1:]])
-    z, step = [heights[-1:]], shape.nodes[1] / cells
+    lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
         down = _growing(0.0, high - low, step)
-        z.append(np.r_[high - down[1:-1], low])
+        lines.append(np.r_[high - down[1:-1], low])
         step = down[-1] - down[-2]
-    z = np.concatenate(z)[::-1]
-    mesh = MeshQuad.init_tensor(r, z)
+    mesh = MeshQuad.init_tensor(r, np.concatenate(lines)[::-1])
     middle = mesh.p[1][mesh.t].mean(axis=0)
     names = list(dict.fromkeys(made_of.name for made_of in materials))
     owner = [names.index(made_of.name) for made_of in materials]
