@@ -36,7 +36,8 @@ def ports(build):
 def without_outer(build, kept):
     """The same reduced models, the chip's with ports for ``kept`` rings only."""
     scene = load_scene(build.scene.name, [*overrides_of(build), f"contact.rings={kept}"])
-    keep = [name for name in ports(build) if name == "anode" or int(name.removeprefix("ring")) < kept]
+    names = {"anode", *(f"ring{k}" for k in range(kept))}
+    keep = [name for name in ports(build) if name in names]
     models = {**build.models, "kick": build.models["kick"].select(keep)}
     return Build(scene, models, libraries(scene))
 
