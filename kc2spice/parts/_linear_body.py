@@ -39,6 +39,7 @@ ANSWERS = {
 }
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
+OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 POINTS = 600  # of an impedance, besides those near resonances
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
@@ -227,7 +228,9 @@ class LinearBody(PartType):
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         name = build.libraries[part.name]
         volts = self.limit(part, build)
-        rating = UNRATED if volts is None else f"{volts:.4g} V between {RATED}"
+        rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
+        if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
+            rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         title = self.headline(part)
         watch = COARSE if build.scene.solver.ringing == "coarse" else FOLLOWED
         model = build.model(part)
@@ -270,6 +273,11 @@ class LinearBody(PartType):
             return figures
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        certificate = build.model(part).certificate if "frequency" in waves else None
+        if certificate is not None:
+            highest, limit = float(waves["frequency"].real.max()), certificate.band_hz[1]
+            name, slack = f"band of {part.name}", 1 + 1e-9  # a last point that is rounded
+            yield Check(name, highest, slack * limit, "Hz", OUTSIDE, "warn")
         volts = self.limit(part, build)
         electrical = [p for p in self.kept(part, build.scene) if p.kind == "electrical"]
         if volts is None or "time" not in waves:

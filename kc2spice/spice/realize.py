@@ -82,10 +82,7 @@ class _Terminal:
         return (f"f{self.pins[0]}" if moved else self.pins[0]), base
 
 
-UNRATED = (
-    "not known; keep field and stress within the limits of its materials (key rated_voltage states "
-    "the largest voltage, and a run then warns beyond it)"
-)
+UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
 def subcircuit(

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.ring_magnet_coils import rated_heating
+from kc2spice.rom.linear import Certificate
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.spice.realize import subcircuit
@@ -136,3 +138,14 @@ def test_a_foreign_model_says_that_nothing_is_known():
     assert re.search(r"(?m)^\* rating: not known; keep field and stress", head)
     assert re.search(r"(?m)^\* validity: small signals at the temperature of its data", head)
     assert re.search(r"(?m)^\* sign: um and N count along each port's direction", head)
+
+
+@pytest.mark.parametrize(("top", "passed"), [(5e5, True), (5.1e5, False)])
+def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
+    chip, scene = part_of("harmonic", "kick")
+    certificate = Certificate((0.0, 5e5), 1e-3, "made up", True, True)
+    model = SimpleNamespace(certificate=certificate, facts={})
+    waves = Waveforms({"frequency": np.array([1e3, top])}, {})
+    checks = chip.type.checks(chip, Build(scene, {"kick": model}), waves)
+    found = [c for c in checks if "band" in c.name]
+    assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "Hz")]
