@@ -38,6 +38,11 @@ def test_all_are_looked_at():
     }  # fmt: skip
 
 
+def test_the_table_of_parts_is_complete():
+    table = set(re.findall(r"`(\w+\.lib)`", (NETLISTS / "README.md").read_text()))
+    assert table == {p.name for p in LIBRARIES}
+
+
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_a_library_needs_no_other_file(path):
     text = path.read_text()
