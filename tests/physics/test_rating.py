@@ -6,10 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from skfem import MeshHex1
 
 import kc2spice as kc
+from kc2spice.bodies.device import Setup, _depoling_voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.fem.materials import material
+from kc2spice.fem.solid import Solid
 from kc2spice.parts.ring_magnet_coils import rated_heating
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.load import load_scene
@@ -149,3 +153,17 @@ def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
     checks = chip.type.checks(chip, Build(scene, {"kick": model}), waves)
     found = [c for c in checks if "band" in c.name]
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "Hz")]
+
+
+def test_the_nearest_points_of_two_electrodes_decide():
+    """A cube of 1 mm: top against bottom, and a rim that comes down to a quarter of it."""
+    mesh = MeshHex1.init_tensor(*(np.linspace(0, 1e-3, 5),) * 3)
+    solid = Solid(mesh, (material("PZT-4", "here"),), np.zeros(mesh.nelements, int))
+    x, _, z = solid.basis(1).doflocs
+    top, bottom = np.flatnonzero(z > 0.99e-3), np.flatnonzero(z < 1e-9)
+    rim = np.flatnonzero((x < 1e-9) & (z > 0.24e-3))
+    volts = []
+    for anode in (top, np.union1d(top, rim)):
+        setup = Setup(np.zeros(1), {"anode": anode, "cathode": bottom}, "cathode")
+        volts.append(_depoling_voltage(solid, setup))
+    assert volts == pytest.approx([1e6 * 1e-3, 1e6 * 0.25e-3])
