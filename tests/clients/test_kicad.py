@@ -53,17 +53,19 @@ def test_sheets_are_clean_and_are_the_deck(name, deck_of, kicad, run, tmp_path):
         run(["ngspice", "-b", "-n", "-r", f"{file}.raw", file], tmp_path)
     theirs, ours = (read_raw(tmp_path / f"{file}.raw") for file in ("sheet.cir", deck.main))
     for node in [n for n in nodes if "ring0" in n] or nodes:  # the stroke, where there is one
-        assert peak(theirs[node]) == pytest.approx(peak(ours[node]), rel=1e-6), node
+        assert peak(theirs, node) == pytest.approx(peak(ours, node), rel=1e-6), node
 
 
-def peak(values):
-    """Largest magnitude, by a parabola through the largest sample and its neighbours: the peak lies
-    between the time points."""
-    size = np.abs(values)
+def peak(waves, node):
+    """Largest magnitude, by a parabola through the largest sample and its neighbours, which are not
+    equally far from it: the peak lies between the points."""
+    scale, size = np.real(next(iter(waves.values()))), np.abs(waves[node])
     k = int(np.clip(np.argmax(size), 1, len(size) - 2))
-    before, top, after = size[k - 1 : k + 2]
-    bend = 2 * top - before - after
-    return top if bend <= 0 else top + (after - before) ** 2 / (8 * bend)
+    x, y = scale[k - 1 : k + 2] - scale[k], size[k - 1 : k + 2]
+    (before, after), (left, right) = np.diff(x), np.diff(y) / np.diff(x)
+    bend = (right - left) / (before + after)
+    slope = left + bend * before
+    return y.max() if not bend < 0 else max(y.max(), y[1] - slope**2 / (4 * bend))
 
 
 def test_a_wrong_sheet_is_seen(deck_of, kicad, run, tmp_path):
