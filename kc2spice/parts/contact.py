@@ -745,8 +745,7 @@ def contact_subcircuit(
             pins,
             params,
             rating=RATING,
-            validity="elastic and normal to the surface, at any temperature: no friction, adhesion "
-            "or plastic flow",
+            validity=_validity(law),
         ),
         name=name,
         pins=[pin.name for pin in pins],
@@ -762,6 +761,15 @@ def contact_subcircuit(
         rate="v" if rigid[1] else "rateb",
     )
     return Subcircuit(name, pins, params, text)
+
+
+def _validity(law: Normal) -> str:
+    kind = "elastic but for its damping" if law.damping else "elastic"
+    along, absent = ("", "friction, ") if not law.friction else (" and along", "")
+    return (
+        f"{kind} and normal to{along} the surface, at any temperature: no {absent}adhesion or "
+        "plastic flow"
+    )
 
 
 def dent(modulus: float, mass: float, speed: float, radius: float) -> float:

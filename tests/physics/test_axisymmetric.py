@@ -132,8 +132,7 @@ def test_partial_electrodes_see_the_plate_capacitor_and_a_fringe():
     radius, thickness, electrode = 8e-3, 0.5e-3, 5e-3
     plate = PZT.eps_S[2, 2] * np.pi * electrode**2 / thickness
     clamped = [
-        ceramic(radius, thickness, refine, 0.25e-3, electrode).model.D[0, 0]
-        for refine in (1, 2)
+        ceramic(radius, thickness, refine, 0.25e-3, electrode).model.D[0, 0] for refine in (1, 2)
     ]
     # The fringe inside the dielectric is worth ln(2) t / pi of radius on either side (Love).
     stretch = np.sqrt(PZT.eps_S[0, 0] / PZT.eps_S[2, 2])

@@ -40,7 +40,7 @@ def test_all_are_looked_at():
 
 def test_the_table_of_parts_is_complete():
     table = set(re.findall(r"`(\w+\.lib)`", (NETLISTS / "README.md").read_text()))
-    assert table == {p.name for p in LIBRARIES}
+    assert table == {re.sub(r"\d+(?=\.lib)", "", p.name) for p in LIBRARIES}
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
