@@ -35,13 +35,15 @@ def run(*words):
 
 
 RATIOS = {
-    "loop_cpu_s", "loop_budget_cpu_s", "actuators_power",
+    "loop_cpu_s", "loop_budget_cpu_s", "actuators_power", "actuators_load_growth",
+    "actuators_factor_growth", "actuators_fill_growth", "actuators_memory_bytes",
+    "macromodel_vs_scikit_rf",
     "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
     "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
-    "start_help_s", "start_rerun_s", "start_first_s",
+    "start_help_s", "start_import_s", "start_rerun_s", "start_first_s", "reference_loop_s",
 }  # fmt: skip
-PLANES = {"loop", "impact", "imprint", "harmonic", "em", "fem", "dense"}
+PLANES = {"loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel"}
 SCALINGS = {"modes", "ports", "actuators", "simulated time", "unknowns", "chip"}
 
 

@@ -149,7 +149,10 @@ def _keeps(point: Point, name: str, limit: float) -> bool:
 
 @dataclass(frozen=True)
 class Scaling:
-    """CPU time over a size, with the exponent of the power law fitted to its larger half."""
+    """CPU time over a size, with the exponent of the power law fitted to its larger half.
+
+    ``logs`` are the simulator's, for what else they tell.
+    """
 
     name: str
     what: str
@@ -157,6 +160,7 @@ class Scaling:
     times: tuple[Timing, ...]
     exponent: float
     memory_bytes: tuple[float, ...] = ()
+    logs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from laboratory.setup import Setup
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
 PARTS = (
-    "start", "loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "scaling", "poles",
+    "start", "loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel",
+    "scaling", "poles",
 )  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -18,8 +19,8 @@ from laboratory.points import Outcome, Ratio, Scaling, Timing, timed
 from laboratory.reduction_scaling import scaling as reductions
 from laboratory.setup import Setup, changed
 
-MODES, PORTS, ACTUATORS = (10, 30, 100, 300, 1000), (2, 5, 10, 30, 100), (1, 3, 10, 30, 100)
-FROM, TO, LINEAR = 10, 30, 1.15  # actuators between which the power is taken, and its target
+MODES, PORTS, ACTUATORS = (10, 30, 100, 300, 1000), (2, 5, 10, 30, 100), (1, 10, 100, 300)
+FROM, TO, LINEAR = 1, 100, 1.15  # actuators between which the power is taken, and its target
 STOPS = (1e-3, 3e-3, 10e-3, 30e-3, 100e-3)
 UNKNOWNS = (10_000, 20_000, 50_000, 100_000, 200_000)
 STEP, POINTS = 50e-9, 400
@@ -47,11 +48,11 @@ def scaling(setup: Setup) -> Outcome:
             tuple(p.memory_bytes for p in points),
         )
     )  # fmt: skip
-    return Outcome(ratios=(_actuators(found[2]),), scalings=tuple(found))
+    return Outcome(ratios=(_actuators(found[2]), *_why(found[2])), scalings=tuple(found))
 
 
 def _actuators(item: Scaling) -> Ratio:
-    """Power of the time over the number of actuators, beyond what start-up hides."""
+    """Power of the time over the number of actuators, whole processes."""
     time = {int(n): t.median for n, t in zip(item.sizes, item.times, strict=True)}
     shown = ", ".join(f"{n}: {time[n]:.3g} s" for n in (1, FROM, TO) if n in time)
     pair = (FROM, TO) if {FROM, TO} <= set(time) else (min(time), max(time))
@@ -61,6 +62,32 @@ def _actuators(item: Scaling) -> Ratio:
         f"power of the time over actuators in one deck, {pair[0]} to {pair[1]}, fixed steps, whole "
         f"process ({shown})", at_least=False,
     )  # fmt: skip
+
+
+def _why(item: Scaling) -> Iterator[Ratio]:
+    """Where the time of many actuators goes, from ngspice's own accounts."""
+    few, many = (
+        next(k for k, size in enumerate(item.sizes) if size >= least) for least in (10, 100)
+    )
+    n, m = item.sizes[few], item.sizes[many]
+    for stage in ("load", "factor"):
+        each = [
+            _figure(item.logs[k], f"Transient {stage} time")
+            / (item.sizes[k] * max(1.0, _figure(item.logs[k], "Transient iterations")))
+            for k in (few, many)
+        ]
+        what = f"{stage} of one actuator in one iteration: {1e6 * each[1]:.3g} us of {m:g} over "
+        what += f"{1e6 * each[0]:.3g} us of {n:g} actuators"
+        yield Ratio(f"actuators_{stage}_growth", each[1] / max(each[0], 1e-12), None, None, what)
+    fill = [
+        _figure(item.logs[k], "Circuit fill-in non-zeroes") / item.sizes[k] for k in (few, many)
+    ]
+    yield Ratio(
+        "actuators_fill_growth", fill[1] / max(fill[0], 1.0), None, None,
+        f"fill-in of one actuator: {fill[1]:.4g} of {m:g} over {fill[0]:.4g} of {n:g} actuators",
+    )  # fmt: skip
+    memory = (item.memory_bytes[many] - item.memory_bytes[few]) / (m - n)
+    yield Ratio("actuators_memory_bytes", memory, None, None, "memory of one more actuator")
 
 
 def pulse_deck(modes: int, ports: int, copies: int) -> Deck:
@@ -78,7 +105,8 @@ def pulse_deck(modes: int, ports: int, copies: int) -> Deck:
         lines.append(f"X{k} anode 0 {' '.join(nodes)} 0 {part.name}")
         lines += [f"G{node} {node} 0 {node} 0 1e-3" for node in nodes]
     stop = POINTS * STEP
-    lines += [".options trtol=1e12 chgtol=1 reltol=1e-3", f".tran {STEP!r} {stop!r} 0 {STEP!r}",
+    lines += [".options trtol=1e12 chgtol=1 reltol=1e-3 acct",
+              f".tran {STEP!r} {stop!r} 0 {STEP!r}",
               f".save v(n0_{rings[0]})", ".end", ""]  # fmt: skip
     vectors = {"u": (f"v(n0_{rings[0].lower()})", 1e-6)}
     return Deck(name="scaling", text="\n".join(lines), vectors=vectors, stop=stop, parts=(part,))
@@ -99,11 +127,22 @@ def _table(
     setup: Setup, name: str, what: str, sizes: tuple[float, ...], deck: Callable[..., Deck]
 ) -> Scaling:
     chosen = setup.some(tuple(sizes), 3)
-    times = []
+    times, logs, folder = [], [], setup.work / "scaling"
     for k, size in enumerate(chosen):
         setup.clock.progress("scaling", k / len(chosen), f"{size:g} {what}")
         made = deck(size)
-        run = partial(run_deck, made, setup.work / "scaling")
+        run = partial(run_deck, made, folder)
         times.append(timed(run, 1 if k > len(chosen) // 2 else setup.repeats, "children")[1])
+        logs.append((folder / made.main).with_suffix(".log").read_text(encoding="utf-8"))
     medians = [time.median for time in times]
-    return Scaling(name, what, chosen, tuple(times), power([float(s) for s in chosen], medians))
+    memory = tuple(1e6 * _figure(log, "Maximum ngspice program size") for log in logs)
+    return Scaling(
+        name, what, chosen, tuple(times), power([float(s) for s in chosen], medians), memory,
+        tuple(logs),
+    )  # fmt: skip
+
+
+def _figure(log: str, name: str) -> float:
+    """A number of ngspice's accounts, 0 where the deck asks for none."""
+    found = re.search(rf"{name} += ([0-9.eE+-]+)", log)
+    return float(found[1]) if found else 0.0

@@ -11,10 +11,12 @@ from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
 from kc2spice.scene.settings import Rom
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.verify.circuit import solve
 from laboratory.distance import compare
 from laboratory.law import Law, law
 from laboratory.located import located
@@ -22,13 +24,14 @@ from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
 from laboratory.points import Plane, Point, Timing, timed, timing
 from laboratory.setup import Setup
-from laboratory.variants import SHORT, Variant, fixed_steps, variants
+from laboratory.variants import SHORT, Variant, fixed_steps, launches, variants
 
 REDUCTIONS = (
     Rom(tolerance=1e-4), Rom(tolerance=1e-5), Rom(tolerance=1e-6), Rom(tolerance=2e-7),
     Rom(order=21), Rom(order=42),
 )  # fmt: skip
 BUDGET, BUDGETED = 1e-4, "error_budget 1e-4"
+FINEST = Rom(order=84)  # of the form without inertia
 EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far below all others
 Work = list[tuple[str, Callable[[], Point]]]
 
@@ -50,6 +53,7 @@ class Transient:
         self.decks: dict[str, Waveforms] = {}  # what ngspice gave, by label
         self.law: Law = law(self.build)
         self.best: Waveforms | None = None
+        self.references: dict[str, Waveforms] = {}  # of the form without inertia, by reduction
         with setup.clock.stage(scene.name, "exact solution"):
             self.exact = located(self.law, scene)
 
@@ -62,6 +66,10 @@ class Transient:
         notes.append(
             f"errors against the same reduced model, integrated to 1e-9; those of other "
             f"reductions against one of tolerance {EXACT.tolerance:g}"
+        )
+        notes.append(
+            "those without inertia at the contact against the product's reference integration of "
+            f"the same equations; {BUDGETED} against one of {FINEST.order} states"
         )
         notes.append("time of ngspice is CPU of the whole process, start-up and files included")
         notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
@@ -96,16 +104,19 @@ class Transient:
 
     def point(
         self, family: str, label: str, waves: Waveforms, time: Timing, note: str = "",
-        against: Waveforms | None = None,
+        against: Waveforms | None = None, own: bool = False,
     ) -> Point:  # fmt: skip
-        """A point from its waveforms; ``against`` another exact solution than the plane's."""
+        """A point from its waveforms; ``against`` another exact solution than the plane's.
+
+        ``own`` says that it solves the very equations of the netlist, as the plane's does.
+        """
         found = compare(waves, against or self.exact)
         errors = {name: found[key] for name, key in FIELDS.items()}
         if errors["launch"] is None:
             raise SimulationError("the sphere does not leave", where=label)
         facts = {name: waves.stats[name] for name in FACTS if name in waves.stats}
         return Point(
-            family, label, errors["launch"], time, errors, facts, note, against is None
+            family, label, errors["launch"], time, errors, facts, note, own or against is None
         )  # fmt: skip
 
     def _ngspice(self) -> Work:
@@ -113,12 +124,30 @@ class Transient:
         if not self.thrown:
             found.append(fixed_steps(self.build))
         work: Work = [(v.label, partial(self._deck, v)) for v in found]
+        if not self.thrown:
+            build = self.setup.build(self.setup.scene(self.scene.name, lumped=False))
+            work += [
+                (v.label, partial(self._massless, v, build, "its own"))
+                for v in launches(build, self.setup)
+            ]
         return [*work, ("shared engine", self._shared)]
 
-    def _deck(self, variant: Variant, against: Waveforms | None = None) -> Point:
+    def _massless(self, variant: Variant, build: Build, model: str) -> Point:
+        """A deck without inertia behind the contact, against the reference of ``build``.
+
+        That is the product's own integration, located events included; no netlist in it.
+        """
+        if model not in self.references:
+            fine = run_deck(make_deck(build), self.setup.work / "reference")
+            self.references[model] = solve(build, fine).results
+        return self._deck(variant, self.references[model], own=model == "its own")
+
+    def _deck(
+        self, variant: Variant, against: Waveforms | None = None, *, own: bool = False
+    ) -> Point:
         folder = self.setup.work / self.scene.name
         waves, time = timed(lambda: run_deck(variant.deck, folder), 1, "children")
-        point = self.point(variant.family, variant.label, waves, time, variant.note, against)
+        point = self.point(variant.family, variant.label, waves, time, variant.note, against, own)
         self.decks[variant.label] = waves
         log = (folder / variant.deck.main).with_suffix(".log").read_text(encoding="utf-8")
         return replace(point, facts={**point.facts, **profile(log)})
@@ -182,9 +211,11 @@ class Transient:
 
     def _budgeted(self) -> Point:
         """The scene at the settings that an error budget chooses."""
-        scene = load_scene(self.scene, {"error_budget": BUDGET})
-        deck = make_deck(self.setup.build(scene))
-        return self._deck(Variant("ngspice, error budget", BUDGETED, deck), self._best())
+        shipped = self.setup.scene(self.scene.name, lumped=False)
+        asked = load_scene(shipped, {"error_budget": BUDGET})
+        ideal = load_scene(shipped, {"control.form": "ideal"})
+        variant = Variant("ngspice, error budget", BUDGETED, make_deck(self.setup.build(asked)))
+        return self._massless(variant, self.setup.build(ideal, FINEST), "84 states")
 
     def _best(self) -> Waveforms:
         """What stands for the full model, integrated exactly."""

@@ -20,8 +20,15 @@ CEILINGS = (1e-6, 50e-6)
 # reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
 FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6, 101), (1.5e-3, 2e-8, 50e-6, 201), (2e-3, 1e-8, 50e-6, 101))
 LOOKUPS = (51, 101, 401)
+# Without inertia behind the contact: reltol, chgtol, heights, ringing of bodies, controller.
+LAUNCH = (
+    (2e-3, 1e-8, 101, "coarse", "ideal"), (1.5e-3, 1e-8, 101, "coarse", "ideal"),
+    (1e-3, 1e-8, 201, "coarse", "ideal"), (1.5e-3, 1e-8, 101, "coarse", "opamps"),
+    (1.5e-3, 2e-8, 101, "followed", "ideal"), (1.5e-3, 2e-8, 101, "followed", "opamps"),
+)  # fmt: skip
 SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
 AS_SHIPPED = "the scene as it is"
+NO_INERTIA = "ngspice, no inertia at the contact"
 PAPER_STEP = 10e-6  # s, system step of the paper's co-simulation (3.5)
 
 
@@ -75,6 +82,22 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         yield Variant("ngspice, dense", f"dense {form}", deck, note)
     deck = with_form(own, model, "resonators", behavioural=True)
     yield Variant("ngspice, behavioural", "behavioural sources", deck)
+
+
+def launches(build: Build, setup: Setup) -> Iterator[Variant]:
+    """Decks of a loop whose contact ports have no inertia: as it is, and for a launch alone."""
+    yield Variant(NO_INERTIA, "no inertia, the scene as it is", make_deck(build))
+    catch, control = build.scene.only("ring_magnet_coils"), build.scene.only("pid")
+    if catch is None or control is None:
+        return
+    for reltol, chgtol, points, ringing, form in setup.some(LAUNCH, 1):
+        keys = {
+            "solver.reltol": reltol, "solver.chgtol": chgtol, "solver.max_step": 50e-6,
+            "solver.ringing": ringing, f"{catch.name}.points": points,
+            f"{control.name}.form": form,
+        }  # fmt: skip
+        words = f"reltol {reltol:g}, chgtol {chgtol:g}, {points} heights, {ringing}, {form}"
+        yield Variant(NO_INERTIA, f"no inertia, {words}", _deck(build, keys))
 
 
 def fixed_steps(build: Build) -> Variant:
