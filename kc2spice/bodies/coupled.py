@@ -9,6 +9,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from kc2spice.rom.linear import LinearModel
 
+RESIDUAL = 1e-9  # of a mode; its frequency is off by the square of that
 MODES = (8, 40)
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
@@ -68,7 +69,9 @@ def _resonance(
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES):
-        values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start)
+        values, modes = eigsh(
+            inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start, tol=RESIDUAL
+        )
         rigid = modes[:, values <= 10 * shift]
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))

@@ -144,5 +144,5 @@ def _table(
 
 def _figure(log: str, name: str) -> float:
     """A number of ngspice's accounts, 0 where the deck asks for none."""
-    found = re.search(rf"{name} += ([0-9.eE+-]+)", log)
+    found = re.search(rf"{name} *= *([0-9.eE+-]+)", log)
     return float(found[1]) if found else 0.0
