@@ -17,7 +17,7 @@ slow: setup  ## the tests that take minutes
 	$(PYTEST) -n auto -m slow
 
 OUT ?= out/bench
-bench: setup  ## speed against error beside peers: make bench OUT=DIR, 12 minutes on two quiet cores
+bench: setup  ## speed against error beside peers: make bench OUT=DIR, 14 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
 
 SAMPLE ?= 40

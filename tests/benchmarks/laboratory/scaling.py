@@ -24,6 +24,7 @@ FROM, TO, LINEAR = 1, 100, 1.15  # actuators between which the power is taken, a
 STOPS = (1e-3, 3e-3, 10e-3, 30e-3, 100e-3)
 UNKNOWNS = (10_000, 20_000, 50_000, 100_000, 200_000)
 STEP, POINTS = 50e-9, 400
+LONG = 0.1  # s; what is larger than a size that takes so long is run once
 
 
 def scaling(setup: Setup) -> Outcome:
@@ -132,7 +133,8 @@ def _table(
         setup.clock.progress("scaling", k / len(chosen), f"{size:g} {what}")
         made = deck(size)
         run = partial(run_deck, made, folder)
-        times.append(timed(run, 1 if k > len(chosen) // 2 else setup.repeats, "children")[1])
+        long = bool(times) and times[-1].median > LONG
+        times.append(timed(run, 1 if long else setup.repeats, "children")[1])
         logs.append((folder / made.main).with_suffix(".log").read_text(encoding="utf-8"))
     medians = [time.median for time in times]
     memory = tuple(1e6 * _figure(log, "Maximum ngspice program size") for log in logs)
