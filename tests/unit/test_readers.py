@@ -188,6 +188,14 @@ def test_comsol_constraints_that_are_not_eliminated_are_refused(tmp_path):
     refused(tmp_path / "m.mat", "Kc")
 
 
+def test_comsol_scaled_unknowns_are_refused(tmp_path):
+    fields = {"Kc": K, "Ec": M, "Lc": np.ones((N, 1)), "uscale": np.ones((N, 1))}
+    scipy_io.savemat(tmp_path / "m.mat", {"MA": fields})
+    assert read_model(tmp_path / "m.mat").order == N
+    scipy_io.savemat(tmp_path / "m.mat", {"MA": {**fields, "uscale": np.full((N, 1), 1e-9)}})
+    refused(tmp_path / "m.mat", "uscale")
+
+
 @pytest.mark.parametrize("kind", ["RSA", "RUA"])
 @pytest.mark.parametrize("per_line", [1, 3])
 def test_harwell_boeing_with_mapping(tmp_path, kind, per_line):

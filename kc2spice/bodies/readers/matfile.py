@@ -134,6 +134,8 @@ def _struct(value: Any, name: str) -> dict[str, Any]:
     found = pick(_SECOND)
     if "Kc" not in fields and "N" in fields and _entries(fields["N"]):
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
+    if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
+        raise ValueError(f"struct {name} is in unknowns over uscale: scale by None in the solver")
     if "M" in found and not _entries(found["M"]):
         del found["M"]  # a first-order problem: E is D, the damping
     if "M" in found and "E" in found and not _entries(found["E"]):
