@@ -233,9 +233,10 @@ def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str)
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
     factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
     edges = _edges(mesh)
+    corners = mesh.p[:, : mesh.nvertices]  # nodes on edges follow in a quadratic mesh
     curves = (
-        _wires("at rest", mesh.p, edges, ":"),
-        _wires(f"displacement x {factor:g}", mesh.p + factor * moves, edges, "-"),
+        _wires("at rest", corners, edges, ":"),
+        _wires(f"displacement x {factor:g}", corners + factor * moves, edges, "-"),
     )
     caption = f"At {1e3 * instant:.4g} ms, {what}."
     panel = Panel("mm", "mm", curves, equal=True)
