@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh
+from scipy.linalg import LinAlgError, eigh, null_space
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Pencil
@@ -30,6 +30,7 @@ PEAKS, PEAK_ROUNDS = 40, 3
 
 FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
 REPRODUCED = 1e-11
+SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
@@ -125,13 +126,32 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
     return modes if np.isfinite(error).all() and error.max() < REPRODUCED else None
 
 
+def _graded(inertia: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``M phi = mu K phi`` ascending, ``T'KT = 1``; modes that cost next to nothing (a free body's,
+    where rounding makes K definite) apart from the others, which would drown in their rounding.
+
+    Raises
+    ------
+    LinAlgError : K is not definite.
+    """
+    mu, T = eigh(inertia, rest)
+    gaps = np.flatnonzero((mu[:-1] > 0) & (mu[1:] > SOFT * mu[:-1]))
+    if not gaps.size or gaps[-1] + 1 >= mu.size:
+        return mu, T
+    soft = slice(gaps[-1] + 1, mu.size)
+    others = null_space((inertia @ T[:, soft]).T)
+    P, Q = (others.T @ X @ others for X in (inertia, rest))
+    stiff, V = eigh(0.5 * (P + P.T), 0.5 * (Q + Q.T))
+    return np.r_[stiff, mu[soft]], np.hstack([others @ V, T[:, soft]])
+
+
 def _decoupled(pencil: Pencil) -> Modes | None:
     """Solved as ``M phi = mu K phi`` where K is definite: the better conditioned of the two."""
     if not pencil.symmetric or not pencil.size:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
-        mu, T = eigh(inertia, rest)
+        mu, T = _graded(inertia, rest)
         ends = np.ones(pencil.size), mu
     except LinAlgError:
         try:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from itertools import product
 from pathlib import Path
 
 import meshio
@@ -205,6 +206,47 @@ def test_ceramic_of_the_driven_buzzer_neither_cracks_nor_depolarises(results):
     assert {"disc_fields.vtu", "disc_deformed.png", "disc_stress.png"} <= set(record["files"])
     found = meshio.read(out / "disc_fields.vtu")
     assert [block.type for block in found.cells] == ["quad9"]
+
+
+SANDWICH = """
+[langevin]
+part = "langevin"
+front = [{ material = "aluminium", diameter = "20 mm", length = "30 mm" }]
+back = [{ material = "steel", diameter = "20 mm", length = "20 mm" }]
+rings = { material = "PZT-8", outer = "20 mm", inner = "8 mm", thickness = "3 mm" }
+bolt = { material = "steel", diameter = "6 mm" }
+damping = { quality = 200 }
+fields = true
+pins = { anode = "drive.out" }
+[drive]
+part = "source"
+sine = { amplitude = "200 V", frequency = "36.9 kHz" }
+[analysis]
+type = "transient"
+stop = "0.5 ms"
+[solver]
+max_step = "0.5 us"
+[probes]
+swing_m = { of = "langevin.u.front", take = "max" }
+"""
+
+
+def test_free_sandwich_is_driven_far_below_its_limits(tmp_path, results):
+    """Free to move over a band of 200 kHz; the field of a ring is the drive over its thickness and
+    what the stress adds, e T / C eps (h33 of a ring that is pressed)."""
+    path = tmp_path / "sandwich.toml"
+    path.write_text(SANDWICH, "utf-8")
+    record, _, out = results(str(path))
+    metrics = record["metrics"]
+    assert record["rom"]["error_estimate"] < 1e-4
+    field = [metrics[f"field_rings_{k}_pzt_8_v_m"] for k in (0, 1)]
+    assert min(field) >= 0.99 * 200 / 3e-3
+    assert max(field) < 2 * 200 / 3e-3
+    names = {check["name"]: check["passed"] for check in record["checks"]}
+    for k, quantity in product((0, 1), ("principal stress", "opposing field")):
+        assert names[f"{quantity} in rings[{k}] (PZT-8) of langevin"]
+    moved = meshio.read(out / "langevin_fields.vtu").point_data["displacement"]
+    assert 0 < np.abs(moved[:, 2]).max() < 3 * metrics["swing_m"]
 
 
 def test_feedback_electrode_makes_the_buzzer_oscillate_at_the_frequency_of_its_sheet(results):
