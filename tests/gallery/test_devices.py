@@ -233,7 +233,7 @@ swing_m = { of = "langevin.u.front", take = "max" }
 
 def test_free_sandwich_is_driven_far_below_its_limits(tmp_path, results):
     """Free to move over a band of 200 kHz; the field of a ring is the drive over its thickness and
-    what the stress adds, e T / C eps (h33 of a ring that is pressed)."""
+    what its stress adds."""
     path = tmp_path / "sandwich.toml"
     path.write_text(SANDWICH, "utf-8")
     record, _, out = results(str(path))
