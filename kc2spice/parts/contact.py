@@ -573,7 +573,7 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
     what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
-    is the work that went into the springs.
+    is the work that went into the springs, or what they hold where nothing moves.
     """
     (one, a), (other, _) = _names(part, build.scene)
     place, ports = _place(part, build, waves), kept_ports(part, build.scene)
@@ -581,7 +581,8 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
     found = [_height(one, a, port, build, waves) for port in ports]
     if place is None or any(each is None for each in found):
         return {}
-    missing, turnover, stored, damped = np.zeros(waves["time"].size), 0.0, 0.0, 0.0
+    missing, resting = np.zeros(waves["time"].size), 0.0
+    turnover, stored, damped = 0.0, 0.0, 0.0
     every = zip(ports, found, gaps(part, build.scene), own.shares(len(ports)), strict=True)
     for port, height, gap, share in every:
         assert height is not None
@@ -592,13 +593,14 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
             elastic = eps * np.maximum(height - place - gap, 0.0) ** p
         closing = integral(elastic, height - place)
         energy = elastic ** (1 + 1 / p) / ((p + 1) * eps ** (1 / p))
+        resting = max(resting, float(energy.max()))
         energy = energy - energy[0]
         missing += closing - energy
         turnover += float(np.abs(np.diff(energy)).sum())
         stored += float(energy[-1])
         damped += float(integral(f - elastic, height - place)[-1])
     net = float(np.abs(missing).max())
-    scale = max(turnover, _kinetic(other, build, waves))
+    scale = max(turnover, resting, _kinetic(other, build, waves))
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
     entries = {"stored in the contact": stored}
     if own.damping:

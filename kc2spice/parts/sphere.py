@@ -203,8 +203,8 @@ class Sphere(PartType):
         return Modelled(part.name, "closed form", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
-        if scene.of("contact"):
-            yield LeftOut("elasticity of the sphere", "the part is rigid", "not estimated")
+        if any(contact.keys.law == "linear" for contact in scene.of("contact")):
+            yield LeftOut("elasticity of the sphere", "the part is rigid", _softer(part, scene))
         if scene.analysis.type == "transient":
             yield _air_drag(part.keys)
             why = "the part moves along one axis"
@@ -260,6 +260,15 @@ def integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Running trapezoidal integral of ``values`` d ``over``, zero at the first point."""
     steps = (values[1:] + values[:-1]) / 2 * np.diff(over)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _softer(part: Part, scene: Scene) -> str:
+    """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
+    own = _stuff(part.keys.material or "steel").indentation_modulus
+    bodies = (other.type.indentation_modulus(other) for other in scene.parts.values()
+              if other is not part)  # fmt: skip
+    found = [modulus / own for modulus in bodies if modulus is not None]
+    return f"the dent would be {100 * max(found):.0f} % softer" if found else "not estimated"
 
 
 def _air_drag(keys: SphereKeys) -> LeftOut:

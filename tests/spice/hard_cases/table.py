@@ -10,7 +10,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from hard_cases import cases_catch, cases_contact, cases_kick, cases_models  # noqa: F401
+from hard_cases import cases_catch, cases_contact, cases_kick, cases_laws, cases_models  # noqa: F401
 from hard_cases.kit import CASES, Outcome, judge
 
 PAGE = Path(__file__).parents[3] / "docs" / "hard_cases.md"
