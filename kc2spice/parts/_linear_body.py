@@ -419,6 +419,14 @@ class LinearBody(PartType):
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             yield LeftOut(what, "nothing of the scene needs them", "none")
+        yield from unfollowed(part, scene)
+
+
+def unfollowed(part: Part, scene: Scene) -> Iterator[LeftOut]:
+    """What ``solver.ringing = "coarse"`` gives up."""
+    if scene.solver.ringing == "coarse":
+        why = "solver.ringing lets go of it once nothing presses on the body"
+        yield LeftOut(f"free ringing of {part.name}", why, "all of its own current and motion")
 
 
 def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:

@@ -19,7 +19,7 @@ from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import Chip, Damping
-from kc2spice.parts._linear_body import SOURCES
+from kc2spice.parts._linear_body import SOURCES, unfollowed
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.netlist import first_netlist
 from kc2spice.rom.linear import LinearModel, Port
@@ -356,6 +356,7 @@ class PiezoStack(MeshedBody):
         return Modelled(part.name, "FE (piezoelectric, linear)", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        yield from unfollowed(part, scene)
         yield LeftOut("electrodes, coating and glue", "thin and compliant", "not estimated")
         if part.keys.mounting == "roller":
             yield LeftOut(
