@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 SECTORS = 4  # the finite-element model is one symmetry sector of this many
 # Damping ratio at 250 kHz below which modes ring on through a kick, so that the errors of steps add
 # up: launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
-RINGING, UNDAMPED = 2e-3, 5e-5
+RINGING, UNDAMPED = 4e-3, 2e-4
 LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly as those of 100 V
 FOUNDATION = 8.0  # E* / spacing
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
