@@ -44,7 +44,7 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
 def contact_error(value: float | None) -> str:
     """What the reduction does where bodies meet; its certificate is that of the response."""
     if value is None:
-        return "not estimated; checks.reduction = 'warn' compares with a richer model"
+        return "not estimated; checks.reduction = 'warn' compares with a closer run"
     return f"{value:.2g}"
 
 

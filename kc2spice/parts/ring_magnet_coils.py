@@ -569,8 +569,8 @@ class RingMagnetCoils(PartType):
             )
 
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        keys, usual = part.keys, Catch()
-        same = (keys.refine, keys.positions) == (usual.refine, usual.positions)
+        keys, ball = part.keys, sphere_of(part, scene).keys
+        same = field_keys(part) == Catch() and ball.radius == type(ball)().radius
         yield ErrorRow(
             "field mesh",
             None,

@@ -57,6 +57,8 @@ def _expected(scene: Scene, found: Stages, stage: str, values: dict[str, Any]) -
         return lookup_error(found, next(iter(values.values())))
     if not found.transient:
         return scene.rom.tolerance
+    if not all(part.type.measured(part, scene) for part in scene.parts.values()):
+        return None
     return known_error(found.reductions if stage == "reduction" else found.steppings, values)
 
 

@@ -442,6 +442,10 @@ class PartType(ABC):
         """Errors of its model."""
         return ()
 
+    def measured(self, part: Part, scene: Scene) -> bool:
+        """Whether the error budget's relations were measured with such a body and such loads."""
+        return not self.reduced
+
     def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
         """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
         return ()

@@ -36,7 +36,7 @@ from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.richer import estimated, reduction_check
+from kc2spice.workflow.richer import NAME, estimated, reduction_check
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -247,7 +247,7 @@ def run_record(done: Completed) -> dict[str, Any]:
     }
     record |= rom_facts(build)
     if "rom" in record and estimated(build):
-        own = (c.value for c in found.checks if c.name.startswith("reduction, by"))
+        own = (c.value for c in found.checks if c.name.startswith(NAME))
         record["rom"]["contact_error"] = next(own, None)
     record |= {
         # a sweep or an operating point has no time points

@@ -199,6 +199,47 @@ def test_the_mesh_is_named_and_not_pretended_to_be_part():
     assert "not part of the budget" in errors["mesh"].why
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("kick_and_catch", "kick.drive.voltage=-100"),
+        ("kick_and_catch", "kick.drive.voltage=200"),
+        ("kick_and_catch", "kick.drive.width=3e-6"),
+        ("kick_and_catch", "kick.damping.ratio=1e-4"),
+        ("kick_and_catch", "kick.height=3e-3"),
+        ("kick_and_catch", "sphere.radius=1.2e-3"),
+        ("kick_and_catch", "contact.penalty=1e9"),
+        ("impact", "impact.velocity=-0.1"),
+        ("kick_slew", "kick.height=2e-3"),
+    ],
+)
+def test_errors_are_expected_only_where_they_were_measured(name, change):
+    errors = {e.stage: e for e in plan(load_scene(name, [change, "error_budget=1e-3"])).errors}
+    for stage in ("mesh", "reduction", "time stepping"):
+        assert errors[stage].expected is None, stage
+    assert errors["reduction"].share  # the division stands all the same
+
+
+@pytest.mark.parametrize(
+    ("stage", "changes"),
+    [
+        ("mesh", ["kick.mesh.ring_spacing=200e-6", "kick.mesh.rings=3"]),
+        ("mesh", ["kick.mesh.sectors=6"]),
+        ("field mesh", ["catch.positions=5"]),
+        ("field mesh", ["catch.mu_r=2"]),
+        ("field mesh", ["catch.ring.outer=6e-3"]),
+        ("field mesh", ["sphere.radius=1.2e-3"]),
+        ("controller", ["control.kd=40"]),
+        ("controller", ["control.current_limit=3"]),
+    ],
+)
+def test_errors_of_other_meshes_and_gains_are_not_those_of_the_usual_ones(stage, changes):
+    usual = {e.stage: e for e in plan(load_scene("kick_and_catch")).errors}
+    errors = {e.stage: e for e in plan(load_scene("kick_and_catch", changes)).errors}
+    assert usual[stage].expected
+    assert errors[stage].expected is None
+
+
 def test_the_netlists_head_tells_what_explain_tells():
     found = plan(load_scene("kick_and_catch", ["error_budget=1e-3"]))
     lines = plan_lines(found).splitlines()

@@ -5,7 +5,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import sphere_subcircuit
@@ -77,18 +77,34 @@ class Model:
 
 
 def test_reduction_is_compared_with_twice_the_states(monkeypatch):
-    """On request only; the second run has no setting of a body's own."""
+    """And a tenth of the tolerances, on request or under a budget; the second run has no setting
+    of a body's own."""
     scene = load_scene(LOOP, {"kick.rom.order": 12, "checks.reduction": "warn"})
     build = Build(scene, {"kick": Model()})
     other = richer.richer(build)
     assert (other.rom.order, other.rom.band) == (60, (0.0, 2e6))
+    assert (other.solver.reltol, other.solver.chgtol) == (1e-5, pytest.approx(1e-9))
     assert other.parts["kick"].keys.rom is None
-    speeds = iter([0.30, 0.24])
+    time = np.array([0.0, 1.0, 2.0])
+    ours, theirs = (Waveforms({"time": time, "sphere.y": y * time}, {}) for y in (1.04, 1.0))
+    speeds = iter([0.30, 0.24, 0.30, 0.30, 0.30, 0.24, 0.30])
     monkeypatch.setattr(richer, "metrics", lambda *_: {"launch_velocity_m_s": next(speeds)})
-    for name in ("build_models", "make_deck", "simulate"):
+    for name in ("build_models", "make_deck"):
         monkeypatch.setattr(richer, name, MagicMock())
-    check = richer.reduction_check(build, Waveforms({}, {}), Clock())
-    assert check.value == pytest.approx(0.25)
+    monkeypatch.setattr(richer, "simulate", lambda *_: MagicMock(waves=theirs))
+    check = richer.reduction_check(build, ours, Clock())
+    assert (check.value, check.limit) == (pytest.approx(0.25), 1e-2)
     assert not check.passed
-    quiet = Build(load_scene(LOOP), {"kick": Model()})
-    assert richer.reduction_check(quiet, Waveforms({}, {}), Clock()) is None
+    assert richer.reduction_check(build, ours, Clock()).value == pytest.approx(0.04)  # of heights
+    bounded = Build(load_scene(LOOP, {"error_budget": 1e-3}), {"kick": Model()})
+    check = richer.reduction_check(bounded, ours, Clock())
+    assert (check.limit, check.action, check.passed) == (1e-3, "warn", False)
+
+    def fails(*_):
+        raise SimulationError("no convergence")
+
+    monkeypatch.setattr(richer, "simulate", fails)
+    assert not richer.reduction_check(build, ours, Clock()).passed
+    for quiet in ({}, {"error_budget": 1e-3, "checks.reduction": "off"}):
+        silent = Build(load_scene(LOOP, quiet), {"kick": Model()})
+        assert richer.reduction_check(silent, ours, Clock()) is None
