@@ -20,7 +20,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.settings import Action, Rom
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
@@ -52,7 +52,8 @@ def reduction_check(build: Build, waves: Waveforms, clock: Clock) -> Check | Non
     error is not a number.
     """
     scene = build.scene
-    action = scene.checks.reduction or ("off" if scene.error_budget is None else "warn")
+    usual: Action = "off" if scene.error_budget is None else "warn"
+    action = scene.checks.reduction or usual
     if action == "off":
         return None
     ours = metrics(waves, build)
