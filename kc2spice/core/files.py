@@ -39,6 +39,8 @@ def staged(out: Path | str) -> Iterator[Path]:
     ------
     UsageError : ``out`` is a file, or cannot be created or written.
     """
+    if "\0" in str(out):
+        raise UsageError("has a zero byte", where=repr(str(out)), hint="choose another --out")
     out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
     parent = _nearest_directory(out.parent)
     _nearest_directory(out)

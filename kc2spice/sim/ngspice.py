@@ -181,6 +181,7 @@ def _execute(
     """Run ngspice with the user's start-up files kept out; return its exit code."""
     command = [simulator.path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
+    environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = time.monotonic()
     with (
         log.open("wb") as sink,

@@ -242,7 +242,7 @@ def _no_start_up_files(library: ctypes.CDLL) -> Iterator[None]:
     """ngspice finds empty start-up files first, so it reads neither the user's nor code models."""
     if hasattr(library, "ngSpice_nospiceinit"):
         library.ngSpice_nospiceinit()
-    before, variables = Path.cwd(), ("SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
+    before, variables = Path.cwd(), ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     kept = {name: os.environ.get(name) for name in variables}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
         for name in ("spinit", ".spiceinit"):

@@ -1,6 +1,7 @@
 """A run that is ended by a signal leaves neither ngspice nor unfinished files; broken programs."""
 
 import os
+import shutil
 import signal
 import stat
 import subprocess
@@ -120,6 +121,24 @@ def test_the_raw_file_is_kept_on_request(tmp_path):
             with np.load(tmp_path / "out" / "waveforms.npz") as waves:
                 found = raw.get_trace("v(source_out)").get_wave()
                 np.testing.assert_allclose(found, waves["source.v"], atol=1e-12)
+
+
+UNKNOWN = ["unshare", "-U", "--map-user=54321", "--map-group=54321"]
+may_unshare = shutil.which("unshare") and not subprocess.run([*UNKNOWN, "true"]).returncode
+
+
+@pytest.mark.skipif(not may_unshare, reason="a user namespace makes the unknown user")
+@pytest.mark.parametrize("engine", ["batch", "shared"])
+def test_an_unknown_user_without_home_simulates(engine, tmp_path):
+    """ngspice asks for the home of its user and crashes where there is none."""
+    (tmp_path / "short.toml").write_text(LONG.replace("stop = 10.0", "stop = 1e-6"))
+    words = {"batch": ["-m", "kc2spice", "run", "short.toml", "-q", "-o", "out"],
+             "shared": ["-c", "from kc2spice.sim.shared import Library; "
+                              "assert Library().load('t\\nR1 a 0 1\\n.op\\n.end')"]}  # fmt: skip
+    homeless = {k: v for k, v in os.environ.items() if k != "HOME"}
+    done = subprocess.run([*UNKNOWN, sys.executable, *words[engine]], cwd=tmp_path, env=homeless,
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

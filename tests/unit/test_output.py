@@ -98,6 +98,12 @@ def test_concurrent_runs_do_not_mix(tmp_path):
     assert len({path.read_text() for path in out.iterdir()}) == 1
 
 
+def test_out_has_a_zero_byte(tmp_path):
+    with pytest.raises(UsageError, match="zero byte"), staged(f"{tmp_path}/a\0b"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
 def test_out_is_a_file(tmp_path):
     (tmp_path / "out").write_text("")
     for path in (tmp_path / "out", tmp_path / "out" / "deeper"):
