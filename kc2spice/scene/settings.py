@@ -64,7 +64,8 @@ class Checks(Section):
     saturation: Action = Field("warn", description="share of the time at the current limit")
     plausible: Action = Field("fail", description="keys against what exists or can be made")
     reduction: Action | None = Field(
-        None, description="of launch or rebound: a second run with twice the states and a tenth of "
+        None,
+        description="of launch or rebound: a second run with twice the states and a tenth of "
         "the tolerances; off, with an error_budget warn",
     )
     start: Action = Field("fail", description="a sphere at rest on its body at t = 0")
