@@ -80,7 +80,7 @@ def _apart(
 ) -> float:
     """Largest relative difference of speeds, and of heights over the travel."""
     found = [float("nan") if theirs is None else abs(ours / theirs - 1.0)]
-    for name in (f"{part.name}.y" for part in scene.of("sphere")):
+    for name in (f"{part}.y" for part in scene.parts if f"{part}.y" in waves):
         exact = np.interp(waves["time"], closer["time"], closer[name])
         found.append(float(np.abs(waves[name] - exact).max() / np.ptp(exact)))
     return float(np.max(found))
