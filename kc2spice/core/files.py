@@ -66,7 +66,7 @@ def staged(out: Path | str) -> Iterator[Path]:
 
 def _work_directory(out: Path, parent: Path) -> Path:
     """A new directory beside ``out``, or within it where it is a mount point or alone writable."""
-    places = [parent, out] if out.is_dir() else [parent]
+    places = [parent, out] if os.path.isdir(out) else [parent]
     reason = OSError()
     for place in places:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -217,8 +218,28 @@ def export(
             files = dict(dialect_files(deck, deck.parts, dialect))
             files |= plot_script(deck) if dialect == "ngspice" else {}
             files |= symbol_files(deck, dialect) if count is None else {}
+            _spare_other_decks(Path(out), files)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
+
+
+def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
+    """Refuse to take subcircuits from another deck in ``out``: it would run no more."""
+    for deck in sorted(out.glob("*.cir")) if out.is_dir() else ():
+        text = deck.read_text(encoding="utf-8", errors="replace")
+        for name in re.findall(r"(?im)^\.include\s+(\S+)", "" if deck.name in files else text):
+            library = out / name
+            if name in files and library.is_file():
+                lost = _defined(library.read_text(errors="replace")) - _defined(files[name])
+                if lost:
+                    raise UsageError(
+                        f"this deck there needs {', '.join(sorted(lost))} of {name}",
+                        where=str(deck), got=f"another {name}", hint="choose another --out",
+                    )  # fmt: skip
+
+
+def _defined(text: str) -> set[str]:
+    return set(re.findall(r"(?im)^\.subckt\s+(\S+)", text))
 
 
 def _linted(build: Build) -> Deck:

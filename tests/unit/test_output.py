@@ -9,11 +9,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+from pathlib import Path
 
 import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.run import export
 from kc2spice.workflow.simulate import kept_on_failure
 
 
@@ -111,14 +114,29 @@ def test_out_is_a_file(tmp_path):
             pass
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def refused(folder, name, mode):
+    """0 where ``name`` below a directory of this mode is refused, for a user who is not root."""
+    try:
+        if os.geteuid() == 0:  # who may write everywhere
+            os.setgid(65534)
+            os.setuid(65534)
+        (folder / "locked").mkdir(mode=mode)
+        with staged(folder / name):
+            return 1
+    except UsageError as error:
+        return 0 if "cannot be written" in str(error) else 2
+    except BaseException:
+        return 3
+
+
 @pytest.mark.parametrize("mode", [0o500, 0o400, 0o000])
 @pytest.mark.parametrize("name", ["locked", "locked/out", "locked/a/b"])
-def test_out_cannot_be_written(tmp_path, name, mode):
-    (tmp_path / "locked").mkdir(mode=mode)
-    with pytest.raises(UsageError, match="cannot be written"), staged(tmp_path / name):
-        pass
-    (tmp_path / "locked").chmod(0o700)
+def test_out_cannot_be_written(name, mode):
+    with tempfile.TemporaryDirectory() as name_of_folder:
+        folder = Path(name_of_folder)
+        folder.chmod(0o777)
+        assert in_a_child(lambda: os._exit(refused(folder, name, mode))) == 0
+        (folder / "locked").chmod(0o700)
 
 
 FILES = ("a.lib", "b.lib", "bench.cir", "waves.npz", "result.json")
@@ -286,3 +304,20 @@ def test_an_unrelated_failed_directory_is_spared(tmp_path):
             raise SimulationError("no result")
     assert names(tmp_path) == ["out.failed", "out.failed2", "work"]
     assert names(theirs) == ["thesis.tex"]
+
+
+def test_an_export_spares_what_another_deck_there_includes(tmp_path):
+    """Its own deck may be written anew; another scene's would look for a subcircuit in vain."""
+
+    def exported(name, radius):
+        scene = load_scene({"name": name, "sphere": {"radius": radius}, "solver": {"stop": 1e-3}})
+        return export(scene, tmp_path, "ngspice")
+
+    exported("fall", 1e-3)
+    exported("drop", 1e-3)  # the same design: both decks run
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UsageError, match=r"this deck there needs sphere_\w+ of sphere\.lib"):
+        exported("fall", 2e-3)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / "drop.cir").unlink()
+    exported("fall", 2e-3)
