@@ -83,11 +83,13 @@ class LinearBody(PartType):
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         """The full model of the whole device, every cell divided by ``refine`` along each axis."""
 
-    def reducible(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        """The model that is reduced: the full one with the ports that the scene needs."""
-        return self.full(part, scene, clock).select([p.name for p in self.kept(part, scene)])
+    def reducible(self, part: Part, scene: Scene, clock: Any, kept: Sequence[str]) -> LinearModel:
+        """The model that is reduced: the full one with the ports ``kept`` that the scene needs."""
+        return self.full(part, scene, clock).select(list(kept))
 
-    def finished(self, model: LinearModel, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def finished(
+        self, model: LinearModel, part: Part, scene: Scene, clock: Any, kept: Sequence[str]
+    ) -> LinearModel:
         """``model``, reduced, with what no reduction touches."""
         return model
 
@@ -198,13 +200,14 @@ class LinearBody(PartType):
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         target = self.settings(part, scene)
-        without = massless(part, scene)
+        # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
+        without, kept = massless(part, scene), [port.name for port in self.kept(part, scene)]
 
         def build() -> LinearModel:
             from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import reduce
 
-            chosen = self.reducible(part, scene, clock)
+            chosen = self.reducible(part, scene, clock, kept)
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
                 small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
@@ -214,7 +217,7 @@ class LinearBody(PartType):
             if without:
                 modal = without_inertia(modal, target.tolerance)
             found = replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
-            return self.finished(found, part, scene, clock)
+            return self.finished(found, part, scene, clock, kept)
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -254,12 +254,12 @@ class PiezoStack(MeshedBody):
             if shape is None:
                 return _device(chip)
             model = _patched(chip, shape)
-        return self._with_hats(model, part, scene, clock, chip)
+        return self._with_hats(model, part, scene, clock, kept_rings(part, scene))
 
-    def reducible(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def reducible(self, part: Part, scene: Scene, clock: Any, kept: Sequence[str]) -> LinearModel:
         shape = pressure_hats(part, scene)
         if shape is None:
-            return super().reducible(part, scene, clock)
+            return super().reducible(part, scene, clock, kept)
         chip = chip_of(part.keys)
         with clock.stage("mesh", "chip mesh"):
             _mesh(chip)
@@ -268,22 +268,25 @@ class PiezoStack(MeshedBody):
         with clock.stage("reduce", "elimination of the potentials"):
             return _patched(chip, shape)
 
-    def finished(self, model: LinearModel, part: Part, scene: Scene, clock: Any) -> LinearModel:
+    def finished(
+        self, model: LinearModel, part: Part, scene: Scene, clock: Any, kept: Sequence[str]
+    ) -> LinearModel:
         if pressure_hats(part, scene) is None:
             return model
-        return self._with_hats(model, part, scene, clock, chip_of(part.keys))
+        count = sum(name.startswith("ring") for name in kept)
+        return self._with_hats(model, part, scene, clock, count)
 
     def _with_hats(
-        self, model: LinearModel, part: Part, scene: Scene, clock: Any, chip: Chip
+        self, model: LinearModel, part: Part, scene: Scene, clock: Any, count: int
     ) -> LinearModel:
         """``model`` with the kept hats instead of the patch; what the springs of the contact give
         is taken from them."""
         from kc2spice.bodies.pressure import with_hats
 
-        shape, count = pressure_hats(part, scene), kept_rings(part, scene)
+        shape = pressure_hats(part, scene)
         assert shape is not None
         with clock.stage("assemble", "dents of the hats of pressure"):
-            compliance = _pressed(chip, shape).compliance
+            compliance = _pressed(chip_of(part.keys), shape).compliance
         springs = np.diag(1 / (foundation(part, shape) * shape.areas[: shape.count]))
         names = tuple(f"ring{k}" for k in range(count))
         own = (compliance - springs)[:count, :count]

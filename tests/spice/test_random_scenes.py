@@ -85,13 +85,20 @@ def all_fields():
             yield from schema_fields(types[name].schema, f"{part}.driver.{short}.")
 
 
+def plain_types(annotation):
+    """The types that a key may have, without what they are wrapped in."""
+    inner = get_args(annotation)
+    return {t for each in inner for t in plain_types(each)} if inner else {annotation}
+
+
+CHOICES = {key.name: key.choices for key in scene_keys()}
 FIELDS = {
     key: field
     for key, field in all_fields()
-    if key.split(".")[-1] not in ("of", "coils", "a", "b", "driver", "include", "title", "name")
+    if (CHOICES.get(key) or str not in plain_types(field.annotation))  # names of other things
+    and key.split(".")[-1] not in ("of", "coils", "a", "b", "driver", "include", "title", "name")
     and key.split(".")[0] not in ("analysis", "probes", "bench")
 }
-CHOICES = {key.name: key.choices for key in scene_keys()}
 
 
 def bounds(field):
@@ -131,7 +138,8 @@ def value(rng, key):
         return str(rng.randint(*LOW_END[key]))
     if isinstance(default, tuple):
         return str([each * 10 ** rng.uniform(-0.1, 0.1) for each in default])
-    if isinstance(default, int):
+    whole = default is None and {int, float} & plain_types(field.annotation) == {int}
+    if isinstance(default, int) or whole:
         return str(rng.randint(low or 0, high or 10))
     return repr(number(rng, default if isinstance(default, float) else 1e-3, low, high))
 

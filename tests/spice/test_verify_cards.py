@@ -17,7 +17,7 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
 CARD = re.compile(r"(?m)^([GCR]\w+) ((?:\S+ +)+?)(\{damping\*)?(-?\d[\d.e+-]*)(\}?)$")
 # The tick that makes the first step small, the stiff links (a millionth of a port's compliance) and
 # the inertia of the highest mode, far above the band, change nothing that could be seen in it.
-NOTHING_IN_BAND = re.compile(r"Rtick |GfR\d base fR|Cp6 ")
+NOTHING_IN_BAND = re.compile(r"Rtick |Gfring\d base fring|Cp6 ")
 
 
 @pytest.fixture(scope="module")

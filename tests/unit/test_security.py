@@ -323,7 +323,7 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 
 def test_a_header_takes_no_line_break():
     with pytest.raises(UsageError, match="not one word"):
-        part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),))
+        part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
 
 
 @pytest.mark.parametrize(
