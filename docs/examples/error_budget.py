@@ -10,15 +10,15 @@ tables = {
     "drive": {"part": "source",
               "pulse": {"high": "50 V", "start": "0.1 ms", "width": "2 ms", "edge": "50 us"}},
     "analysis": {"type": "transient", "stop": "5 ms"},
+    "rom": {"band": ["0 Hz", "100 kHz"]},  # edges of 50 us excite no more
     "probes": {"stroke_m": {"of": "beam.u.tip", "take": "max"}},
 }  # fmt: skip
 exact = kc.run(kc.load_scene(tables, {"solver.reltol": 1e-6, "rom.tolerance": 1e-5}))
-for budget in (1e-2, 1e-3):
-    result = kc.run(kc.load_scene(tables, {"error_budget": budget}))
-    error = result.metrics["stroke_m"] / exact.metrics["stroke_m"] - 1
-    print(f"budget {budget:g}: error {error:.1e} with {result.record['rom']['order']} states, "
-          f"{result.time.size} time points instead of {exact.time.size}")  # fmt: skip
-    assert abs(error) < budget
+result = kc.run(kc.load_scene(tables, {"error_budget": 1e-3}))
+error = result.metrics["stroke_m"] / exact.metrics["stroke_m"] - 1
+print(f"error {error:.1e} with {result.record['rom']['order']} states, "
+      f"{result.time.size} time points instead of {exact.time.size}")  # fmt: skip
+assert abs(error) < 1e-3
 
 for row in result.record["plan"]["errors"]:  # who gets which share, as explain shows it
     print(row["stage"], row["share"], row["settings"])
