@@ -1,6 +1,7 @@
 """Every committed library stands alone, says what it is, and shares a deck with all others."""
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -38,9 +39,11 @@ def test_all_are_looked_at():
     }  # fmt: skip
 
 
-def test_the_table_of_parts_is_complete():
-    table = set(re.findall(r"`(\w+\.lib)`", (NETLISTS / "README.md").read_text()))
+def test_the_table_of_parts_is_complete_and_current():
+    page = (NETLISTS / "README.md").read_text()
+    table = set(re.findall(r"`(\w+\.lib)`", page))
     assert table == {re.sub(r"\d+(?=\.lib)", "", p.name) for p in LIBRARIES}
+    assert runpy.run_path(str(NETLISTS.parent / "tools" / "parts_table.py"))["page"]() == page
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
