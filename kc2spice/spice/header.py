@@ -55,12 +55,19 @@ def plan_lines(found: Plan) -> str:
     return textwrap.indent("\n".join(wrapped), "* ")
 
 
+def _upwards(value: float) -> float:
+    """Three digits of it, rounded so that a bound stays one."""
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    short = float(f"{mantissa}e{exponent}")
+    return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
+
+
 def rom_line(order: int, certificate: Certificate) -> str:
     """One comment line: order, band and certified error of a reduced model."""
     low, high = certificate.band_hz
     return (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
-        f"error={number(certificate.error_estimate)} ({comment(certificate.method)}); "
+        f"error={number(_upwards(certificate.error_estimate))} ({comment(certificate.method)}); "
         "above the band not certified; contact excites it\n"
     )
 
