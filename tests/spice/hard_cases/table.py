@@ -1,6 +1,7 @@
-"""Run the hard cases and write their table: ``python tests/spice/hard_cases/table.py``.
+"""Run the hard cases and write their table: ``python tests/spice/hard_cases/table.py [WORDS]``.
 
-With ``--slow`` also those that take minutes.
+With ``--slow`` also those that take minutes; with words only the cases that have one of them in
+their first column, while all others keep their rows.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ def row(outcome: Outcome, plain: str) -> str:
     case = outcome.case
     error = "" if outcome.error is None else f"{outcome.error:.1e}"
     limit = "" if case.refused else f"{case.limit:.0e}"
+    ended = outcome.text if outcome.met else f"MISSED: {outcome.text}"
     cells = [case.entry, case.name, case.what, error, limit, str(outcome.points or ""),
-             f"{outcome.seconds:.1f}", outcome.text.replace("|", "/"), plain]  # fmt: skip
+             f"{outcome.seconds:.1f}", ended.replace("|", "/"), plain]  # fmt: skip
     return f"| {' | '.join(cells)} |\n"
 
 
@@ -51,21 +53,30 @@ def converges(number: int) -> str:
     return bench.failures[0] if bench.failures else "converges"
 
 
+def written() -> dict[tuple[str, ...], str]:
+    """Rows of the page by their first two columns."""
+    lines = PAGE.read_text().partition("|---|")[2].splitlines(keepends=True)
+    return {tuple(x.strip() for x in line.split("|")[1:3]): line for line in lines if "| " in line}
+
+
 def main() -> None:
     """Write the page, then say how many cases were met."""
-    lines, met, plain = [], 0, []
+    words = [word for word in sys.argv[1:] if word != "--slow"]
+    rows = written() if words else {}
     for number, case in enumerate(CASES):
-        if case.slow and "--slow" not in sys.argv:
+        asked = not words or any(word in case.entry for word in words)
+        if not asked or (case.slow and "--slow" not in sys.argv):
             continue
         outcome, _ = judge(case)
-        met += outcome.met
-        plain.append("" if "user circuit" in case.entry else converges(number))
-        lines.append(row(outcome, plain[-1].replace("|", "/")))
-        print(lines[-1], end="", flush=True)
-    ran = [text for text in plain if text]
-    share = sum(text == "converges" for text in ran)
-    foot = f"\n{met} of {len(lines)} cases are met. "
-    foot += f"With ngspice's default options {share} of {len(ran)} decks converge.\n"
+        plain = "" if "user circuit" in case.entry else converges(number)
+        rows[case.entry, case.name] = row(outcome, plain.replace("|", "/"))
+        print(rows[case.entry, case.name], end="", flush=True)
+    lines = [rows[key] for case in CASES if (key := (case.entry, case.name)) in rows]
+    missed = sum("| MISSED" in line for line in lines)
+    ends = [line.split("|")[-2].strip() for line in lines]
+    foot = f"\n{len(lines) - missed} of {len(lines)} cases are met. "
+    foot += f"With ngspice's default options {ends.count('converges')} of "
+    foot += f"{len([end for end in ends if end])} decks converge.\n"
     PAGE.write_text(HEAD + "".join(lines) + foot)
     print(foot)
 
