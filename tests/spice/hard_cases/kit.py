@@ -123,7 +123,7 @@ def judge(case: Case, *, plain: bool = False) -> tuple[Outcome, Bench]:
         try:
             error = float(case.measure(bench))
             met = case.refused is None and bool(error <= case.limit)
-            text = "met" if met else "not refused" if case.refused else "MISSED"
+            text = "met" if met else "not refused" if case.refused else "over its limit"
         except Kc2spiceError as refusal:
             said = " ".join(str(refusal).split())
             met = case.refused is not None and re.search(case.refused, said) is not None
