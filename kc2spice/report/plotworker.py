@@ -72,8 +72,10 @@ def share(function: Callable[..., list[T]], directory: Path, items: Sequence[Any
     ours, theirs = mp.Pipe(duplex=False)
     child = os.fork()
     if child == 0:
-        theirs.send(_answer(function, (directory, items[1::2])))
-        os._exit(0)
+        try:
+            theirs.send(_answer(function, (directory, items[1::2])))
+        finally:  # an answer that cannot be sent must not send this process up the caller's stack
+            os._exit(0)
     theirs.close()
     try:
         mine = function(directory, items[::2])
