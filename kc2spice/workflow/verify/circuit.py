@@ -73,7 +73,8 @@ def without_law(build: Build) -> tuple[str, ...]:
 
 
 def _missing(build: Build, found: Mapping[str, Equations]) -> tuple[str, ...]:
-    return tuple(n for n in build.scene.parts if n not in found and n not in replacements(build))
+    known = {*found, *replacements(build)}
+    return tuple(name for name in build.scene.parts if name not in known)
 
 
 def _equations(build: Build) -> dict[str, Equations]:
