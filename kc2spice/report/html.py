@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from kc2spice import __version__
 from kc2spice.core.figure import Curve, Figure
 from kc2spice.report.plots import Picture
-from kc2spice.spice.render import compiled, template_directory
+from kc2spice.spice.render import template_directory
 
 SHOWN = 4000  # points of a curve in a page
 
@@ -42,7 +42,6 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=compiled("page"),
     )
     environment.filters |= {"embed": _embed, "curves": _curves}
     text = environment.get_template("report.html.j2").render(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from pathlib import Path
 
-from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from kc2spice.core.cache import cache_dir
 from kc2spice.core.errors import MissingToolError
 from kc2spice.spice.cards import comment, name, number
 
@@ -24,16 +22,6 @@ def template_directory() -> Path:
     )
 
 
-def compiled(kind: str) -> FileSystemBytecodeCache | None:
-    """Templates that an earlier run compiled, for environments of one ``kind`` of options."""
-    place = cache_dir() / "templates" / kind
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return FileSystemBytecodeCache(str(place)) if os.access(place, os.W_OK) else None
-
-
 @cache
 def _environment() -> Environment:
     environment = Environment(
@@ -43,7 +31,6 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
         line_comment_prefix="##",
-        bytecode_cache=compiled("netlist"),
     )
     environment.filters.update(n=number, name=name, comment=comment)
     return environment
