@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow bench mutants netlists symbols docs setup lint clean
+.PHONY: demo test slow campaign bench mutants netlists symbols docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
@@ -13,8 +13,11 @@ demo: setup  ## run the main job: kick, flight and catch in ngspice
 test: setup  ## run the test suite
 	$(PYTEST) -n auto -m "not slow"
 
-slow: setup  ## the tests that take minutes
-	$(PYTEST) -n auto -m slow
+slow: setup  ## the tests that take many seconds each, five to ten minutes in all
+	$(PYTEST) -n auto -m "slow and not campaign"
+
+campaign: setup  ## hundreds of random models, scenes and kills, the oldest versions: an hour
+	$(PYTEST) -n auto -m campaign
 
 OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 14 minutes on two quiet cores

@@ -13,7 +13,7 @@ import pytest
 
 from laboratory.run import PARTS
 
-pytestmark = pytest.mark.slow  # minutes: other programs, every scene
+pytestmark = [pytest.mark.slow, pytest.mark.campaign]  # other programs, every scene
 
 ENVIRONMENT = {
     **os.environ,

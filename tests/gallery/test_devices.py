@@ -125,6 +125,7 @@ def test_harvester_follows_the_model_of_one_mode(results):
     assert np.ptp(force) < 0.01 * force.mean()
 
 
+@pytest.mark.slow
 def test_harvester_charges_its_capacitor_through_the_bridge(results):
     record, waves, _ = results("harvester_bridge", "beam.fields=true")
     metrics = record["metrics"]
@@ -249,6 +250,7 @@ def test_free_sandwich_is_driven_far_below_its_limits(tmp_path, results):
     assert 0 < np.abs(moved[:, 2]).max() < 3 * metrics["swing_m"]
 
 
+@pytest.mark.slow
 def test_feedback_electrode_makes_the_buzzer_oscillate_at_the_frequency_of_its_sheet(results):
     record, waves, _ = results("buzzer_self")
     assert within("buzzer_ft_39t_2_5b1", "resonance_hz", record["metrics"]["tone_hz"])
@@ -258,6 +260,7 @@ def test_feedback_electrode_makes_the_buzzer_oscillate_at_the_frequency_of_its_s
     assert late[-1] == pytest.approx(late[0], rel=0.02)  # a steady tone
 
 
+@pytest.mark.slow
 def test_no_tone_without_the_feedback_electrode(results, tmp_path):
     source = ROOT / "kc2spice" / "scenes"
     text = (source / "buzzer_self.toml").read_text("utf-8")

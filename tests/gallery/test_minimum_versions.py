@@ -42,6 +42,7 @@ def lowest(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_the_versions_are_the_lowest(lowest):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = dict(text.split(">=") for text in project["dependencies"])
@@ -52,6 +53,7 @@ def test_the_versions_are_the_lowest(lowest):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("scene", "name"),
     [

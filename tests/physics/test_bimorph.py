@@ -103,6 +103,7 @@ def test_free_beam_rings_at_its_own_first_frequency():
     assert facts["resonance_hz"] == pytest.approx(4.730041**2 / (2 * np.pi) * rate / L**2, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_mesh_is_fine_enough():
     keys = bimorph(("PZT-5A", "0.3 mm"), ("brass", "0.2 mm"), length="20 mm", width="3 mm")
     coarse, fine = (build(keys, HERE, refine=n).facts for n in (1, 2))

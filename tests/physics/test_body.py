@@ -108,6 +108,7 @@ def keys(**changes):
     return Body.model_validate({**table, **changes})
 
 
+@pytest.mark.slow
 def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
     parametric = build_bimorph(
         Bimorph.model_validate({
@@ -365,6 +366,7 @@ def test_free_body_has_no_support_and_exact_capacitance(coarse):
     )
 
 
+@pytest.mark.slow
 def test_example_of_the_bracket(tmp_path):
     """The STEP file that the example draws, with the keys that it ships: mass of the drawing, a
     stroke that both patches add to, and a reduced model that keeps its ports."""

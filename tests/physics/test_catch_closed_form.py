@@ -143,6 +143,7 @@ def test_the_default_air_cylinder_shifts_the_ring_force_by_a_fortieth() -> None:
     assert worst(table.c1, coil_force(catch, catch.lower, table.y)) < 1e-3
 
 
+@pytest.mark.slow
 def test_force_converges_with_the_fourth_power_of_the_mesh_size() -> None:
     errors = []
     for refine in (1, 2):

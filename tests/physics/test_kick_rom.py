@@ -121,6 +121,7 @@ def test_error_falls_as_the_paper_s_method_promises(default):
     assert np.all(np.array(estimate) < [0.3, 2e-3, 5e-5, 1e-7])
 
 
+@pytest.mark.slow
 def test_estimate_agrees_with_the_true_error(default):
     frequency = np.linspace(0, 500e3, 301)[1:]
     truth = reduce(default, order=63, band=BAND).transfer(frequency)
@@ -137,7 +138,9 @@ def test_static_gains_are_exact_once_every_port_is_in_the_basis(default, order):
     np.testing.assert_allclose(rom.transfer([0.0])[0].real, static, rtol=1e-10)
 
 
-@pytest.mark.parametrize("order", [1, 2, 5, 7, 8, 13, 30, 60, 120])
+@pytest.mark.parametrize(
+    "order", [1, 2, 5, 7, 8, 13, 30, 60, pytest.param(120, marks=pytest.mark.slow)]
+)
 def test_every_order_is_symmetric_stable_and_passive(default, order):
     rom = reduce(default, order=order, band=BAND)
     assert rom.order == order

@@ -25,6 +25,10 @@ FAMILIES = {
     "heat rod": families.heat_rod,
     "rotor": families.rotor,
 }
+# The rotor's model is not symmetric and costs five seconds a test.
+COSTLY = [
+    pytest.param(name, marks=pytest.mark.slow if name == "rotor" else ()) for name in FAMILIES
+]
 FLOOR = 1e-6  # of an entry's peak; below it a relative error says nothing
 
 
@@ -86,7 +90,7 @@ def test_beam_has_the_textbook_frequencies():
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", COSTLY)
 def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
     _, model, _ = built(name)
     rom = reduced(name, tolerance)
@@ -103,7 +107,7 @@ def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance
 
 
 @pytest.mark.parametrize("dense", [False, True], ids=["blocks", "dense"])
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", COSTLY)
 def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):
     tolerance = 1e-5
     matrices, _, band = built(name)
@@ -279,6 +283,7 @@ def test_random_models_are_stable_and_passive(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(40, 540))
 def test_random_models_are_stable_and_passive_at_every_order(seed):
     check_every_order(seed, step=1)

@@ -67,7 +67,10 @@ def quarter_wave(sections):
     return brentq(end_force, f[at], f[at + 1])
 
 
-@pytest.mark.parametrize("cap", [None, "steel", "aluminium"])
+@pytest.mark.parametrize(
+    "cap",
+    [None, *(pytest.param(metal, marks=pytest.mark.slow) for metal in ("steel", "aluminium"))],
+)
 def test_a_slender_stack_with_caps_resonates_as_a_line(cap):
     """Electrodes shorted, the ceramic is a rod of 1/s33; caps below and above lengthen it."""
     made_of = material(cap) if cap else PZT

@@ -28,6 +28,7 @@ def test_there_are_enough_of_them():
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_nine_of_ten_converge_on_default_options():
     """Decks without their ``.options``; users' circuits that are meant to fail do not count."""
     ran = failed = 0

@@ -82,6 +82,7 @@ def test_statistics_and_progress(run):
     assert not (directory / "loop.raw.part").exists()
 
 
+@pytest.mark.slow
 def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(varied, tmp_path):
     """The pivot defect is real and our cure is what cures it; three loops that show it."""
     outcomes = []

@@ -74,6 +74,7 @@ def impacts():
     return found
 
 
+@pytest.mark.slow
 def test_rings_that_stay_open_change_nothing(unpruned):
     """Of one reduced model, without the ports from ring2 on, until the sphere has left for good."""
     build, waves = unpruned
@@ -87,6 +88,7 @@ def test_rings_that_stay_open_change_nothing(unpruned):
     assert error["trajectory_m"] < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [1, 2, 3, 4, 5])
 def test_the_bound_lies_above_what_the_next_ring_does(kept, unpruned, impacts):
     """Its docstring's figures: at most 5 % of the gap below, here never below at all."""
@@ -104,6 +106,7 @@ def test_the_bound_lies_above_what_the_next_ring_does(kept, unpruned, impacts):
             assert not check.passed
 
 
+@pytest.mark.slow
 def test_no_ring_that_closed_was_judged_out_of_reach(unpruned, impacts):
     for build, waves in (unpruned, *impacts.values()):
         scene = build.scene
@@ -123,6 +126,7 @@ def achieved(budget, unpruned, tmp_path):
     return max(error["velocity_relative"], error["trajectory_relative"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [5e-2, 1e-2, 1e-3, 1e-4])
 def test_the_budget_is_kept(budget, unpruned, tmp_path):
     assert achieved(budget, unpruned, tmp_path) < budget

@@ -84,6 +84,7 @@ def test_a_point_is_the_run_of_that_scene(local, tmp_path):
         assert float(row[name]) == alone[name]  # same deck, same digits
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_bytes(local, tmp_path):
     pytest.importorskip("distributed")
     summary = sweep(tmp_path / "o", *GAINS, engine=DaskEngine("local", 2))
@@ -215,7 +216,9 @@ def own_scene(tmp_path):
     return found
 
 
-@pytest.mark.parametrize("kind", ["processes", "array", "dask"])
+@pytest.mark.parametrize(
+    "kind", ["processes", "array", pytest.param("dask", marks=pytest.mark.slow)]
+)
 def test_a_scene_file_takes_its_netlists_along(own_scene, tmp_path, kind):
     if kind == "array":
         run.write_array(own_scene, tmp_path, 1)

@@ -116,6 +116,7 @@ def chip():
     return device, resonators(reduce(device, tolerance=1e-5, band=(0.0, 1e6)))
 
 
+@pytest.mark.slow
 def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
     """Hand-written deck: current through the clamped ports against modes summed in numpy."""
     _, model = chip

@@ -33,7 +33,7 @@ TOKENS = (
 def seeds(kind):
     """Seeds of all cases of one kind; those beyond the fast ones are marked as slow."""
     fast = FAST[kind]
-    late = [pytest.param(range(k, k + 50), marks=pytest.mark.slow)
+    late = [pytest.param(range(k, k + 50), marks=[pytest.mark.slow, pytest.mark.campaign])
             for k in range(fast, FULL[kind], 50)]  # fmt: skip
     return [range(fast), *late]
 
