@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -88,6 +89,34 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
     feasible = [p for p in record["points"] if max(p["error"], p["bound"]) <= 1e-4]
     assert best["time_s"] <= 1.05 * min(p["time_s"] for p in feasible)
     assert best["set"][::2] == ["--set"] * len(best["settings"])
+
+
+def test_a_scene_on_its_front_is_told_from_one_that_is_not(record):
+    """The scene's errors cancel to 0 and add up to 2e-4: a coarser pair as exact is quicker."""
+    own, nearest = next(p for p in record["points"] if p["own"]), record["own"]
+    best = min(
+        (p for p in record["points"] if max(p["error"], p["bound"]) <= own["bound"]),
+        key=lambda p: p["time_s"],
+    )
+    assert nearest["on_front"] is (best["time_s"] > own["time_s"] / 1.1)
+    if not nearest["on_front"]:
+        assert (nearest["time_s"], nearest["settings"]) == (best["time_s"], best["settings"])
+
+
+def test_a_slower_scene_is_beaten(made, monkeypatch, tmp_path):
+    """Negative control: a cost of the scene's own setting alone puts it behind its neighbours."""
+
+    def slowed(scene, *, trust=False):
+        run = simulator(scene, trust=trust)
+        own = scene.solver.reltol == 1e-4 and scene.rom.order == 30
+        return dataclasses.replace(run, cpu_s=run.cpu_s * (9.0 if own else 1.0))
+
+    monkeypatch.setattr(plane, "evaluate", slowed)
+    load = lambda more: load_scene("impact", ["bench.metric=[]", *more])  # noqa: E731
+    record = plane.bench(load, tmp_path / "o", repeats=2)
+    own = next(p for p in record["points"] if p["own"])
+    assert not record["own"]["on_front"]
+    assert record["own"]["time_s"] < 0.5 * own["time_s"]
 
 
 def test_settings_load_again_as_they_are_printed():

@@ -1,8 +1,9 @@
 """Error against time over a scene's settings, the front of the best, and what to use.
 
 The scene is run as it is, with one key changed at a time, with all of them finer, and from there
-along the axes towards the cheapest setting within the wanted error. Errors are against a run with
-every key at its finest; a second, less fine one tells how well that has converged. Times are
+along the axes towards the cheapest setting within the wanted error, and within the scene's own:
+the scene lies on its front if no setting is as exact in clearly less time. Errors are against a run
+with every key at its finest; a second, less fine one tells how well that has converged. Times are
 medians of the simulator's CPU time over rounds that visit all settings in turn, so that a machine
 that slows down slows all alike.
 
@@ -19,6 +20,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
@@ -46,6 +49,7 @@ MOST_POINTS = 80
 UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
 SLOW = 5.0  # times the scene's own: such a setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
+CLEAR = 1.1  # ratio of times from which on a setting is quicker than the scene's own
 
 Load = Callable[[Sequence[str]], Scene]  # the scene with some KEY=VALUE on top of it
 
@@ -140,6 +144,21 @@ class _Plane:
             (p for p in kept if p.time <= ALIKE * least), key=lambda p: p.guarded, default=None
         )
 
+    def nearest(self, floor: float) -> _Point:
+        """Quickest point that is as exact as the scene itself; errors below ``floor`` are equal.
+
+        It is the scene itself unless another one is clearly quicker: by the middle half of both
+        times, and by ``CLEAR``.
+        """
+        own = self.points[own_place(self.found)]
+        low = float(np.percentile(own.times, 25))
+        quicker = [
+            point for point in self.points.values()
+            if point.guarded <= max(own.guarded, floor)
+            and CLEAR * point.time < own.time and float(np.percentile(point.times, 75)) < low
+        ]  # fmt: skip
+        return min(quicker, key=lambda point: point.time, default=own)
+
     def again(self, place: Place) -> None:
         """One more time of a point."""
         point = self.points[place]
@@ -200,7 +219,7 @@ def bench(
             "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
             "limit": error, "repeats": repeats, "metrics": names,
             "left_out": {name: check.get(name) for name in wanted if name not in names},
-            **_choice(plane, error),
+            **_choice(plane, error, max(check[name] for name in names)),
             "reference": {
                 "label": label(finest), "settings": finest, "time_s": exact.cpu_s,
                 "error": max(check[name] for name in names),
@@ -229,14 +248,24 @@ def _estimate(own: Run, found: Sequence[Axis], repeats: int) -> str:
 
 
 def _search(plane: _Plane, limit: float, progress: Progress) -> None:
-    """Change one key at a time, then walk along the axes to the cheapest setting in ``limit``."""
+    """Change one key at a time, then walk to the cheapest settings in ``limit`` and in the own."""
     first = list(star(plane.found))
+    own = own_place(plane.found)
     for done, place in enumerate(first):
         progress("settings", done / len(first), f"{done} of {len(first)}")
-        if plane.visit(place) is None and place == own_place(plane.found):
+        if plane.visit(place) is None and place == own:
             raise SimulationError("the scene as it is gives another result than its reference",
                                   where="bench", got=plane.failed[place]["why"])  # fmt: skip
     plane.measure_alone()
+    for wanted in (limit, plane.points[own].guarded):
+        _walk(plane, wanted, progress)
+
+
+def _walk(plane: _Plane, limit: float, progress: Progress) -> None:
+    """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper one.
+
+    Where none is within ``limit``, from the most exact one towards finer ones.
+    """
     while len(plane.points) + len(plane.failed) < MOST_POINTS:
         best = plane.cheapest(limit)
         if best is not None:
@@ -262,15 +291,15 @@ def _time(plane: _Plane, repeats: int, progress: Progress) -> None:
             plane.again(place)
 
 
-def _choice(plane: _Plane, limit: float) -> dict[str, Any]:
-    """Points, front and recommendation as they are recorded."""
+def _choice(plane: _Plane, limit: float, floor: float) -> dict[str, Any]:
+    """Points, front, recommendation and the scene's place as they are recorded."""
     points = sorted(plane.points.values(), key=lambda point: point.time)
     front, least = set(), float("inf")
     for point in points:
         if point.error < least:
             front.add(point.place)
             least = point.error
-    own, best = own_place(plane.found), plane.cheapest(limit)
+    own, best, nearest = own_place(plane.found), plane.cheapest(limit), plane.nearest(floor)
     return {
         "points": [
             {
@@ -283,6 +312,10 @@ def _choice(plane: _Plane, limit: float) -> dict[str, Any]:
             for p in points
         ],
         "failed": list(plane.failed.values()),
+        "own": {
+            "on_front": nearest.place == own, "nearest": label(nearest.values),
+            "settings": nearest.values, "error": nearest.guarded, "time_s": nearest.time,
+        },
         "recommended": None if best is None else {
             "label": label(best.values), "settings": best.values, "error": best.error,
             "bound": best.bound,
