@@ -22,6 +22,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
 from kc2spice.scene.parttype import PartType, Setting
 
+STEP = "solver.max_step"  # set for launches only: elsewhere it belongs to the scene's own events
 BUDGET_KEYS = (
     "rom.order", "rom.tolerance", "rom.band", "solver.reltol", "solver.chgtol",
 )  # fmt: skip
@@ -36,22 +37,23 @@ REDUCTION = (
     Setting(8e-5, {"rom.tolerance": 1e-2, "rom.band": (0.0, 2e6)}, cost=40),
 )
 # Found over kicks of 40 to 105 V of that chip with 39 states, the worse of launch and position:
-# 2.4e-4, 1.1e-4, 5.3e-5, 2.8e-5, 2.6e-5 and 1.4e-5. Errors of motion in free flight and in contact
-# fall as (reltol chgtol)^0.55, time points grow with its cube root.
-STEPPING = (
-    Setting(3e-4, {"solver.reltol": 1e-2, "solver.chgtol": 1e-8}, cost=0.7e3),  # time points
-    Setting(1.2e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-8}, cost=1.0e3),
-    Setting(5.5e-5, {"solver.reltol": 8e-4, "solver.chgtol": 1e-8}, cost=1.3e3),
-    Setting(3e-5, {"solver.reltol": 3e-4, "solver.chgtol": 1e-8}, cost=1.7e3),
-    Setting(1.5e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=5.5e3),
+# 2.3e-4, 1.1e-4, 5.2e-5, 2.9e-5 and 1.2e-5. Errors in contact fall as (reltol chgtol)^0.55, time
+# points grow with its cube root; those of free flight fall with the square of the longest step.
+STEPPING = (  # costs are time points
+    Setting(3e-4, {"solver.reltol": 1e-2, "solver.chgtol": 1e-8, STEP: 25e-6}, cost=0.9e3),
+    Setting(1.2e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-8, STEP: 25e-6}, cost=1.05e3),
+    Setting(5.5e-5, {"solver.reltol": 8e-4, "solver.chgtol": 1e-8, STEP: 25e-6}, cost=1.35e3),
+    Setting(3e-5, {"solver.reltol": 3e-4, "solver.chgtol": 1e-8, STEP: 20e-6}, cost=1.75e3),
+    Setting(1.5e-5, {"solver.reltol": 8e-5, "solver.chgtol": 1e-8, STEP: 10e-6}, cost=2.65e3),
 )
 # What only scenes whose result is a launch may do: forget how the body rings after it.
-LAUNCH: dict[str, Any] = {"solver.ringing": "coarse", "solver.max_step": 50e-6}
+LAUNCH: dict[str, Any] = {"solver.ringing": "coarse"}
 # Error of the smooth lookup over its points: 1.3e-3 at 31, 2.9e-5 at 101, 3.3e-6 at 201, 5e-8 at
 # 801, thus by the third power of the spacing. A force that is off by e of the largest all the way
-# moves the flight by F e T^2 / 2 m, at most twice e of the travel. Points cost text, not time.
+# moves the flight by F e T^2 / 2 m, at most twice e of the travel; but it changes its sign within
+# each cell, which leaves 0.09 (41 points) to 0.02 (201) for kicks of 40 to 105 V.
 LOOKUP_ERROR, LOOKUP_CELLS = 4.5e-6, 200
-FLIGHT = 2.0
+FLIGHT = 0.1
 FEWEST_CELLS, MOST_CELLS = 20, 2000
 LOOKUP_SHARE = 0.05  # of the budget is left to the lookup at least
 
@@ -152,9 +154,9 @@ def _cost(choice: tuple[Setting, ...]) -> float:
 
 
 def known_error(rows: tuple[Setting, ...], values: Mapping[str, Any]) -> float | None:
-    """Error of the best row that ``values`` meet in every key, None if they meet none."""
-    found = [row.error for row in rows if all(_meets(values[k], v) for k, v in row.keys.items())]
-    return min(found, default=None)
+    """Error of the best row that ``values`` meet in every key they have, None if they meet none."""
+    met = (r for r in rows if all(_meets(values[k], r.keys[k]) for k in r.keys if k in values))
+    return min((row.error for row in met), default=None)
 
 
 def _meets(value: Any, limit: Any) -> bool:
@@ -175,16 +177,15 @@ def stages_of(data: Mapping[str, Any], types: Mapping[str, PartType]) -> Stages:
 
 def budget_keys(data: Mapping[str, Any], types: Mapping[str, PartType]) -> tuple[str, ...]:
     """Dotted keys that an error budget sets; one on the command line replaces the file's."""
-    return (*BUDGET_KEYS, *(LAUNCH if stages_of(data, types).throws else ()))
+    return (*BUDGET_KEYS, *((*LAUNCH, STEP) if stages_of(data, types).throws else ()))
 
 
-def _launch(solver: Any) -> dict[str, Any]:
-    """LAUNCH with steps within the simulated time."""
+def _within(step: float, solver: Any) -> float:
+    """``step`` [s], at most the simulated time."""
     try:
-        stop = quantity(solver.get("stop", LAUNCH["solver.max_step"]), "s")
+        return min(step, quantity(solver.get("stop", step), "s"))
     except (UsageError, AttributeError):
-        return LAUNCH  # the schema complains about it
-    return {**LAUNCH, "solver.max_step": min(LAUNCH["solver.max_step"], stop)}
+        return step  # the schema complains about it
 
 
 def fill(
@@ -206,8 +207,11 @@ def fill(
     stages = stages_of(data, types)
     keys = [item for setting in divide(stages, budget).values() for item in setting.keys.items()]
     if stages.throws:
-        keys += _launch(filled.get("solver", {})).items()
+        keys = [(k, _within(v, filled.get("solver", {})) if k == STEP else v) for k, v in keys]
+        keys += LAUNCH.items()
         keys += [(f"{n}.{k}", v) for n, kind in types.items() for k, v in kind.exact.items()]
+    else:
+        keys = [(k, v) for k, v in keys if k != STEP]
     names: list[str] = []
     for name, value in keys:
         section, key = name.split(".")

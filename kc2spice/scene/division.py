@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from kc2spice.scene.budget import Stages, divide, known_error, lookup_error
+from kc2spice.scene.budget import STEP, Stages, divide, known_error, lookup_error
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import ErrorRow
 
@@ -37,6 +37,8 @@ def _stages(scene: Scene) -> Iterator[ErrorRow]:
     budget, found = scene.error_budget, stages(scene)
     for stage, setting in divide(found, budget or 1.0).items():
         keys = KEYS.get(stage, tuple(setting.keys))
+        if stage == "time stepping" and found.throws:
+            keys = (*keys, STEP)
         values = {name: _value(scene, name) for name in keys}
         text = ", ".join(f"{k} {_short(v)}" for k, v in values.items() if v is not None)
         counted = {k for k, v in values.items() if v is not None}

@@ -47,7 +47,7 @@ class Watch:
 
 
 FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
-COARSE = Watch(8.0, 4, 1e-4)  # only what a contact throws is: half the time points
+COARSE = Watch(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
 
 
 @dataclass(frozen=True)
