@@ -168,6 +168,16 @@ class LinearBody(PartType):
 
         return material(layers[-1].material, part.name).indentation_modulus if layers else None
 
+    def coarse(self, part: Part, scene: Scene) -> bool:
+        """Whether time steps need not follow its ringing once nothing presses on it."""
+        return scene.solver.ringing == "coarse"
+
+    def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        """What ``solver.ringing = "coarse"`` gives up."""
+        if self.coarse(part, scene):
+            why = "solver.ringing lets go of it once nothing presses on the body"
+            yield LeftOut(f"free ringing of {part.name}", why, "all of its own current and motion")
+
     # --- model and netlist ----------------------------------------------------------------------
 
     def settings(self, part: Part, scene: Scene) -> Rom:
@@ -235,7 +245,7 @@ class LinearBody(PartType):
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         title = self.headline(part)
-        watch = COARSE if build.scene.solver.ringing == "coarse" else FOLLOWED
+        watch = COARSE if self.coarse(part, build.scene) else FOLLOWED
         model = build.model(part)
         return (subcircuit(model, name, header, title=title, rating=rating, watch=watch),)
 
@@ -305,7 +315,7 @@ class LinearBody(PartType):
         known = all(_voltage_name(part, modal, p) in waves for p in voltages)
         if forces is None or not known:
             return {}
-        pressed = build.scene.solver.ringing == "coarse"
+        pressed = self.coarse(part, build.scene)
         return {part.name: chipbook.balance(part.name, modal, waves, forces, pressed=pressed)}
 
     def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
@@ -422,14 +432,7 @@ class LinearBody(PartType):
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
             yield LeftOut(what, "nothing of the scene needs them", "none")
-        yield from unfollowed(part, scene)
-
-
-def unfollowed(part: Part, scene: Scene) -> Iterator[LeftOut]:
-    """What ``solver.ringing = "coarse"`` gives up."""
-    if scene.solver.ringing == "coarse":
-        why = "solver.ringing lets go of it once nothing presses on the body"
-        yield LeftOut(f"free ringing of {part.name}", why, "all of its own current and motion")
+        yield from self.unfollowed(part, scene)
 
 
 def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:

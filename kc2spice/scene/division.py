@@ -18,7 +18,9 @@ KEYS = {
 def stages(scene: Scene) -> Stages:
     """What of a checked scene costs accuracy."""
     types = {part.name: part.type for part in scene.parts.values()}
-    return Stages.of(types, scene.analysis.type == "transient")
+    own = "band" in scene.rom.model_fields_set and "rom.band" not in scene.budgeted
+    band = scene.rom.band if own else None
+    return Stages.of(types, scene.analysis.type == "transient", band)
 
 
 def division(scene: Scene, *, estimate: bool = False) -> tuple[ErrorRow, ...]:
@@ -42,7 +44,7 @@ def _stages(scene: Scene) -> Iterator[ErrorRow]:
         values = {name: _value(scene, name) for name in keys}
         text = ", ".join(f"{k} {_short(v)}" for k, v in values.items() if v is not None)
         counted = {k for k, v in values.items() if v is not None}
-        if not found.transient:
+        if not (found.transient and found.contact):
             counted -= {"rom.band"}
         ours = budget is not None and scene.budgeted >= counted
         yield ErrorRow(
@@ -57,7 +59,8 @@ def _stages(scene: Scene) -> Iterator[ErrorRow]:
 def _expected(scene: Scene, found: Stages, stage: str, values: dict[str, Any]) -> float | None:
     if stage == "lookup":
         return lookup_error(found, next(iter(values.values())))
-    if not found.transient:
+    certified = not found.contact and "rom.tolerance" in scene.budgeted
+    if not found.transient or (stage == "reduction" and certified):
         return scene.rom.tolerance
     if not all(part.type.measured(part, scene) for part in scene.parts.values()):
         return None

@@ -332,6 +332,10 @@ class PartType(ABC):
         """Factor, 1 or less, of ``solver.reltol`` that its motion needs."""
         return 1.0
 
+    def doubts(self, part: Part, scene: Scene) -> Iterable[str]:
+        """Why what it throws may be worse than its settings say; a closer run then measures it."""
+        return ()
+
     def sampled(self, part: Part, build: Build) -> Sampled | None:
         """The function that runs beside the simulator for it."""
         return None

@@ -7,8 +7,10 @@ paper's pulse, by 5e-3 for the same pulse downwards.
 
 from __future__ import annotations
 
+import math
 import tempfile
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +18,33 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Action, Rom
+from kc2spice.scene.settings import Rom
+from kc2spice.sim.retries import Outcome
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.verify.compare import Solution, measured, solution
 
 NAME = "error of the "  # and the speed
 WIDEST = 2e6  # Hz, band of the richer model at least
-CLOSER, CLOSEST = 0.1, 1e-6  # times reltol and chgtol, which is not below that
+CLOSER, CLOSEST = 0.1, 1e-7  # times reltol and chgtol; no deck asks for less than that reltol
+DEARER = 9.0  # times a run: 4.6 times the points, of twice the states
 LIMIT = 1e-2  # error_budget where the scene has one
+NEAR = 0.3  # of its limit: a check of too coarse steps that passes, but leaves a doubt
+SHRINKS = 0.3  # error of the closer run over its distance from the first, at most
+
+
+@dataclass(frozen=True)
+class Closer:
+    """The closer run of a scene, and how far the first one is from it."""
+
+    build: Build
+    outcome: Outcome
+    check: Check
 
 
 def estimated(build: Build) -> tuple[str, ...]:
@@ -44,46 +59,65 @@ def estimated(build: Build) -> tuple[str, ...]:
     return tuple(gate.of for gate in gates if gate.measure == "relative")
 
 
-def reduction_check(build: Build, waves: Waveforms, clock: Clock) -> Check | None:
-    """How far a run is from one with twice the states, at least 60, over 2 MHz at least, and with
-    a tenth of its tolerances: its speed, or its heights over the travel, whichever is farther.
-
-    None where the scene does not ask for it, or nothing leaves. Where the second run fails, the
-    error is not a number.
-    """
+def doubts(build: Build, outcome: Outcome) -> Iterator[str]:
+    """Why a launch may be worse than its settings say: what parts know to be sensitive, and checks
+    of too coarse steps that are near their limits."""
     scene = build.scene
-    usual: Action = "off" if scene.error_budget is None else "warn"
-    action = scene.checks.reduction or usual
-    if action == "off":
+    for part in scene.parts.values():
+        yield from part.type.doubts(part, scene)
+    for check in outcome.verdict.checks:
+        if check.coarse and check.value > NEAR * check.limit:
+            yield f"{check.name} {check.value:.2g}, limit {check.limit:.2g}"
+
+
+def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check | None:
+    """A run with twice the states, at least 60, over 2 MHz at least, and a tenth of the tolerances;
+    its check says how far the speed is from it, or heights over the travel, whichever is farther.
+
+    None where nothing asks for it (``checks.reduction``, an error budget, :func:`doubts`) or
+    nothing leaves; where it fails, a check whose value is not a number.
+    """
+    scene, usual = build.scene, _reason(build, outcome)
+    action = scene.checks.reduction or ("warn" if usual else "off")
+    ours = solution(outcome.waves, build)
+    key = next((key for key in estimated(build) if ours.metrics.get(key)), None)
+    if action == "off" or key is None:
         return None
-    ours = metrics(waves, build)
-    key = next((key for key in estimated(build) if ours.get(key)), None)
-    if key is None:
-        return None
-    try:
-        other = build_models(richer(build), clock, trust=build.trust)
-        with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            closer = simulate(other, make_deck(other), Path(directory)).waves
-        value = _apart(scene, ours[key], metrics(closer, other).get(key), waves, closer)
-    except SimulationError:
-        value = float("nan")
-    return Check(
-        f"{NAME}{key.rpartition('_m_s')[0].replace('_', ' ')}", value,
+    check = Check(
+        f"{NAME}{key.rpartition('_m_s')[0].replace('_', ' ')}", math.nan,
         scene.error_budget or LIMIT, "of it or of the travel",
         "this contact needs more: raise rom.order and rom.band, lower solver.reltol and .chgtol",
         action,
     )  # fmt: skip
+    other = richer(build)
+    seconds = DEARER * outcome.attempts[-1].wall_s
+    text = f"{other.rom.order} states and a tenth of the tolerances, up to {seconds:.0f} s and the "
+    text += f"reduction, because of {usual or 'checks.reduction'}"
+    clock.progress("closer run", None, text)
+    try:
+        closer = build_models(other, clock, trust=build.trust)
+        with clock.stage("closer run", "ngspice"), tempfile.TemporaryDirectory() as directory:
+            found = simulate(closer, make_deck(closer), Path(directory))
+        apart = _apart(scene, key, ours, solution(found.waves, closer))
+    except SimulationError:
+        return check
+    return Closer(closer, found, replace(check, value=apart))
 
 
-def _apart(
-    scene: Scene, ours: float, theirs: float | None, waves: Waveforms, closer: Waveforms
-) -> float:
+def _reason(build: Build, outcome: Outcome) -> str:
+    """What asks for a closer run, in words; empty where nothing does."""
+    if build.scene.error_budget is not None:
+        return f"error_budget {build.scene.error_budget:g}"
+    return "; ".join(doubts(build, outcome))
+
+
+def _apart(scene: Scene, key: str, ours: Solution, closer: Solution) -> float:
     """Largest relative difference of speeds, and of heights over the travel."""
-    found = [float("nan") if theirs is None else abs(ours / theirs - 1.0)]
-    for name in (f"{part}.y" for part in scene.parts if f"{part}.y" in waves):
-        exact = np.interp(waves["time"], closer["time"], closer[name])
-        found.append(float(np.abs(waves[name] - exact).max() / np.ptp(exact)))
-    return float(np.max(found))
+    gates = [Gate(key, key, {})]
+    heights = [f"{part}.y" for part in scene.parts if f"{part}.y" in closer.waves]
+    gates += [Gate(name, name, {}, "travel") for name in heights]
+    found = [measured(gate, ours, closer) for gate in gates]
+    return float(np.max([math.nan if value is None else value for value in found]))
 
 
 def richer(build: Build) -> Scene:
@@ -95,7 +129,8 @@ def richer(build: Build) -> Scene:
     rom = Rom(order=max(60, *(2 * order for order in orders)), band=(0.0, high))
     parts = {name: _without_rom(part) for name, part in scene.parts.items()}
     steps = scene.solver
-    reltol = min(steps.reltol, max(CLOSEST, CLOSER * steps.reltol))
+    own = min(part.type.closeness(part, scene) for part in scene.parts.values())
+    reltol = min(steps.reltol, max(CLOSEST / own, CLOSER * steps.reltol))
     update = {"reltol": reltol, "chgtol": CLOSER * steps.chgtol, "ringing": "followed"}
     closer = steps.model_copy(update=update)
     frame = scene.frame.model_copy(update={"rom": rom, "solver": closer})

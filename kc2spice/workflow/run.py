@@ -21,7 +21,7 @@ from kc2spice.report.figures import draw_all
 from kc2spice.report.plots import Picture
 from kc2spice.report.plotworker import PlotWorker, share
 from kc2spice.report.run_page import write_run
-from kc2spice.scene.judge import require
+from kc2spice.scene.judge import Check, require
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
@@ -37,7 +37,7 @@ from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.richer import NAME, estimated, reduction_check
+from kc2spice.workflow.richer import NAME, SHRINKS, Closer, closer_run, estimated
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -110,13 +110,32 @@ def complete(
         write_files(chosen.files, work)
     with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
         outcome = simulate(build, chosen, work, progress=share)
-    extra = reduction_check(build, outcome.waves, clock)
-    if extra is not None:
-        require((extra,), scene.name)
-        verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, extra))
-        outcome = replace(outcome, verdict=verdict)
+    if deck is None:
+        build, outcome = _judged(build, outcome, clock, work)
     warn_of(outcome.verdict.checks)
     return Completed(build, simulator, outcome, clock)
+
+
+def _judged(build: Build, outcome: Outcome, clock: Clock, work: Path) -> tuple[Build, Outcome]:
+    """A run with the check of a closer one, where something asks for it; and that run instead where
+    the first is beyond the error budget."""
+    found = closer_run(build, outcome, clock)
+    if found is None:
+        return build, outcome
+    check = found if isinstance(found, Check) else found.check
+    budget = build.scene.error_budget
+    if isinstance(found, Closer) and budget is not None and not check.passed:
+        warnings.warn(
+            f"{check.name} {check.value:.2g} with the settings of error_budget {budget:g}: "
+            "the closer run is the result, its deck and models are written",
+            stacklevel=2,
+        )
+        build, outcome = found.build, found.outcome
+        check = replace(check, value=SHRINKS * check.value)
+        write_files(outcome.deck.files, work)
+    require((check,), build.scene.name)
+    verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, check))
+    return build, replace(outcome, verdict=verdict)
 
 
 def write_run_files(

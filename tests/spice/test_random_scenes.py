@@ -1,6 +1,12 @@
-"""Scenes drawn at random over all keys: each ends in a checked result or in a true diagnosis."""
+"""Scenes drawn at random over all keys: each ends in a checked result or in a true diagnosis.
+
+``python tests/spice/test_random_scenes.py FIRST LAST`` compares the results of such scenes with the
+independent integrator of the same laws.
+"""
 
 import random
+import signal
+import sys
 import tempfile
 import warnings
 from collections import Counter
@@ -14,6 +20,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import write_run
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.keys import scene_keys, submodel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Frame
@@ -26,6 +33,8 @@ from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run_figures
 from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.verify.circuit import solve, without_law
+from kc2spice.workflow.verify.compare import measured, solution
 
 # What the paper's scenes are made of: each list is a study, the loop's are drawn from.
 LOOP = ("kick", "contact", "sphere", "catch", "control")
@@ -221,3 +230,87 @@ def test_six_scenes_end_in_a_result_or_a_diagnosis():
 @pytest.mark.campaign
 def test_two_hundred_scenes_end_in_a_result_or_a_diagnosis():
     judged(campaign(200), 200)
+
+
+# --- against the independent integrator -----------------------------------------------------------
+
+LAUNCH, HEIGHT, RESPONSE = 1e-3, 5e-6, 1e-3  # relative, m, of the largest
+PATIENCE = 60  # s of the integrator; a train of pulses over seconds takes it hours
+
+
+class OutOfTimeError(Exception):
+    pass
+
+
+def deviations(build, waves):
+    """Largest difference of launch or rebound, of heights, of responses, over its limit.
+
+    None where a part has no law, nothing is compared, or the integrator is out of time or patience.
+    """
+    if without_law(build):
+        return None
+
+    def late(*_):
+        raise OutOfTimeError
+
+    signal.signal(signal.SIGALRM, late)
+    signal.alarm(PATIENCE)
+    try:
+        exact = solution(solve(build, waves).results, build)
+    except (OutOfTimeError, SimulationError):
+        return None
+    finally:
+        signal.alarm(0)
+    ours = solution(waves, build)
+    found = {}
+    for part in build.scene.parts.values():
+        for gate in part.type.gates(part, build):
+            if gate.of.endswith("velocity_m_s") or gate.measure in ("largest", "spectral"):
+                found[gate.words] = measured(gate, ours, exact), LAUNCH
+        name = f"{part.name}.y"
+        if "time" in waves and name in waves and name in exact.waves:
+            found[name] = measured(Gate(name, name, {}, "absolute"), ours, exact), HEIGHT
+    return {k: None if v is None else v / limit
+            for k, (v, limit) in found.items() if v is None or isinstance(v, float)}  # fmt: skip
+
+
+def compared(number):
+    """Outcome of a scene, its deviations, and what was said of it."""
+    text, overrides = drawn_scene(random.Random(f"scene {number}"))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drawn.toml"
+        path.write_text(text)
+        try:
+            scene = load_scene(path, overrides)
+            build = build_models(scene, Clock(silent))
+            done = simulate(build, make_deck(build), Path(folder), timeout=TIME)
+        except (UsageError, SimulationError) as error:
+            return f"refused: {error.message}", {}, []
+        said = [check.name for check in done.verdict.checks if not check.passed]
+        return "result", deviations(build, done.waves), said
+
+
+def main():
+    first, last = map(int, sys.argv[1:3])
+    count = Counter()
+    for number in range(first, last):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            outcome, found, said = compared(number)
+        word = outcome.partition(":")[0]
+        if word == "result":
+            worst = (
+                0.0 if not found else max(float("inf") if v is None else v for v in found.values())
+            )
+            word = ("not compared" if not found else "right" if worst <= 1 else
+                    "off, said" if said else "OFF, SILENT")  # fmt: skip
+            outcome = f"{word}: {found} {said}"
+        count[word] += 1
+        print(number, outcome, flush=True)
+        if "OFF" in word or "off" in word:
+            print("   ", drawn_scene(random.Random(f"scene {number}")), flush=True)
+    print(dict(count))
+
+
+if __name__ == "__main__":
+    main()

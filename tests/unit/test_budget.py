@@ -164,6 +164,28 @@ def test_a_budget_on_the_command_line_replaces_the_files_keys_but_no_other_overr
         assert scene.solver.reltol == 1e-2
 
 
+@pytest.mark.parametrize("band", [None, (0.0, 5e3)])
+def test_a_body_that_nothing_strikes_keeps_its_band(band):
+    """Its tolerance is a share of the budget: no contact excites it beyond its response."""
+    own = [] if band is None else [f"rom.band={list(band)}"]
+    scene = load_scene("harvester_bridge", ["error_budget=1e-3", *own])
+    usual = load_scene("harvester_bridge")
+    bimorph = next(part for part in usual.parts.values() if part.type.reduced)
+    assert scene.rom.band == (band or bimorph.type.settings(bimorph, usual).band)
+    errors = {each.stage: each for each in plan(scene).errors}
+    found = errors["reduction"]
+    assert found.share == found.expected == scene.rom.tolerance == pytest.approx(3e-4)
+
+
+def test_a_narrow_band_under_a_contact_is_no_part_of_the_budget():
+    """The relations hold for theirs; a tolerance of 1e-2 is none over a narrower one."""
+    scene = load_scene("sphere_on_beam", ["error_budget=1e-3", "rom.band=[0, 1e5]"])
+    assert scene.rom.band == (0.0, 1e5)
+    assert scene.rom.tolerance == pytest.approx(3e-4)
+    (row,) = (each for each in plan(scene).errors if each.stage == "reduction")
+    assert (row.share, row.expected) == (None, None)
+
+
 def test_scenes_made_in_python_take_a_budget_too():
     loop = {"kick": {}, "sphere": {}, "contact": {}, "catch": {}}
     scene = load_scene(loop | {"error_budget": 1e-3})

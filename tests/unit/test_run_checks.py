@@ -1,5 +1,7 @@
 """What is judged of a finished run, on waveforms made by hand."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -9,13 +11,16 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import sphere_subcircuit
+from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.sim.retries import Attempt, Outcome
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.read import subcircuits
-from kc2spice.workflow import richer
+from kc2spice.workflow import richer, run
 from kc2spice.workflow.sweep.point import with_parameters
+from kc2spice.workflow.verify.compare import Solution
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 
@@ -76,35 +81,110 @@ class Model:
     order = 30
 
 
-def test_reduction_is_compared_with_twice_the_states(monkeypatch):
+@pytest.fixture
+def closer(monkeypatch):
+    """``speeds`` of the first and the closer run, taken in turn; their heights are 4 % apart."""
+    time = np.array([0.0, 1.0, 2.0])
+    first, second = (Waveforms({"time": time, "sphere.y": y * time}, {}) for y in (1.04, 1.0))
+    speeds: list[float] = []
+    monkeypatch.setattr(
+        richer, "solution", lambda w, _: Solution(w, {"launch_velocity_m_s": speeds.pop(0)})
+    )
+    for name in ("build_models", "make_deck"):
+        monkeypatch.setattr(richer, name, MagicMock())
+    monkeypatch.setattr(richer, "simulate", lambda *_: replace(OUTCOME, waves=second))
+    return speeds, replace(OUTCOME, waves=first)
+
+
+ATTEMPT = Attempt("first", "", None, None, None, None, 2.0, 3)
+OUTCOME = Outcome(Deck(name="d", parts=()), Waveforms({}, {}), Verdict(), (ATTEMPT,))
+
+
+def test_reduction_is_compared_with_twice_the_states(closer):
     """And a tenth of the tolerances, on request or under a budget; the second run has no setting
     of a body's own."""
+    speeds, outcome = closer
     scene = load_scene(LOOP, {"kick.rom.order": 12, "checks.reduction": "warn"})
     build = Build(scene, {"kick": Model()})
     other = richer.richer(build)
     assert (other.rom.order, other.rom.band) == (60, (0.0, 2e6))
     assert (other.solver.reltol, other.solver.chgtol) == (1e-5, pytest.approx(1e-9))
     assert other.parts["kick"].keys.rom is None
-    time = np.array([0.0, 1.0, 2.0])
-    ours, theirs = (Waveforms({"time": time, "sphere.y": y * time}, {}) for y in (1.04, 1.0))
-    speeds = iter([0.30, 0.24, 0.30, 0.30, 0.30, 0.24, 0.30])
-    monkeypatch.setattr(richer, "metrics", lambda *_: {"launch_velocity_m_s": next(speeds)})
-    for name in ("build_models", "make_deck"):
-        monkeypatch.setattr(richer, name, MagicMock())
-    monkeypatch.setattr(richer, "simulate", lambda *_: MagicMock(waves=theirs))
-    check = richer.reduction_check(build, ours, Clock())
+    speeds += [0.30, 0.24]
+    check = richer.closer_run(build, outcome, Clock()).check
     assert (check.value, check.limit) == (pytest.approx(0.25), 1e-2)
     assert not check.passed
-    assert richer.reduction_check(build, ours, Clock()).value == pytest.approx(0.04)  # of heights
+    speeds += [0.30, 0.30]
+    assert richer.closer_run(build, outcome, Clock()).check.value == pytest.approx(0.04)  # heights
     bounded = Build(load_scene(LOOP, {"error_budget": 1e-3}), {"kick": Model()})
-    check = richer.reduction_check(bounded, ours, Clock())
+    speeds += [0.30, 0.24]
+    check = richer.closer_run(bounded, outcome, Clock()).check
     assert (check.limit, check.action, check.passed) == (1e-3, "warn", False)
+    for quiet in ({}, {"error_budget": 1e-3, "checks.reduction": "off"}):
+        silent = Build(load_scene(LOOP, quiet), {"kick": Model()})
+        speeds += [0.30]
+        assert richer.closer_run(silent, outcome, Clock()) is None
 
+
+def test_a_closer_run_that_fails_leaves_no_number(closer, monkeypatch):
     def fails(*_):
         raise SimulationError("no convergence")
 
+    speeds, outcome = closer
+    speeds += [0.30]
     monkeypatch.setattr(richer, "simulate", fails)
-    assert not richer.reduction_check(build, ours, Clock()).passed
-    for quiet in ({}, {"error_budget": 1e-3, "checks.reduction": "off"}):
-        silent = Build(load_scene(LOOP, quiet), {"kick": Model()})
-        assert richer.reduction_check(silent, ours, Clock()) is None
+    build = Build(load_scene(LOOP, {"checks.reduction": "warn"}), {"kick": Model()})
+    assert not richer.closer_run(build, outcome, Clock()).passed
+
+
+def test_heights_are_compared_on_cubics():
+    """Steps of 50 us of a flight that a force bends: straight lines between them miss by 1e-4."""
+    fine, few = np.linspace(0.0, 1e-3, 2001), np.linspace(0.0, 1e-3, 21)
+
+    def flight(t):
+        return Waveforms({"time": t, "sphere.y": t - 400 * t**2, "sphere.v": 1 - 800 * t}, {})
+
+    ours, theirs = (Solution(flight(t), {"launch_velocity_m_s": 1.0}) for t in (fine, few))
+    scene = load_scene(LOOP)
+    assert richer._apart(scene, "launch_velocity_m_s", ours, theirs) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"kick.drive.voltage": -100.0}, "draws back first"),
+        ({"kick.damping.ratio": 1e-3}, "damped by less than"),
+        ({}, ""),
+    ],
+)
+def test_a_doubt_is_measured_without_a_budget(closer, change, word):
+    speeds, outcome = closer
+    build = Build(load_scene(LOOP, change), {"kick": Model()})
+    assert word in "; ".join(richer.doubts(build, outcome))
+    speeds += [0.30, 0.30]
+    found = richer.closer_run(build, outcome, Clock())
+    assert (found is not None) == bool(word)
+
+
+def test_a_check_of_steps_near_its_limit_is_a_doubt(closer):
+    _, outcome = closer
+    build = Build(load_scene(LOOP), {"kick": Model()})
+    for value, count in ((0.2, 0), (0.4, 1)):
+        check = Check("energy of sphere", value, 1.0, "J", "", coarse=True)
+        judged = replace(outcome, verdict=Verdict((check, replace(check, coarse=False))))
+        assert len(list(richer.doubts(build, judged))) == count
+
+
+@pytest.mark.parametrize(("second", "budget"), [(0.24, 1e-3), (0.24, None), (0.3003, 0.1)])
+def test_a_run_beyond_its_budget_gives_way_to_the_closer_one(closer, tmp_path, second, budget):
+    speeds, outcome = closer
+    given = {"checks.reduction": "warn"} if budget is None else {"error_budget": budget}
+    build = Build(load_scene(LOOP, given), {"kick": Model()})
+    speeds += [0.30, second]
+    taken = second == 0.24 and budget is not None
+    with pytest.warns(UserWarning, match="closer run is the result") if taken else nullcontext():
+        other, found = run._judged(build, outcome, Clock(), tmp_path)
+    assert (other is not build) == (found.waves is not outcome.waves) == taken
+    (check,) = found.verdict.checks
+    apart = max(abs(0.30 / second - 1), 0.04)
+    assert check.value == pytest.approx(richer.SHRINKS * apart if taken else apart)
