@@ -689,7 +689,11 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         rise = waves[f"{one}.u.{ports[-1]}"] + static @ force - place
         gap = float(gaps(part, scene, every=True)[len(ports)])
         advice = f"set {part.name}.rings to more than {len(ports)}, or to 'all'"
-        yield Check("ring_left_out", float(rise.max()), OPEN * gap, "m", advice, action)
+        ours = part.keys.rings == "needed"
+        yield Check(
+            "ring_left_out", float(rise.max()), OPEN * gap, "m", advice, action,
+            mend=(f"{part.name}.rings", len(ports) + 1) if ours else None,
+        )  # fmt: skip
     elif "imprint.depth" not in waves:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)

@@ -149,7 +149,10 @@ class Sphere(PartType):
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or start(part, build.scene):
             return {}
-        return {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        found = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        v = waves.data.get(f"{part.name}.v")
+        rising = v is not None and y[-1] == y.max() and v[-1] > 0
+        return found | {"still_rising": True} if rising else found
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         if "time" not in waves or f"{part.name}.v" not in waves:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.judge import Verdict, require
+from kc2spice.scene.judge import Check, Verdict, require
 from kc2spice.sim.failure import FailedRunError, Failure
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.settings import (
@@ -61,10 +61,14 @@ class Outcome:
 
 
 class RetriesFailedError(SimulationError):
-    """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest."""
+    """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest.
+
+    ``mends`` are keys of the scene, and values, that would cure all checks that the last violated.
+    """
 
     attempts: tuple[Attempt, ...]
     failure: Failure | None
+    mends: Mapping[str, int]
 
 
 def run_with_retries(
@@ -93,6 +97,7 @@ def run_with_retries(
     attempts: list[Attempt] = []
     farthest: Failure | None = None
     while True:
+        violated: list[Check] = []
         tried = with_settings(deck, retry, settings)
         start = time.perf_counter()
         cause: Cause | None
@@ -124,7 +129,7 @@ def run_with_retries(
         following = next_setting(cause, tuple(a.setting for a in attempts))
         if following is None or len(attempts) > retries:
             left = None if following is None else following.name
-            raise _exhausted(error, cause, attempts, farthest, left)
+            raise _exhausted(error, cause, attempts, farthest, left, violated)
         warnings.warn(
             f"{retry.name}: {attempts[-1].cause}; trying {following.name}: {following.why}",
             stacklevel=2,
@@ -166,6 +171,7 @@ def _exhausted(
     attempts: list[Attempt],
     failure: Failure | None,
     left: str | None,
+    violated: list[Check],
 ) -> RetriesFailedError:
     """What the last attempt said, where the farthest got, what was tried and what else to try."""
     tried_ = ", ".join(f"{a.setting} ({a.settings})" for a in attempts[1:])
@@ -183,4 +189,6 @@ def _exhausted(
         hint="; ".join(filter(None, hints)) or None,
     )
     error.attempts, error.failure = tuple(attempts), failure
+    mends = dict(check.mend for check in violated if check.mend is not None)
+    error.mends = mends if len(mends) == len(violated) else {}
     return error

@@ -22,7 +22,7 @@ from kc2spice.scene.gates import Gate
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.settings import Action, Rom
 from kc2spice.sim.retries import Outcome
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
@@ -78,7 +78,7 @@ def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check |
     nothing leaves; where it fails, a check whose value is not a number.
     """
     scene, usual = build.scene, _reason(build, outcome)
-    action = scene.checks.reduction or ("warn" if usual else "off")
+    action: Action = scene.checks.reduction or ("warn" if usual else "off")
     ours = solution(outcome.waves, build)
     key = next((key for key in estimated(build) if ours.metrics.get(key)), None)
     if action == "off" or key is None:

@@ -22,11 +22,12 @@ from kc2spice.report.plots import Picture
 from kc2spice.report.plotworker import PlotWorker, share
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.judge import Check, require
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
-from kc2spice.sim.retries import Outcome
+from kc2spice.sim.retries import Outcome, RetriesFailedError
 from kc2spice.spice.array import array_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.dialect import DECKS, DIALECTS, dialect_files
@@ -99,17 +100,29 @@ def complete(
 
     ``functions`` are those of controllers, by part.
 
+    Where the scene leaves a key to us and what we took for it proves too little, such as the rings
+    that a contact needs, it runs again with more, and says so.
+
     Raises as :func:`run` does; warns of checks that fail without failing the run.
     """
     simulator = find_ngspice()
     clock = Clock(progress)
-    build = build_models(scene, clock, trust=trust, functions=functions)
-    with clock.stage("export", "netlists"):
-        chosen = make_deck(build) if deck is None else edited_deck(build, deck)
-        lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
-        write_files(chosen.files, work)
-    with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
-        outcome = simulate(build, chosen, work, progress=share)
+    while True:
+        build = build_models(scene, clock, trust=trust, functions=functions)
+        with clock.stage("export", "netlists"):
+            chosen = make_deck(build) if deck is None else edited_deck(build, deck)
+            lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
+            write_files(chosen.files, work)
+        try:
+            with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+                outcome = simulate(build, chosen, work, progress=share)
+            break
+        except RetriesFailedError as error:
+            if deck is not None or not error.mends:
+                raise
+            told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
+            warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
+            scene = load_scene(scene, error.mends)
     if deck is None:
         build, outcome = _judged(build, outcome, clock, work)
     warn_of(outcome.verdict.checks)

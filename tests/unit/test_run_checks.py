@@ -14,7 +14,7 @@ from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.retries import Attempt, Outcome
+from kc2spice.sim.retries import Attempt, Outcome, RetriesFailedError
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.read import subcircuits
@@ -188,3 +188,49 @@ def test_a_run_beyond_its_budget_gives_way_to_the_closer_one(closer, tmp_path, s
     (check,) = found.verdict.checks
     apart = max(abs(0.30 / second - 1), 0.04)
     assert check.value == pytest.approx(richer.SHRINKS * apart if taken else apart)
+
+
+def test_a_peak_at_the_end_of_a_rise_says_so():
+    scene = load_scene(LOOP)
+    kind, y = scene.parts["sphere"].type, np.array([1.0, 2.0, 3.0])
+    for end, v, rising in ((3.0, 0.5, True), (3.0, 0.0, None), (2.5, 0.5, None)):
+        data = {"time": np.arange(3.0), "sphere.y": np.r_[y, end][1:], "sphere.v": np.full(3, v)}
+        data["sphere.y"][1] = 2.9
+        found = kind.metrics(scene.parts["sphere"], Build(scene, {}), Waveforms(data, {}))
+        assert found.get("still_rising") is rising
+
+
+def test_rings_that_are_too_few_are_mended_where_nobody_chose_them(monkeypatch, tmp_path):
+    """The check says by which key; complete runs again with it, and says so."""
+    tried = []
+
+    def simulated(build, *_args, **_keys):
+        tried.append(build.scene.parts["contact"].keys.rings)
+        if tried[-1] == 3:
+            return OUTCOME
+        error = RetriesFailedError("the result contradicts physics: ring_left_out", got="5 um")
+        error.mends = {"contact.rings": 3} if tried[-1] == "needed" else {}
+        raise error
+
+    monkeypatch.setattr(run, "find_ngspice", MagicMock())
+    monkeypatch.setattr(run, "build_models", lambda scene, *_, **__: Build(scene, {}))
+    for name in ("make_deck", "lint", "write_files"):
+        monkeypatch.setattr(run, name, MagicMock())
+    monkeypatch.setattr(run, "closer_run", lambda *_: None)
+    monkeypatch.setattr(run, "simulate", simulated)
+    with pytest.warns(UserWarning, match=r"run again with contact\.rings = 3"):
+        done = run.complete(load_scene(LOOP), tmp_path)
+    assert tried == ["needed", 3]
+    assert done.build.scene.parts["contact"].keys.rings == 3
+    with pytest.raises(RetriesFailedError):
+        run.complete(load_scene(LOOP, {"contact.rings": 2}), tmp_path)
+
+
+@pytest.mark.parametrize(("rings", "mend"), [("needed", ("contact.rings", 3)), (2, None)])
+def test_the_check_of_rings_left_out_names_its_cure(rings, mend):
+    scene = load_scene(LOOP, {"contact.rings": rings, "kick.drive.voltage": 100})
+    kind = scene.parts["kick"].type
+    run_ = waves(np.full(3, 1e-3), np.zeros(3), scene)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(kind), "static_compliance", lambda *_: np.zeros((2, 2)))
+        assert found(scene, run_, "ring_left_out").mend == mend
