@@ -16,7 +16,8 @@ class Findings:
 
     ``errors`` holds ``rom_vs_fom``, ``ngspice_vs_rom`` and ``ngspice_vs_fom`` (largest relative),
     ``speedup`` the ratios ``refactor`` and ``low_rank`` of a full-model baseline's time to the
-    netlist's, where the scene has them; ``left_out`` names the parts without a law.
+    netlist's, where the scene has them; ``left_out`` names the parts without a law. ``shipped``
+    tells whether the scene is the gallery's own, of which the paper prints figures.
     """
 
     checks: tuple[Limit, ...]
@@ -27,6 +28,7 @@ class Findings:
     outputs: tuple[Any, ...] = ()
     notes: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    shipped: bool = False
     figures: tuple[Figure, ...] = field(default=(), repr=False)
     pictures: tuple[Picture, ...] = ()
 

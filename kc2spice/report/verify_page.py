@@ -71,7 +71,7 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
             ],
             ("solutions", "output", "largest error", "rms error"),
         ),
-        paper_section(scene, findings.metrics),
+        paper_section(scene if findings.shipped else "", findings.metrics),
         Section(
             f"{scene}: results",
             [

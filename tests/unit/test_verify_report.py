@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import write_verify
 from kc2spice.report.words import quantity
 from kc2spice.scene.gates import Cost, Gate, Limit
+from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.compare import (
     Solution,
     gate_limits,
@@ -22,6 +24,7 @@ from kc2spice.workflow.verify.compare import (
     metric_errors,
     output_errors,
 )
+from kc2spice.workflow.verify.verify import _shipped
 
 
 def swing(error: float) -> Waveforms:
@@ -88,6 +91,7 @@ def test_page_shows_gates_costs_and_the_paper(tmp_path: Path) -> None:
             speedup={"low_rank": 333.0},
             metrics={"separation_time_s": 9.92e-6, "full_wall_s": 3.0},
             notes=("Mesh error dominates.",),
+            shipped=True,
         ),
         "imprint": Findings(checks=(met,), errors={}, speedup={}, costs=(), metrics={}),
     }
@@ -99,6 +103,21 @@ def test_page_shows_gates_costs_and_the_paper(tmp_path: Path) -> None:
         assert words in text, words
     assert text.count('class="bad"') == 2  # the gate, and the scene in the summary
     assert text.count('class="good"') == 3
+    other = {"impact": replace(found["impact"], shipped=False)}
+    text = write_verify(tmp_path / "other.html", other).read_text(encoding="utf-8")
+    assert "paper and here" not in text
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "shipped"),
+    [
+        ("impact", {}, True),
+        ("impact", {"sphere.radius": 2e-3}, False),
+        ({"name": "other", "kick": {}}, {}, False),
+    ],
+)
+def test_only_the_papers_own_scene_is_set_beside_it(name, change, shipped) -> None:
+    assert _shipped(load_scene(name, change)) is shipped
 
 
 def test_paper_rows_need_our_value() -> None:

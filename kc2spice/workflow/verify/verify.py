@@ -17,6 +17,8 @@ from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import table_section, write_verify
 from kc2spice.scene.gates import Cost, FullSolution, Gate, Limit, Table
+from kc2spice.scene.hash import scene_hash
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck
@@ -170,6 +172,7 @@ class _Verification:
             outputs=tuple(self.outputs),
             notes=tuple(self.notes),
             left_out=missing,
+            shipped=_shipped(self.build.scene),
             figures=tuple(self.figures),
         )
 
@@ -333,6 +336,14 @@ class _Verification:
             self.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
                 self.metrics["unknowns"] = model.facts["unknowns"]
+
+
+def _shipped(scene: Scene) -> bool:
+    """Whether a scene is the gallery's of its name, with no key changed."""
+    try:
+        return scene_hash(load_scene(scene.name)) == scene_hash(scene)
+    except UsageError:
+        return False
 
 
 def _gates(build: Build) -> list[Gate]:
