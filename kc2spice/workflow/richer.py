@@ -129,12 +129,19 @@ def richer(build: Build) -> Scene:
     rom = Rom(order=max(60, *(2 * order for order in orders)), band=(0.0, high))
     parts = {name: _without_rom(part) for name, part in scene.parts.items()}
     steps = scene.solver
-    own = min(part.type.closeness(part, scene) for part in scene.parts.values())
-    reltol = min(steps.reltol, max(CLOSEST / own, CLOSER * steps.reltol))
-    update = {"reltol": reltol, "chgtol": CLOSER * steps.chgtol, "ringing": "followed"}
-    closer = steps.model_copy(update=update)
-    frame = scene.frame.model_copy(update={"rom": rom, "solver": closer})
-    return replace(scene, frame=frame, parts=parts)
+    update = {"rom": rom, "solver": steps.model_copy(update={"ringing": "followed"})}
+    followed = replace(scene, frame=scene.frame.model_copy(update=update), parts=parts)
+    # Of what the deck asks for: a part may ask for less where its ringing is followed.
+    now = steps.reltol * _closeness(scene)
+    reltol = min(now, max(CLOSEST, CLOSER * now)) / _closeness(followed)
+    update["solver"] = update["solver"].model_copy(
+        update={"reltol": reltol, "chgtol": CLOSER * steps.chgtol}
+    )
+    return replace(followed, frame=scene.frame.model_copy(update=update))
+
+
+def _closeness(scene: Scene) -> float:
+    return min(part.type.closeness(part, scene) for part in scene.parts.values())
 
 
 def _order(model: Any) -> int:

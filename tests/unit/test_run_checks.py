@@ -126,6 +126,18 @@ def test_reduction_is_compared_with_twice_the_states(closer):
         assert richer.closer_run(silent, outcome, Clock()) is None
 
 
+@pytest.mark.parametrize("volts", [-100.0, 40.0, 100.0])
+def test_a_closer_run_asks_ngspice_for_less(volts):
+    """Of what the decks say: a low kick asks for a thirtieth where its ringing is coarse."""
+    change = {"kick.drive.voltage": volts, "error_budget": 1e-4}
+    scene = load_scene(LOOP, change)
+    first, closer = (
+        each.solver.reltol * min(p.type.closeness(p, each) for p in each.parts.values())
+        for each in (scene, richer.richer(Build(scene, {"kick": Model()})))
+    )
+    assert closer == pytest.approx(max(0.1 * first, 1e-7))
+
+
 def test_a_closer_run_that_fails_leaves_no_number(closer, monkeypatch):
     def fails(*_):
         raise SimulationError("no convergence")
