@@ -290,6 +290,23 @@ def compared(number):
         return "result", deviations(build, done.waves), said
 
 
+def word_for(outcome, found, said):
+    """*refused*, *not compared*, *right*, *off, said* or *OFF, SILENT*."""
+    if outcome != "result":
+        return "refused"
+    if not found:
+        return "not compared"
+    if all(value is not None and value <= 1 for value in found.values()):
+        return "right"
+    return "off, said" if said else "OFF, SILENT"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(1000, 1008))
+def test_a_result_is_right_or_says_that_it_is_not(number):
+    assert word_for(*compared(number)) != "OFF, SILENT"
+
+
 def main():
     first, last = map(int, sys.argv[1:3])
     count = Counter()
@@ -297,17 +314,10 @@ def main():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             outcome, found, said = compared(number)
-        word = outcome.partition(":")[0]
-        if word == "result":
-            worst = (
-                0.0 if not found else max(float("inf") if v is None else v for v in found.values())
-            )
-            word = ("not compared" if not found else "right" if worst <= 1 else
-                    "off, said" if said else "OFF, SILENT")  # fmt: skip
-            outcome = f"{word}: {found} {said}"
+        word = word_for(outcome, found, said)
         count[word] += 1
-        print(number, outcome, flush=True)
-        if "OFF" in word or "off" in word:
+        print(number, f"{word}:", outcome, found, said, flush=True)
+        if word in ("OFF, SILENT", "off, said"):
             print("   ", drawn_scene(random.Random(f"scene {number}")), flush=True)
     print(dict(count))
 

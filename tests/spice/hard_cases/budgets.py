@@ -37,7 +37,8 @@ from kc2spice.workflow.verify.circuit import solve
 from kc2spice.workflow.verify.compare import measured, solution
 
 COUNT = 100
-START, FLIGHT, CATCH = 5e-6, 60e-6, 600e-6  # s: the kick, and what follows it
+START, FLIGHT, CATCH = 5e-6, 35e-6, 200e-6  # s: the kick, and what follows it
+LATEST = 20e-6  # s after its start a kick upwards has thrown
 EXACT = Rom(order=96, band=(0.0, 2e6))
 LAUNCH = "launch_velocity_m_s"
 # volts, damping ratio, width and edge [s], radius [m], density, penalty, budget: log-uniform
@@ -69,10 +70,11 @@ def drawn(number: int) -> tuple[float, tuple[str, ...]]:
         f"kick.drive.start={START}", f"contact.penalty={penalty!r}",
         f"sphere.density={density!r}", f"error_budget={budget!r}",
     ]  # fmt: skip
+    stop = START + (width if downwards else min(width, LATEST))
     if catch:
-        keys += [f"control.enable_at={START}", f"solver.stop={CATCH + width!r}"]
+        keys += [f"control.enable_at={START}", f"solver.stop={stop + CATCH!r}"]
     else:
-        keys += [f"sphere.radius={radius!r}", f"solver.stop={FLIGHT + width!r}"]
+        keys += [f"sphere.radius={radius!r}", f"solver.stop={stop + FLIGHT!r}"]
     return budget, tuple(keys)
 
 
