@@ -57,7 +57,8 @@ LAUNCH: dict[str, Any] = {"solver.ringing": "coarse"}
 # each cell, which leaves 0.09 (41 points) to 0.02 (201) for kicks of 40 to 105 V.
 LOOKUP_ERROR, LOOKUP_CELLS = 4.5e-6, 200
 FLIGHT = 0.1
-FEWEST_CELLS, MOST_CELLS = 20, 2000
+# Fewer change the energy of a sphere that barely flies by 1e-3 of what is turned over.
+FEWEST_CELLS, MOST_CELLS = 100, 2000
 LOOKUP_SHARE = 0.05  # of the budget is left to the lookup at least
 RESPONSE_SHARE = 0.3  # of the budget that a reduced body without contact takes as its tolerance
 

@@ -121,13 +121,13 @@ def _apart(scene: Scene, key: str, ours: Solution, closer: Solution) -> float:
 
 
 def richer(build: Build) -> Scene:
-    """The scene with twice the states of each reduced body, at least 60, over a wider band, and
-    closer steps."""
+    """The scene with twice the states of each reduced body, at least 60, over a wider band, closer
+    steps and twice the points of lookups."""
     scene = build.scene
     orders = [_order(build.model(part)) for part in scene.parts.values() if part.type.reduced]
     high = max(WIDEST, 4 * scene.rom.band[1])
     rom = Rom(order=max(60, *(2 * order for order in orders)), band=(0.0, high))
-    parts = {name: _without_rom(part) for name, part in scene.parts.items()}
+    parts = {name: _finer(_without_rom(part)) for name, part in scene.parts.items()}
     steps = scene.solver
     update = {"rom": rom, "solver": steps.model_copy(update={"ringing": "followed"})}
     followed = replace(scene, frame=scene.frame.model_copy(update=update), parts=parts)
@@ -146,6 +146,15 @@ def _closeness(scene: Scene) -> float:
 
 def _order(model: Any) -> int:
     return int(getattr(model, "order", 0))
+
+
+def _finer(part: Part) -> Part:
+    """The part with twice the points of its lookup, if it has one."""
+    key = part.type.lookup_key
+    if key is None:
+        return part
+    points = 2 * getattr(part.keys, key) - 1
+    return replace(part, keys=part.keys.model_copy(update={key: points}))
 
 
 def _without_rom(part: Part) -> Part:

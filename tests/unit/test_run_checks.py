@@ -110,6 +110,9 @@ def test_reduction_is_compared_with_twice_the_states(closer):
     assert (other.rom.order, other.rom.band) == (60, (0.0, 2e6))
     assert (other.solver.reltol, other.solver.chgtol) == (1e-5, pytest.approx(1e-9))
     assert other.parts["kick"].keys.rom is None
+    loop = load_scene("kick_and_catch", {"error_budget": 1e-3})
+    assert loop.parts["catch"].keys.points == 101  # fewer show in a weak kick's energy
+    assert richer.richer(Build(loop, {"kick": Model()})).parts["catch"].keys.points == 201
     speeds += [0.30, 0.24]
     check = richer.closer_run(build, outcome, Clock()).check
     assert (check.value, check.limit) == (pytest.approx(0.25), 1e-2)
