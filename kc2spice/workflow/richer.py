@@ -40,11 +40,12 @@ SHRINKS = 0.3  # error of the closer run over its distance from the first, at mo
 
 @dataclass(frozen=True)
 class Closer:
-    """The closer run of a scene, and how far the first one is from it."""
+    """The closer run of a scene, what it says of the first one, and what it is off itself."""
 
     build: Build
     outcome: Outcome
     check: Check
+    own: Check
 
 
 def estimated(build: Build) -> tuple[str, ...]:
@@ -72,7 +73,8 @@ def doubts(build: Build, outcome: Outcome) -> Iterator[str]:
 
 def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check | None:
     """A run with twice the states, at least 60, over 2 MHz at least, and a tenth of the tolerances;
-    its check says how far the speed is from it, or heights over the travel, whichever is farther.
+    its check says how far off the speed is, or heights over the travel, whichever is farther: the
+    distance from the closer run, and ``SHRINKS`` of it that this may be off.
 
     None where nothing asks for it (``checks.reduction``, an error budget, :func:`doubts`) or
     nothing leaves; where it fails, a check whose value is not a number.
@@ -101,7 +103,8 @@ def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check |
         apart = _apart(scene, key, ours, solution(found.waves, closer))
     except SimulationError:
         return check
-    return Closer(closer, found, replace(check, value=apart))
+    first, own = (replace(check, value=share * apart) for share in (1 + SHRINKS, SHRINKS))
+    return Closer(closer, found, first, own)
 
 
 def _reason(build: Build, outcome: Outcome) -> str:

@@ -38,7 +38,7 @@ from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.richer import NAME, SHRINKS, Closer, closer_run, estimated
+from kc2spice.workflow.richer import NAME, Closer, closer_run, estimated
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
@@ -144,7 +144,7 @@ def _judged(build: Build, outcome: Outcome, clock: Clock, work: Path) -> tuple[B
             stacklevel=2,
         )
         build, outcome = found.build, found.outcome
-        check = replace(check, value=SHRINKS * check.value)
+        check = found.own
         write_files(outcome.deck.files, work)
     require((check,), build.scene.name)
     verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, check))
