@@ -11,11 +11,13 @@ from scipy.sparse.linalg import splu
 
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_forces, contact_surface, sphere_gap
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
 from kc2spice.fem.piezo.transient import Ball, transient
+from kc2spice.parts._chip_full import converged
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
@@ -246,6 +248,17 @@ def test_step_error_of_the_impact_falls_quadratically():
     error = [np.linalg.norm(history(h) - exact) for h in (20e-9, 10e-9, 5e-9)]
     assert error[1] < 0.3 * error[0]
     assert error[2] < 0.3 * error[1]
+
+
+def test_the_limit_of_two_steps_has_no_error_of_second_order():
+    """Waves that are off by h^2, but for loads, which are those of the finer steps."""
+    t = np.linspace(0.0, 1.0, 9)
+    fine = {"time": t, "sphere.y": t**3 + 1e-3, "contact.force": t + 1e-3}
+    coarse = {"time": t[::2], "sphere.y": t[::2] ** 3 + 4e-3, "contact.force": t[::2] + 4e-3}
+    found = converged(Waveforms(coarse, {}), Waveforms(fine, {}), "contact.force")
+    np.testing.assert_array_equal(found["time"], t[::2])
+    np.testing.assert_allclose(found["sphere.y"], t[::2] ** 3, atol=1e-15)
+    np.testing.assert_array_equal(found["contact.force"], fine["contact.force"][::2])
 
 
 def test_impact_energy_balances_and_the_sphere_keeps_98_percent(default):

@@ -1,5 +1,7 @@
 """``verify`` on small scenes of any composition, and on decks that something is wrong with."""
 
+import dataclasses
+import importlib
 import re
 from pathlib import Path
 
@@ -8,13 +10,17 @@ import pytest
 from kicked import kicked as write_kicked
 
 from kc2spice.core.progress import Clock, silent
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import write_deck
-from kc2spice.spice.read import read_deck
+from kc2spice.sim.ngspice import run_deck, write_deck
+from kc2spice.spice.read import read_deck, subcircuits
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import verify
+from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import circuits, solve, without_law
+
+module = importlib.import_module("kc2spice.workflow.verify.verify")
 
 RLC = """
 name = "rlc"
@@ -68,8 +74,6 @@ def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
     )
     (tmp_path / "rlc.toml").write_text(text)
     build = build_models(load_scene(tmp_path / "rlc.toml"), Clock(silent))
-    from kc2spice.core.waveforms import Waveforms
-
     t = np.linspace(0.0, 1e-4, 301)
     found = solve(build, Waveforms({"time": t}, {})).results
     a, w0 = 50 / 2e-3, 1 / np.sqrt(1e-3 * 1e-8)
@@ -98,6 +102,70 @@ def test_circuits_that_share_nothing_are_apart(kicked: Path) -> None:
     kicked.write_text(text + '[load]\npart = "resistor"\nresistance = "1 Ohm"\n')
     found = circuits(build_models(load_scene(kicked), Clock(silent)))
     assert sorted(len(each.laws) for each in found) == [2, 5]
+
+
+SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
+         "rom.order=8", "imprint.steps=4")  # fmt: skip
+
+
+def scaled(waves: Waveforms) -> Waveforms:
+    """With all contact forces one per cent larger."""
+    more = {name: 1.01 * each for name, each in waves.data.items() if ".force" in name}
+    return Waveforms(waves.data | more, waves.stats)
+
+
+@pytest.mark.parametrize("wrong", ["nothing", "fom", "rom", "ngspice"])
+def test_each_solution_is_compared_with_both_others(
+    wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of the three is off, its two pairs fail and the third does not."""
+    scene = load_scene("imprint", list(SMALL))
+    if wrong == "fom":
+        kind = scene.parts["kick"].type
+        solved = kind.full_solution
+
+        def full_solution(*asked: object) -> object:
+            found = solved(*asked)
+            return dataclasses.replace(found, waves=scaled(found.waves))
+
+        monkeypatch.setattr(kind, "full_solution", full_solution)
+    if wrong == "rom":
+        monkeypatch.setattr(
+            module, "solve",
+            lambda *asked: dataclasses.replace(
+                found := solve(*asked), results=scaled(found.results)
+            ),
+        )  # fmt: skip
+    if wrong == "ngspice":
+        monkeypatch.setattr(module, "run_deck", lambda *asked, **more: scaled(
+            run_deck(*asked, **more)
+        ))  # fmt: skip
+    record = verify([scene], tmp_path / "out")["imprint"]
+    pairs = {c["name"]: c["passed"] for c in record["checks"] if c["name"].startswith("static")}
+    assert pairs == {
+        f"static force, {words}": wrong not in pair
+        for pair, words in {
+            ("rom", "fom"): "ROM to full model", ("ngspice", "rom"): "ngspice to ROM",
+            ("ngspice", "fom"): "ngspice to full model",
+        }.items()
+    }  # fmt: skip
+    assert record["passed"] is (wrong == "nothing")
+
+
+def test_a_reduced_body_is_compared_with_its_full_model(
+    kicked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Answers of the reduced model that are one per cent larger fail, with nothing else wrong."""
+    scene = load_scene(kicked)
+    build = build_models(scene, Clock(silent))
+    rom = build.models["beam"]
+    more = dataclasses.replace(rom, C=1.01 * rom.C)
+    beam = dataclasses.replace(build, models=build.models | {"beam": more})
+    libraries = subcircuits(make_deck(beam).files["beam.lib"], "beam.lib")
+    found = verify_body(
+        scene.parts["beam"], beam, tuple(libraries), Clock(silent), tmp_path / "ac", False, 5e-9
+    )
+    assert [c.name for c in found.checks if not c.passed and "full model" in c.name]
 
 
 @pytest.mark.parametrize(

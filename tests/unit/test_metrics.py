@@ -140,6 +140,16 @@ def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:
     assert lost["peak_height_m"] == pytest.approx(waves["sphere.y"].max())
 
 
+def test_the_hold_current_is_a_mean_over_time() -> None:
+    """A current that rises over the last twentieth, sampled more densely as it grows."""
+    t = 5e-3 * (1.0 - np.linspace(1.0, 0.0, 4001) ** 3)
+    ramp = np.clip((t - 4.75e-3) / 0.25e-3, 0.0, None)
+    path = {"time": t, "sphere.y": RADIUS + 0 * t, "coil.upper.current": ramp}
+    got = of_scene(Waveforms(path | {"sphere.v": 0 * t, "contact.force": 0 * t}, {}),
+                   "kick_and_catch")  # fmt: skip
+    assert got["hold_current_a"] == pytest.approx(0.5, rel=3e-3)
+
+
 def test_impact_on_a_spring() -> None:
     """Half a period of a mass on a spring: depth v / w, contact pi / w, rebound speed v."""
     scene = load_scene("impact", [])

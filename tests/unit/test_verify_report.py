@@ -124,3 +124,35 @@ def test_paper_rows_need_our_value() -> None:
     assert paper_section("impact", {}).rows == []
     (row,) = paper_section("harmonic", {"unknowns": 16722}).rows
     assert row[2:4] == ("16 702", "16 722")
+
+
+def response(low: float, high: float) -> Waveforms:
+    """Two entries over 10 frequencies; the second is off by ``low`` at the first two, then by
+    ``high``."""
+    f = np.arange(1.0, 11.0)
+    error = np.where(f <= 2.0, low, high)
+    return Waveforms({"frequency": f, "a>a": 1.0 / f, "a>b": (1.0 + error) / f}, {})
+
+
+@pytest.mark.parametrize(("share", "value"), [(1.0, 1e-3), (0.2, 1e-6)])
+def test_a_share_of_the_scale_is_its_lowest(share: float, value: float) -> None:
+    ours, exact = Solution(response(1e-6, 1e-3), {}), Solution(response(0.0, 0.0), {})
+    gate = Gate("response", "*>*", {}, "spectral", share=share)
+    assert measured(gate, ours, exact) == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("wrong", ["catch.force.0", "catch.force.1", "catch.force.2"])
+def test_a_gate_of_several_waves_looks_at_each(wrong: str) -> None:
+    waves = {f"catch.force.{k}": np.linspace(0.0, k + 1.0, 5) for k in range(3)}
+    exact = Waveforms({"y": np.arange(5.0)} | waves, {})
+    ours = Waveforms(exact.data | {wrong: exact[wrong] + 0.03}, {})
+    gate = Gate("force", "catch.force.*", {}, "largest")
+    assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("wrong", ["a>a", "a>b"])
+def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
+    exact = response(0.0, 0.0)
+    ours = Waveforms(exact.data | {wrong: exact[wrong] * 1.01}, {})
+    gate = Gate("response", "*>*", {}, "spectral")
+    assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)

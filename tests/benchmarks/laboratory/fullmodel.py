@@ -12,6 +12,7 @@ from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import TransientResult
+from kc2spice.parts._chip_full import converged as limit
 from kc2spice.parts.piezo_stack import chip_of
 from kc2spice.scene.model import Scene
 from laboratory.setup import keys_of
@@ -50,14 +51,8 @@ def factorisations(ring_force: np.ndarray) -> int:
 
 
 def converged(coarse: TransientResult, fine: TransientResult, radius: float, n: int) -> Waveforms:
-    """Richardson's limit of average acceleration (second order) from steps 2 h and h, ``n``
-    sectors."""
-    ours, theirs = (as_waveforms(result, radius, n).data for result in (coarse, fine))
-    data = {name: theirs[name][::2] + (theirs[name][::2] - ours[name]) / 3 for name in ours}
-    data["time"] = ours["time"]
-    # Extrapolation would leave false load where one step size has just lost contact.
-    data["contact.force"] = theirs["contact.force"][::2]
-    return Waveforms(data, {})
+    """Limit of steps 2 h and h, ``n`` sectors."""
+    return limit(as_waveforms(coarse, radius, n), as_waveforms(fine, radius, n), "contact.force")
 
 
 def as_waveforms(result: TransientResult, radius: float, n: int) -> Waveforms:
