@@ -150,6 +150,11 @@ def test_each_solution_is_compared_with_both_others(
         }.items()
     }  # fmt: skip
     assert record["passed"] is (wrong == "nothing")
+    names = " ".join(check["name"] for check in record["checks"])
+    for words in ("ROM to full model, at", "netlist to ROM, all ports", "capacitance of anode",
+                  "charge by loads of anode", "ROM, rightmost pole", "ROM, active power",
+                  "netlist, active power", "netlist, reciprocity"):  # fmt: skip
+        assert f"kick: {words}" in names
 
 
 def test_a_reduced_body_is_compared_with_its_full_model(
