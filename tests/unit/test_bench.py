@@ -119,6 +119,23 @@ def test_a_slower_scene_is_beaten(made, monkeypatch, tmp_path):
     assert record["own"]["time_s"] < 0.5 * own["time_s"]
 
 
+def test_an_error_that_vanishes_by_chance_is_not_relied_on(tmp_path, monkeypatch):
+    """The scene's own tolerance happens to be right, the next finer one is off by 1e-5."""
+
+    def lucky(scene, *, trust=False):
+        reltol = scene.solver.reltol
+        off = 0.0 if reltol == 1e-4 else reltol
+        return Run({"speed": np.asarray(1.0 + off)}, 1e-2 / reltol**0.5, transient=True)
+
+    monkeypatch.setattr(plane, "evaluate", lucky)
+    record = plane.bench(
+        lambda more: load_scene("impact", ["bench.metric=[]", *more]), tmp_path / "out",
+        error=1e-3, repeats=1,
+    )  # fmt: skip
+    (own,) = (point for point in record["points"] if point["own"])
+    assert own["bound"] > 5e-6
+
+
 def test_settings_load_again_as_they_are_printed():
     scene = load_scene("kick_and_catch")
     found = axes(scene, transient=True)

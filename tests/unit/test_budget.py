@@ -79,6 +79,48 @@ def test_rows_go_from_loose_to_tight(rows):
     assert costs == sorted(costs)
 
 
+# Errors that were found with these settings (time steps: reltol, chgtol), of the paper's chip; the
+# slow tests of budgets measure scenes anew. None: found for the launch alone.
+FOUND = [
+    (REDUCTION, ("rom.tolerance", "rom.band"), [
+        (1.7e-3, 1e-6, (0.0, 500e3)), (8.8e-4, 1e-3, (0.0, 1e6)), (7.5e-5, 1e-2, (0.0, 2e6)),
+    ]),
+    (PiezoStack.reductions, ("rom.band",), [
+        (1.7e-3, (0.0, 500e3)), (7.1e-5, (0.0, 500e3)), (2.6e-5, (0.0, 1e6)), (None, (0.0, 2e6)),
+    ]),
+    (STEPPING, ("solver.reltol", "solver.chgtol"), [
+        (2.3e-4, 1e-2, 1e-8), (1.1e-4, 3e-3, 1e-8), (5.2e-5, 8e-4, 1e-8), (2.9e-5, 3e-4, 1e-8),
+        (1.2e-5, 8e-5, 1e-8), (None, 3e-6, 1e-10),
+    ]),
+    (Throw.steppings, ("solver.reltol", "solver.chgtol"), [
+        (1.8e-3, 1e-2, 1e-8), (4.9e-4, 3e-3, 1e-8), (1.4e-4, 8e-4, 1e-8), (7e-5, 3e-4, 1e-8),
+        (3.3e-6, 3e-5, 1e-9),
+    ]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rows", "names", "found"), FOUND, ids=["reduction", "chip", "stepping", "throw"]
+)
+def test_rows_are_what_was_found(rows, names, found):
+    """Each with its own settings, and no less than its error, nor three times more."""
+    assert len(rows) == len(found)
+    for row, (error, *values) in zip(rows, found, strict=True):
+        assert [row.keys[name] for name in names] == values
+        if error is not None:
+            assert error <= row.error <= 3.1 * error
+        else:
+            assert row.error < rows[-2].error / 2
+
+
+@pytest.mark.parametrize(("points", "error"), [(31, 1.3e-3), (101, 2.9e-5), (201, 3.3e-6)])
+def test_the_lookups_error_is_what_was_found(points, error):
+    """Of the force; and a tenth of it over a flight, where 0.02 to 0.09 were found."""
+    assert error <= lookup_error(stages("catch", transient=False), points) <= 1.5 * error
+    ratio = [lookup_error(stages("catch", transient=t), points) for t in (True, False)]
+    assert 0.09 <= ratio[0] / ratio[1] <= 0.15
+
+
 def test_what_rings_is_followed_where_nothing_is_thrown():
     """A body driven alone: its motion is the result."""
     alone = load_scene({"kick": {}, "solver": {"stop": "1 ms"}, "error_budget": 1e-3})
