@@ -197,9 +197,11 @@ def _bare(problem: _Problem) -> Build:
             parts[drive.name] = replace(drive, keys=keys)
     solver = scene.solver.model_copy(update={"stop": KICK})
     analysis = scene.analysis.model_copy(update={"stop": None})
-    frame = scene.frame.model_copy(
-        update={"solver": solver, "analysis": analysis, "probes": {}, "name": f"{scene.name}_kick"}
-    )
+    gates = scene.gates.model_copy(update={"trajectory": None})  # a length of the whole flight's
+    frame = scene.frame.model_copy(update={
+        "solver": solver, "analysis": analysis, "probes": {}, "gates": gates,
+        "name": f"{scene.name}_kick",
+    })  # fmt: skip
     short = composed(replace(scene, frame=frame, parts=parts, nets={}))
     return replace(problem.build, scene=short)
 

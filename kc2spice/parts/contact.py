@@ -25,7 +25,7 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -42,6 +42,9 @@ from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
+# Gate of a launch against the full model: of the reduction's certified error, whose band it
+# exceeds; what it is where there is no certificate.
+REDUCED, BEYOND = 0.4, 1e-3
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
@@ -254,12 +257,15 @@ class Contact(PartType):
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
-            gates = build.scene.gates
+            gates, steps = build.scene.gates, stepping(build.scene.solver)
+            (one, _), _ = _names(part, build.scene)
+            certificate = getattr(build.models.get(one), "certificate", None)
+            reduced = REDUCED * certificate.error_estimate if certificate else BEYOND
+            full = gates.launch_full_model or steps + reduced
             limits = {
-                "ngspice_vs_rom": gates.launch_velocity,
-                "rom_vs_fom": gates.launch_full_model,
-                "ngspice_vs_fom": gates.launch_full_model,
-            }
+                "ngspice_vs_rom": gates.launch_velocity or steps, "rom_vs_fom": full,
+                "ngspice_vs_fom": full,
+            }  # fmt: skip
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:

@@ -87,7 +87,8 @@ class CurrentCases(PartType):
         }
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        limits = dict.fromkeys(PAIRS, build.scene.gates.lookup)
+        gates = build.scene.gates
+        limits = dict.fromkeys(PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
         of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 

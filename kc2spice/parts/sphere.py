@@ -15,7 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import Material, material
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -179,8 +179,13 @@ class Sphere(PartType):
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         if build.scene.analysis.type == "transient" and not start(part, build.scene):
-            limits = {"ngspice_vs_rom": build.scene.gates.trajectory}
-            yield Gate(f"height of {part.name}", f"{part.name}.y", limits, "absolute", "m")
+            words, of = f"height of {part.name}", f"{part.name}.y"
+            given = build.scene.gates.trajectory
+            if given is not None:
+                yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
+            else:
+                limits = {"ngspice_vs_rom": stepping(build.scene.solver)}
+                yield Gate(f"{words} over its way", of, limits, "travel")
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""

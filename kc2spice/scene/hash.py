@@ -11,11 +11,11 @@ from kc2spice.scene.model import Scene
 def scene_hash(scene: Scene) -> str:
     """First 16 hex digits of the SHA-256 of all numbers and choices that a netlist depends on.
 
-    Names and titles are free, and so is what is done about a run that fails; keys that are not
-    given do not count, so that a new one changes no old scene. Floats enter with all their digits,
-    so equal hashes mean bit-equal netlists.
+    Names and titles are free, and so are gates and what is done about a run that fails; keys that
+    are not given do not count, so that a new one changes no old scene. Floats enter with all their
+    digits, so equal hashes mean bit-equal netlists.
     """
-    without = {"name", "title", "checks", "bench"}
+    without = {"name", "title", "checks", "gates", "bench"}
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
     del content["solver"]["retries"]
     content["parts"] = {

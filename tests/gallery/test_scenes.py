@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -114,8 +115,24 @@ def test_missed_gate_is_exit_code_4(tmp_path):
     )  # fmt: skip
 
 
+# What no gate of a comparison is: checks of a run, structure, and a certificate, which bounds the
+# error at all frequencies and not at those that are solved again.
+NO_GATE = re.compile(
+    r", ngspice$|active power|rightmost pole|ROM, recip|at \d+ frequencies|falling"
+)
+ROUNDING = 1e-9  # smaller differences change with processor and libraries
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["harmonic", "impact", "em_force", "kick_and_catch"])
-def test_scene_meets_its_gates(name, tmp_path):
+@pytest.mark.parametrize("name", sorted(gallery()))
+def test_scene_meets_its_gates_which_are_near(name, tmp_path):
+    """Within ten times of what is found; two of three that cancel are judged by the third."""
     found = json.loads(kc2spice("verify", name, "-o", str(tmp_path), "--json").stdout)
     assert found["passed"] is True
+    near = {}
+    for check in found["checks"]:
+        if not NO_GATE.search(check["name"]):
+            words = check["name"].partition(", ROM")[0].partition(", ngspice to full")[0]
+            ratio = check["limit"] / max(check["value"], ROUNDING)
+            near[words] = min(ratio, near.get(words, ratio))
+    assert [words for words, ratio in near.items() if ratio > 10] == []

@@ -27,7 +27,8 @@ LOOP = {name: {} for name in ("kick", "contact", "sphere", "catch", "control")}
 
 def test_kick_and_catch_says_what_the_defaults_say():
     scene = load_scene("kick_and_catch")
-    own = {"bench": {"metric": scene.bench.metric}, "gates": {"waves": scene.gates.waves}}
+    gates = scene.gates.model_dump(exclude_unset=True)
+    own = {"bench": {"metric": scene.bench.metric}, "gates": gates}
     bare = load_scene({"name": scene.name, "title": scene.title} | own | LOOP)
     assert scene.frame == bare.frame
     assert {n: p.keys for n, p in scene.parts.items()} == {n: p.keys for n, p in bare.parts.items()}
@@ -118,7 +119,7 @@ MISTAKES = [
     ("rom={order=3, tolerance=1e-4}", ["both set"]),
     ("rom.order=0", ["out of range"]),
     ("solver.max_step=1", ["longer than the whole"]),
-    ("gates.trajectory=1e-6", ["needs its unit"]),
+    ("gates.separation_time=1e-9", ["needs its unit"]),
     ("name=../evil", ["not allowed", "letters, digits"]),
     ('title="a\\n.control"', ["not allowed", "one line"]),
     ("title=a\n.control", ["not allowed", "one line"]),

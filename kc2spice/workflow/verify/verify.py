@@ -46,9 +46,8 @@ from kc2spice.workflow.verify.compare import (
     solution,
 )
 
-METRICS, WAVES = 20.0, 300.0  # times solver.reltol: gates of a transient unless the scene says
-STEADY = 1e-6  # the same for analyses without time steps
-BALANCE = 1e-7  # energy that the reference integration may lose
+METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
+STEADY_METRICS, STEADY_WAVES = 5e-9, 5e-8  # the same for analyses without time steps
 # What was recorded on a net is as good as its samples: its slope, thus the current into a
 # capacitance, is right to some 1e-3 (2.5e-3 at the edges of a half-bridge), its work to 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
@@ -227,7 +226,7 @@ class _Verification:
         self._pair("ngspice_vs_rom", build, ours, exact)
         self._own_checks(build, waves)
         if reference.imbalance is not None:
-            limit = min(build.scene.gates.energy, RECORDED_BALANCE if self.taken else BALANCE)
+            limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
             self.checks.append(Limit("energy of the reference integration",
                                      reference.imbalance, limit))  # fmt: skip
         self.costs += [Cost("laws, reference integrator", took),
@@ -258,9 +257,9 @@ class _Verification:
     ) -> Iterable[Limit]:
         gates, solver = build.scene.gates, build.scene.solver
         timed = build.scene.analysis.type == "transient"
-        metric = gates.metrics or (METRICS * solver.reltol if timed else STEADY)
+        metric = gates.metrics or (METRICS * solver.reltol if timed else STEADY_METRICS)
         metric *= RECORDED if self.taken else 1.0
-        wave = gates.waves or (WAVES * solver.reltol if timed else STEADY)
+        wave = gates.waves or (WAVES * solver.reltol if timed else STEADY_WAVES)
         errors = dict(metric_errors(ours, exact, make_deck(build).units))
         missed = [name for name, error in errors.items() if error is None]
         if missed:
