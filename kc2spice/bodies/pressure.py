@@ -1,10 +1,10 @@
-"""Pressure on the top of a layered stack: contact ports that converge with the mesh.
+"""Pressure on the top of a layered stack: a contact port that converges with the mesh.
 
 A force on a circle of the mesh's nodes is a line load, whose dent grows without limit as the mesh
-gets finer. Here a port is a pressure, a hat function of the radius, and the displacement averaged
-with it. The mesh of the whole stack is too coarse for them; only a patch of them is a port of it,
-pressed as by a flat punch: with the shares ``w = S^-1 1 / (1' S^-1 1)`` of the hats, S (n, n) their
-static compliance, every hat moves by the same ``S w = s 1``. Then
+gets finer. Here pressures are hat functions of the radius, with the displacements averaged by them.
+The mesh of the whole stack is too coarse for them; only a patch of them is a port of it, pressed as
+by a flat punch: with the shares ``w = S^-1 1 / (1' S^-1 1)`` of the hats, S (n, n) their static
+compliance, every hat moves by the same ``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
@@ -15,7 +15,9 @@ the same for all hats, and dynamic: the patch has it. The matrix is positive sem
 ``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
 
 The hats answer at once, as residual modes do (:mod:`kc2spice.rom.massless`): the dents' own modes
-lie above the sound's frequency over the patch, ten megahertz.
+lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x by which a
+sphere is pressed into them beyond the patch's motion sets them therefore, and their sum is one law
+of one depth (:func:`dented`), which a circuit evaluates at the cost of one spring.
 """
 
 from __future__ import annotations
@@ -38,15 +40,21 @@ from kc2spice.fem.piezo.assembly import (
     patch_shape,
     piezo_material,
 )
+from kc2spice.fem.piezo.contact import ContactSurface, contact_forces
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.solid import Solid, assemble
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 
 CELLS = 3  # of the graded mesh between two hats
 GROWTH = 1.3  # from cell to cell away from the hats
-COARSER = 1.5  # from hat to hat beyond those that are ports
+EVEN = 0.2  # of the patch's radius, within which hats are equally spaced
+WIDEST = 0.5  # of the patch's radius, of the contacts that a law is for
+RESOLVED = 5  # hats under the narrowest contact that the law is fitted to
+DEGREE = 5  # of its polynomial in the contact's radius
+DEPTHS = 300  # that it is fitted to
+RIGID = 1e7  # stiffness of what keeps surfaces apart, of a hat's own
 PATCH = "patch"
 
 
@@ -54,12 +62,10 @@ PATCH = "patch"
 class Hats:
     """Hat functions of the radius: hat j is 1 at ``nodes[j]`` and 0 at its neighbours [m].
 
-    The first ``count`` are equally spaced; those beyond serve to spread the patch's pressure. The
-    last node is the patch's edge, where no hat stands.
+    The last node is the patch's edge, where no hat stands.
     """
 
     nodes: np.ndarray
-    count: int
 
     @property
     def areas(self) -> np.ndarray:
@@ -69,8 +75,8 @@ class Hats:
     @property
     def distances(self) -> np.ndarray:
         """Radius [m] at which a paraboloid's gap is that of each hat: the mean over it, where
-        ``r^2`` is the mean of ``r^2``; on the axis that of the tip, on which a sphere rests."""
-        return np.append(0.0, np.sqrt(self._moments(2) / self._moments(0))[1:])
+        ``r^2`` is the mean of ``r^2``."""
+        return np.asarray(np.sqrt(self._moments(2) / self._moments(0)))
 
     def _moments(self, power: int) -> np.ndarray:
         x, w = np.polynomial.legendre.leggauss(4)
@@ -82,17 +88,18 @@ class Hats:
         return falling + np.r_[0.0, rising[:-1]]
 
 
-def hats(spacing: float, count: int, patch: float) -> Hats:
-    """``count`` hats every ``spacing`` [m], then ever wider ones up to the radius ``patch`` [m]."""
-    nodes = list(spacing * np.arange(count + 1))
-    while nodes[-1] + COARSER * (step := COARSER * (nodes[-1] - nodes[-2])) < patch:
+def hats(spacing: float, patch: float) -> Hats:
+    """Hats every ``spacing`` [m] near the axis, in proportion to the radius beyond a fifth of
+    ``patch`` [m], up to which they go: under a sphere each has a like share of the force."""
+    nodes = [0.0]
+    while nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN * patch))) < patch:
         nodes.append(nodes[-1] + step)
-    return Hats(np.array([*nodes, patch]), count)
+    return Hats(np.array([*nodes, patch]))
 
 
 @dataclass(frozen=True)
 class Pressed:
-    """``shares`` (n,) of the hats in the patch, and what they give more than it (count, count)."""
+    """``shares`` (n,) of the hats in the patch, and what they give more than it (n, n) [m/N]."""
 
     shares: np.ndarray
     compliance: np.ndarray
@@ -109,7 +116,7 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
     shares = np.linalg.solve(S, np.ones(len(S)))
     shares /= shares.sum()
     coarse = _patch_compliance(_round(chip), shape, shares)
-    added = S[: shape.count, : shape.count] - coarse
+    added = S - coarse
     lowest = float(np.linalg.eigvalsh(added)[0])
     if lowest < 0:
         raise SimulationError(
@@ -134,8 +141,9 @@ def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
     inner = np.flatnonzero((full.K_pp.diagonal() > 0) & ~on_plane)
     free = np.flatnonzero(~held)
     blocks = full.K_uu[free][:, free], full.K_up[free][:, inner], full.K_pp[inner][:, inner]
+    top = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
     loads = np.zeros((2 * z.size, len(shape.nodes) - 1))
-    loads[1::2] = _hat_loads(solid, shape, heights[-1])
+    loads[1::2] = hat_loads(solid, shape, top)
     S = loads[free].T @ _static(*blocks, loads[free])
     return (S + S.T) / 2
 
@@ -146,9 +154,8 @@ def _active(materials: list[Material]) -> np.ndarray:
     return np.unique([layers, layers + 1])
 
 
-def _hat_loads(solid: Solid, shape: Hats, top: float) -> np.ndarray:
-    """(nodes, hats) unit axial forces, spread over the top as the hats are."""
-    facets = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - top) < 1e-9 * top)
+def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
+    """(nodes, hats) unit axial forces, spread over the facets as the hats are."""
     basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=5)
     r = np.asarray(basis.global_coordinates())[0]
     loads = np.zeros((int(basis.N), len(shape.nodes) - 1))
@@ -258,44 +265,70 @@ def with_patch(system: PiezoSystem, load: np.ndarray) -> PiezoSystem:
     return replace(system, B=load[:, None], ports=ports)
 
 
-def with_hats(model: LinearModel, compliance: np.ndarray, names: tuple[str, ...], pace: float
-              ) -> LinearModel:  # fmt: skip
-    """``model`` with the hats ``names`` as ports instead of the patch, which all of them move.
+@dataclass(frozen=True)
+class Dented:
+    """Force [N] of a sphere pressed by x [m] into hats: ``sum_k c_k s^(3 + k)``.
 
-    ``compliance`` (n, n) [m/N] is what they give more, damped as stiffness is: ``pace`` [s] is
-    ``beta`` of ``E = beta K``. It becomes n states without inertia, the last of the model.
+    ``s = sqrt(x / depth)`` is the contact's radius over the widest one, so that the first term is
+    Hertz's law and the others what layers and the body's size add. ``depth`` [m] is the largest
+    that it holds for.
+    """
+
+    depth: float
+    coefficients: tuple[float, ...]
+
+
+def dented(shape: Hats, compliance: np.ndarray, gap: np.ndarray) -> Dented:
+    """The law of a sphere over hats of the ``compliance`` (n, n), each the ``gap`` (n,) [m] below
+    it.
+
+    Hats close one by one, and the force of n of them is n straight lines: it swings about the
+    converged one by a quarter of (spacing / contact's radius)^2. The work ``J = int F dx`` is a
+    minimum over all pressures, of second order in their error. The law is the derivative of the
+    polynomial that fits J, from contacts that are some hats wide on.
 
     Raises
     ------
-    SimulationError : ``compliance`` is not positive definite.
+    SimulationError : the closed hats do not settle.
     """
-    size, shapes = np.linalg.eigh(compliance)
-    if size[0] <= 0:
-        raise SimulationError(
-            "the springs of a contact give more than the surface", where="contact.spacing",
-            got=f"compliance {size[0]:.3g} m/N of a pressure", expected="above 0",
-            hint="change contact.spacing",
-        )  # fmt: skip
-    n, where = len(size), [port.name for port in model.ports].index(PATCH)
-    stiff = 1.0 / np.sqrt(size.max())  # as gains, so that the states are of the size of the dents
-    own = stiff * np.sqrt(size)[:, None] * shapes.T
-    others = np.delete(np.arange(len(model.ports)), where)
-    B = np.vstack([
-        np.hstack([np.repeat(model.B[:, [where]], n, axis=1), model.B[:, others]]),
-        np.hstack([own, np.zeros((n, len(others)))]),
-    ])  # fmt: skip
-    D = np.zeros((n + len(others),) * 2)
-    D[n:, n:] = model.D[np.ix_(others, others)]
+    spacing, widest = shape.nodes[1], WIDEST * shape.nodes[-1]
+    depth = 2 * float(np.interp(widest, shape.distances, gap))  # Hertz: half of it is left there
+    s = np.linspace(min(0.5, RESOLVED * spacing / widest), 1.0, DEPTHS)
+    x = depth * s**2
+    force = pressing(compliance, gap, x)
+    work = ((x[:, None] - gap) * force).sum(axis=1) / 2
+    power = 3 + np.arange(DEGREE + 1)
+    terms = s[:, None] ** (power + 2) * (2 * depth / (power + 2))
+    found = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
+    return Dented(depth, tuple(found.tolist()))
 
-    def grown(matrix, value: float):  # type: ignore[no-untyped-def]
-        if sparse.issparse(matrix):
-            return sparse.block_diag([matrix, value * sparse.eye_array(n)], format="csc")
-        return np.block([
-            [matrix, np.zeros((len(matrix), n))], [np.zeros((n, len(matrix))), value * np.eye(n)]
-        ])  # fmt: skip
 
-    ports = (*(Port(name, "mechanical") for name in names), *(model.ports[k] for k in others))
-    return replace(
-        model, M=grown(model.M, 0.0), E=grown(model.E, pace * stiff**2),
-        K=grown(model.K, stiff**2), B=B, C=B.T.copy(), D=D, ports=ports,
+def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """(depths, n) forces [N]: pressure where, and only where, the sphere meets the surface."""
+    rigid = np.full(gap.size, RIGID / compliance.diagonal().max())
+    return np.array([contact_forces(compliance, x - gap, rigid)[0] for x in depth])
+
+
+def with_hats(
+    system: PiezoSystem, load: np.ndarray, compliance: np.ndarray, gap: np.ndarray
+) -> tuple[PiezoSystem, ContactSurface]:
+    """``system`` with the hats as unknowns without inertia behind the patch ``load`` (n,), and the
+    contact of each of them: what :func:`dented` makes one law of, hat by hat.
+
+    ``compliance`` (n, n) [m/N] is that of the whole device; damped as stiffness is.
+    """
+    n, count = system.sectors * compliance, len(gap)
+    size, shapes = np.linalg.eigh(n)
+    stiff = 1.0 / size.max()
+    own = np.sqrt(stiff * size)[:, None] * shapes.T
+    more = replace(
+        system,
+        M=sparse.block_diag([system.M, sparse.csc_array((count, count))], format="csc"),
+        K_uu=sparse.block_diag([system.K_uu, stiff * sparse.eye_array(count)], format="csc"),
+        K_up=sparse.vstack([system.K_up, sparse.csc_array((count, system.K_up.shape[1]))],
+                           format="csc"),
+        k_uV=np.append(system.k_uV, np.zeros(count)),
     )  # fmt: skip
+    B = np.vstack([np.repeat(load[:, None], count, axis=1), own])
+    rigid = np.full(count, RIGID / n.diagonal().max())
+    return replace(more, B=B), ContactSurface(B, gap, rigid, np.arange(count))

@@ -522,6 +522,9 @@ class Contact(Device):
     With ``friction`` a force of at most ``friction sum F_i`` (Coulomb) acts against the sliding of
     the pin ``slide`` over ``rail``: ``sum F_i friction clip(v / creep, -1, 1)`` at the speed v;
     below the speed ``creep`` [m/s] it is viscous, which stands for sticking.
+
+    ``curve`` multiplies the force by ``sum_k curve_k sqrt(pen / depth)^k``. Of surfaces that follow
+    within ``pace`` [s] all of this is said of ``pen + pace pen'`` instead of ``pen``.
     """
 
     name: str
@@ -532,6 +535,9 @@ class Contact(Device):
     power: float = 1.0
     friction: float = 0.0
     creep: float = 1e-4
+    curve: tuple[float, ...] = (1.0,)
+    depth: float = 1.0
+    pace: float = 0.0
     kind: str = "displacement"
 
     @property
@@ -545,8 +551,12 @@ class Contact(Device):
     def taps(self) -> tuple[Tap, ...]:
         """Approach of every pair, their rates where there is damping, the speed of sliding."""
         near = tuple(Tap(p, "b") for p in self.ports)
-        rates = tuple(Tap(p, "b", rate=True) for p in self.ports if self.damping)
+        rates = tuple(Tap(p, "b", rate=True) for p in self.ports if self._rated)
         return near + rates + ((Tap("slide", "rail", rate=True),) if self.friction else ())
+
+    @property
+    def _rated(self) -> bool:
+        return bool(self.damping or self.pace)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -557,10 +567,12 @@ class Contact(Device):
     @property
     def affine(self) -> bool:
         """A linear spring without damping or friction."""
-        return self.power == 1.0 and not self.damping and not self.friction
+        plain = self.power == 1.0 and len(self.curve) == 1
+        return plain and not self._rated and not self.friction
 
     def _penetration(self, e: np.ndarray) -> np.ndarray:
-        return e[: len(self.ports)] - self.gaps
+        n = len(self.ports)
+        return e[:n] - self.gaps + (self.pace * e[n : 2 * n] if self.pace else 0.0)
 
     def _factor(self, e: np.ndarray) -> np.ndarray:
         """``1 + damping pen'`` (n,)."""
@@ -600,11 +612,20 @@ class Contact(Device):
     def _elastic(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Undamped forces (n,) of the closed pairs, and their slopes."""
         closed, pen = np.array(mode[:-1]) > 0, self._penetration(e)
-        if self.power == 1.0:
+        if self.power == 1.0 and len(self.curve) == 1:
             return self.stiffness * pen * closed, self.stiffness * closed
-        deep = np.maximum(pen, 0.0) * closed
-        slope = self.stiffness * self.power * deep ** (self.power - 1.0)
-        return self.stiffness * deep**self.power, slope
+        return self._static(np.maximum(pen, 0.0) * closed)
+
+    def _static(self, deep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (n,) at rest, this ``deep`` (n,) [m], and their slopes."""
+        s, power = np.sqrt(deep / self.depth), self.power + np.arange(len(self.curve)) / 2
+        value, slope = (np.polynomial.polynomial.polyval(s, c) for c in (
+            self.curve, power * self.curve,
+        ))  # fmt: skip
+        return (
+            self.stiffness * deep**self.power * value,
+            self.stiffness * deep ** (self.power - 1.0) * slope,
+        )
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Forces of the pairs, and the friction."""
@@ -612,8 +633,8 @@ class Contact(Device):
         elastic, slope = self._elastic(e, mode)
         factor = self._factor(e) * press
         force, parts = elastic * factor, [np.diag(slope * factor)]
-        if self.damping:
-            parts.append(np.diag(elastic * self.damping * press))
+        if self._rated:
+            parts.append(np.diag(elastic * self.damping * press + slope * factor * self.pace))
         by_taps = np.hstack(parts)
         if not self.friction:
             return force, by_taps
@@ -625,9 +646,16 @@ class Contact(Device):
         return np.append(force, drag * force.sum()), by_taps
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """``stiffness pen^(power + 1) / (power + 1)``."""
-        deep = np.maximum(self._penetration(e), 0.0) * (np.array(mode[:-1]) > 0)
-        return float((self.stiffness * deep ** (self.power + 1)).sum()) / (self.power + 1)
+        """``int f d pen``, of every term ``stiffness pen^(power + 1) / (power + 1)``."""
+        deep = self._depth(e)
+        power = self.power + 1 + np.arange(len(self.curve)) / 2
+        series = np.polynomial.polynomial.polyval(
+            np.sqrt(deep / self.depth), np.array(self.curve) / power
+        )
+        return float((self.stiffness * deep ** (self.power + 1) * series).sum())
+
+    def _depth(self, e: np.ndarray) -> np.ndarray:
+        return np.maximum(e[: len(self.ports)] - self.gaps, 0.0)
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         """What closes the springs less what they store, and friction times speed."""
@@ -636,8 +664,8 @@ class Contact(Device):
             return 0.0
         through = self.evaluate(t, e, mode)[0]
         lost = float(through[-1] * e[-1]) if self.friction else 0.0
-        if self.damping:
-            lost += float((through[:n] - self._elastic(e, mode)[0]) @ e[n : 2 * n])
+        if self._rated:
+            lost += float((through[:n] - self._static(self._depth(e))[0]) @ e[n : 2 * n])
         return lost
 
 

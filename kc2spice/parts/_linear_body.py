@@ -83,16 +83,6 @@ class LinearBody(PartType):
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         """The full model of the whole device, every cell divided by ``refine`` along each axis."""
 
-    def reducible(self, part: Part, scene: Scene, clock: Any, kept: Sequence[str]) -> LinearModel:
-        """The model that is reduced: the full one with the ports ``kept`` that the scene needs."""
-        return self.full(part, scene, clock).select(list(kept))
-
-    def finished(
-        self, model: LinearModel, part: Part, scene: Scene, clock: Any, kept: Sequence[str]
-    ) -> LinearModel:
-        """``model``, reduced, with what no reduction touches."""
-        return model
-
     def body_keys(self, part: Part) -> Any:
         """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
         plain: Any = type(part.keys).__mro__[1]
@@ -217,7 +207,7 @@ class LinearBody(PartType):
             from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import reduce
 
-            chosen = self.reducible(part, scene, clock, kept)
+            chosen = self.full(part, scene, clock).select(kept)
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
                 small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
@@ -226,8 +216,7 @@ class LinearBody(PartType):
                 return small
             if without:
                 modal = without_inertia(modal, target.tolerance)
-            found = replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
-            return self.finished(found, part, scene, clock, kept)
+            return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
             "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),

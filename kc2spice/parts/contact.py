@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -42,6 +43,9 @@ from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
+if TYPE_CHECKING:
+    from kc2spice.bodies.pressure import Dented
+
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate.
 REDUCED, BEYOND = 0.4, 1e-3
@@ -72,9 +76,9 @@ class ContactKeys(Section):
         "massless", description="of the residual modes behind the ports: left out, or a mass each"
     )
     shape: Literal["rings", "pressure"] = Field(
-        "rings", description="of the chip's ports: circles of the mesh, or hats of pressure"
+        "rings", description="of the chip's ports: circles of the mesh, or pressure under a sphere"
     )
-    spacing: Length = Field(10e-6, gt=0, description="of the hats of pressure")
+    spacing: Length = Field(5e-6, gt=0, description="of the hats of pressure near the axis")
     law: Literal["linear", "hertz"] = Field(
         "linear", description="penalty x, or 4/3 E* sqrt(R) x^(3/2) of a sphere at one port"
     )
@@ -97,10 +101,13 @@ class ContactKeys(Section):
 
 @dataclass(frozen=True)
 class Normal:
-    """``F = stiffness x^power max(0, 1 + damping x')`` along the axis, with friction beside it.
+    """``F = f(x) max(0, 1 + damping x')`` along the axis, with friction beside it;
+    ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)``, ``s = sqrt(x / depth)``.
 
-    ``stiffness`` in N/m^power, of port k times ``areas[k] / areas[0]`` where there are any;
-    ``friction`` is Coulomb's coefficient, ``creep`` [m/s] the speed at which it is reached.
+    ``stiffness`` in N/m^power. The law with more than one ``curve`` holds up to ``depth`` [m],
+    under a sphere of ``radius`` [m]; the surfaces follow its force within ``pace`` [s], as
+    ``f(x + pace x')``. ``friction`` is Coulomb's coefficient, ``creep`` [m/s] the speed at which it
+    is reached.
     """
 
     stiffness: float
@@ -108,11 +115,23 @@ class Normal:
     damping: float = 0.0
     friction: float = 0.0
     creep: float = 1e-4
-    areas: tuple[float, ...] = ()
+    curve: tuple[float, ...] = (1.0,)
+    depth: float = math.inf
+    pace: float = 0.0
+    radius: float = 0.0
 
-    def shares(self, count: int) -> np.ndarray:
-        """(count,) each port's stiffness over that of the first."""
-        return np.array(self.areas[:count]) / self.areas[0] if self.areas else np.ones(count)
+    def force(self, x: np.ndarray) -> np.ndarray:
+        """``f(x)`` [N], 0 where nothing touches."""
+        x = np.maximum(x, 0.0)
+        series = np.polynomial.polynomial.polyval(np.sqrt(x / self.depth), self.curve)
+        return np.asarray(self.stiffness * x**self.power * series)
+
+    def energy(self, x: np.ndarray) -> np.ndarray:
+        """``int f dx`` [J]."""
+        x, power = np.maximum(x, 0.0), self.power + 1 + np.arange(len(self.curve)) / 2
+        s = np.sqrt(x / self.depth)
+        series = np.polynomial.polynomial.polyval(s, np.array(self.curve) / power)
+        return np.asarray(self.stiffness * x ** (self.power + 1) * series)
 
 
 class Contact(PartType):
@@ -155,7 +174,7 @@ class Contact(PartType):
         that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
         if part.keys.damping:
             return DAMPED
-        return CURVED if part.keys.law == "hertz" else 1.0
+        return CURVED if part.keys.law == "hertz" or part.keys.shape == "pressure" else 1.0
 
     def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return self.wants(part, scene) if part.keys.inertia == "massless" else ()
@@ -170,13 +189,10 @@ class Contact(PartType):
                 got=f"ring radius {max(a.distance):g} m",
                 expected=f"less than {other}.radius, {b.radius:g} m",
             )
-        if part.keys.shape == "pressure" and not a.areas:
-            yield UsageError(
-                "no ports of pressure on this body", where=f"{part.name}.shape",
-                got=a.ports[0], expected="a piezo_stack, whose contact names no port",
-                hint='shape = "rings" takes its ports as they are',
-            )  # fmt: skip
-        normal(part, scene)  # says what it cannot know
+        if part.keys.shape == "pressure":
+            yield from _pressure_problems(part, a, b)
+        else:
+            normal(part, scene)  # says what it cannot know
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         ports = kept_ports(part, build.scene)
@@ -229,6 +245,7 @@ class Contact(PartType):
             yield from _penetration(part, build, waves)
             yield from _events(part, build, waves)
         yield from _open_ports(part, build, waves)
+        yield from _too_deep(part, build, waves)
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         return {} if "time" not in waves else _balance(part, build, waves)
@@ -273,8 +290,8 @@ class Contact(PartType):
         ports = kept_ports(part, scene)
         (a, b), own = sides(part, scene), normal(part, scene)
         law = laws.Contact(
-            n, ports, own.stiffness * own.shares(len(ports)), gaps(part, scene), own.damping,
-            own.power, own.friction, own.creep,
+            n, ports, np.full(len(ports), own.stiffness), gaps(part, scene), own.damping,
+            own.power, own.friction, own.creep, own.curve, own.depth, own.pace,
         )  # fmt: skip
         first = ("a",) if a.rigid else ports
         pins = tuple((pin, f"{n}.{port}") for pin, port in zip(first, ports, strict=True))
@@ -288,9 +305,9 @@ class Contact(PartType):
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count, own = len(kept_ports(part, scene)), normal(part, scene)
-        if own.areas:
-            detail = f"{count} hats of pressure on {own.stiffness / own.areas[0]:g} N/m3, which is "
-            detail += "taken from the surface"
+        if part.keys.shape == "pressure":
+            detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; hats every "
+            detail += f"{part.keys.spacing:g} m near the axis"
         elif own.power == 1.0:
             detail = f"{count} unilateral springs, {own.stiffness:g} N/m each"
         else:
@@ -305,7 +322,7 @@ class Contact(PartType):
         a, _ = sides(part, scene)
         (one, _), (other, _) = _names(part, scene)
         kept = len(kept_ports(part, scene))
-        if len(a.ports) > 1 and not a.areas:
+        if len(a.ports) > 1:
             yield LeftOut(
                 "pressure between the ports",
                 f"one force per port of {one} stands for it",
@@ -354,9 +371,9 @@ def normal(part: Part, scene: Scene) -> Normal:
     with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one.
     """
     keys, (a, b) = part.keys, sides(part, scene)
+    if keys.shape == "pressure":
+        return _pressed(part, a, b)
     value, power = a.sectors * float(keys.penalty), 1.0
-    if a.areas:
-        value = a.foundation * a.areas[0]
     if keys.law == "hertz":
         round_ = [1 / side.radius for side in (a, b) if side.radius is not None]
         if not round_ or len(a.ports) > 1:
@@ -369,7 +386,59 @@ def normal(part: Part, scene: Scene) -> Normal:
         value, power = 4 / 3 * _modulus(part, scene) / math.sqrt(sum(round_)), 1.5
     if keys.groove is not None:
         value *= 2 * math.sin(math.radians(keys.groove) / 2) ** (1 + power)
-    return Normal(value, power, keys.damping, keys.friction, keys.creep, a.areas)
+    return Normal(value, power, keys.damping, keys.friction, keys.creep)
+
+
+def _pressed(part: Part, a: Surface, b: Surface) -> Normal:
+    """The law of hats of pressure under a sphere (:mod:`kc2spice.bodies.pressure`)."""
+    from kc2spice.bodies.pressure import hats
+
+    keys = part.keys
+    assert a.dents is not None
+    assert b.radius is not None
+    shape = hats(keys.spacing, a.patch)
+    compliance, pace = a.dents(shape)
+    found = _dented(shape.nodes.tobytes(), compliance.tobytes(), b.radius)
+    first, *_ = found.coefficients
+    return Normal(
+        first / found.depth**1.5, 1.5, keys.damping, keys.friction, keys.creep,
+        tuple(c / first for c in found.coefficients), found.depth, pace, b.radius,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _dented(nodes: bytes, compliance: bytes, radius: float) -> Dented:
+    from kc2spice.bodies.pressure import Hats, dented
+
+    shape = Hats(np.frombuffer(nodes))
+    matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)
+    return dented(shape, matrix, ring_gaps(shape.distances, radius))
+
+
+def _pressure_problems(part: Part, a: Surface, b: Surface) -> Iterator[UsageError]:
+    where, rings = f"{part.name}.shape", 'shape = "rings" takes ports as they are'
+    if a.dents is None:
+        yield UsageError(
+            "no port of pressure on this body", where=where, got=a.ports[0],
+            expected="a piezo_stack, whose contact names no port", hint=rings,
+        )  # fmt: skip
+    elif not part.keys.spacing < a.patch / 4:
+        yield UsageError(
+            "hats of pressure wider than the patch that they are in", where=f"{part.name}.spacing",
+            got=f"{part.keys.spacing:g} m", expected=f"less than {a.patch / 4:g} m",
+        )  # fmt: skip
+    if b.radius is None or b.radius <= a.patch:
+        got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
+        yield UsageError(
+            "pressure is that under a sphere", where=where, got=got,
+            expected=f"a sphere of more than {a.patch:g} m, the outermost ring", hint=rings,
+        )  # fmt: skip
+    for key, usual in (("law", "linear"), ("groove", None)):
+        if (got := getattr(part.keys, key)) != usual:
+            yield UsageError(
+                f"pressure has its own law, without {key}", where=f"{part.name}.{key}", got=got,
+                hint=rings,
+            )  # fmt: skip
 
 
 def _modulus(part: Part, scene: Scene) -> float:
@@ -575,8 +644,7 @@ def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
 
 
 def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
-    """Work that closes the springs against what they store, ``eps x^(p + 1) / (p + 1)`` each, and
-    what their damping takes.
+    """Work that closes the springs against what they store, and what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
     is the work that went into the springs, or what they hold where nothing moves.
@@ -589,16 +657,15 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
         return {}
     missing, resting = np.zeros(waves["time"].size), 0.0
     turnover, stored, damped = 0.0, 0.0, 0.0
-    every = zip(ports, found, gaps(part, build.scene), own.shares(len(ports)), strict=True)
-    for port, height, gap, share in every:
+    for port, height, gap in zip(ports, found, gaps(part, build.scene), strict=True):
         assert height is not None
-        eps = own.stiffness * share
         f, p = waves[f"{part.name}.force.{port}"], own.power
         elastic = f
-        if own.damping:
-            elastic = eps * np.maximum(height - place - gap, 0.0) ** p
+        energy = f ** (1 + 1 / p) / ((p + 1) * own.stiffness ** (1 / p))
+        if own.damping or own.radius:  # the force is not that of the depth alone
+            x = height - place - gap
+            elastic, energy = own.force(x), own.energy(x)
         closing = integral(elastic, height - place)
-        energy = elastic ** (1 + 1 / p) / ((p + 1) * eps ** (1 / p))
         resting = max(resting, float(energy.max()))
         energy = energy - energy[0]
         missing += closing - energy
@@ -609,7 +676,7 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
     scale = max(turnover, resting, _kinetic(other, build, waves))
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
     entries = {"stored in the contact": stored}
-    if own.damping:
+    if own.damping or own.pace:
         entries["damped in the contact"] = damped
     return {part.name: Balance(entries, net, scale, MISSING, advice)}
 
@@ -641,7 +708,7 @@ def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
 def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     _, b = sides(part, build.scene)
     every = gaps(part, build.scene, every=True)
-    if b.radius is None or every.size < 2 or part.keys.shape == "pressure":
+    if b.radius is None or every.size < 2:
         return
     ports = kept_ports(part, build.scene)
     deepest = max(float(waves[f"{part.name}.force.{r}"].max()) for r in ports)
@@ -705,6 +772,23 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
 
+def _too_deep(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    """The law of a pressure ends where the contact is as wide as half of its patch."""
+    if part.keys.shape != "pressure":
+        return
+    (one, a), _ = _names(part, build.scene)
+    own, place = normal(part, build.scene), _place(part, build, waves)
+    height = _height(one, a, a.place[0], build, waves)
+    if place is None or height is None:
+        return
+    deepest = float((height - place - part.keys.gap).max())
+    yield Check(
+        "depth of the contact", deepest, own.depth, "m",
+        f"no law of the pressure is known so deep: more {one}.mesh.rings, or wider ones",
+        build.scene.checks.range,
+    )  # fmt: skip
+
+
 # --- the subcircuit -------------------------------------------------------------------------------
 
 
@@ -738,6 +822,11 @@ def contact_subcircuit(
     ]  # fmt: skip
     doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     what = "contact penalty of a whole ring" if law.power == 1 else "Hertz: 4/3 E* sqrt(R)"
+    if law.radius:
+        sphere = [
+            Param("radius", law.radius, "m", "radius of the sphere", law.depth),
+            Param("pace", law.pace, "s", "in which the surfaces follow the pressure"),
+        ]  # fmt: skip
     params = (
         positive("eps", law.stiffness, f"N/m{'' if law.power == 1 else '^1.5'}", what),
         *sphere,
@@ -764,11 +853,11 @@ def contact_subcircuit(
         parameters=parameter_list(params),
         rings=rings,
         ends={ring: ("va", "a") if rigid[0] else (ring, ring) for ring in rings},
-        squares=[float(r) ** 2 for r in radii],
+        squares=[] if law.radius else [float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
         law=law,
-        shares=dict(zip(rings, law.shares(len(rings)).tolist(), strict=True)),
+        series=[c / (1e6 * law.depth) ** (k / 2) for k, c in enumerate(law.curve)],
         rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
         rate="v" if rigid[1] else "rateb",
     )

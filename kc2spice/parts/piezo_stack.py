@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -54,7 +54,7 @@ LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly
 # The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
-FOUNDATION = 8.0  # E* / spacing
+PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 KICKS, LASTING = (40.0, 105.0), 10e-6  # V, s: the error budget's relations hold; it throws in 6 us
 MESH_ERROR = 0.02  # of launch and impact, between rings of 50 and 25 um
@@ -141,22 +141,22 @@ class PiezoStack(MeshedBody):
         return re.sub(r"^R(\d{1,3})$", r"ring\1", pin)
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        own = (Port(f"ring{k}", "mechanical") for k in range(rings(part, scene)))
+        names = [f"ring{k}" for k in range(rings(part))]
+        if pressure_hats(part, scene) is not None:
+            names = [PATCH]
+        own = (Port(name, "mechanical") for name in names)
         return (*own, Port("anode", "electrical", pins=("anode", "cathode")))
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
+        if pressure_hats(part, scene) is not None:
+            return super().kept(part, scene)
         *own, anode = self.ports(part, scene)
         return (*own[: kept_rings(part, scene)], anode)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         yield from _problems(part, scene)
-        if part.keys.fields and pressure_hats(part, scene) is not None:
-            yield UsageError(
-                "no fields under hats of pressure", where=f"{part.name}.fields",
-                hint='set contact.shape = "rings" for them',
-            )  # fmt: skip
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
@@ -180,17 +180,16 @@ class PiezoStack(MeshedBody):
             )  # fmt: skip
         shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
         if shape is not None:
-            radii = shape.distances[: shape.count]
+            return Surface(
+                (PATCH,), (PATCH,), (PATCH,), (0.0,), sectors=SECTORS,
+                patch=float(shape.nodes[-1]),
+                dents=lambda hats: (
+                    _pressed(chip_of(part.keys), hats).compliance, part.keys.damping.beta
+                ),
+            )  # fmt: skip
         names = ports or tuple(f"ring{k}" for k in range(len(radii)))
-        own = [_ring(part, name, len(radii)) for name in names]
-        distance = tuple(float(radii[k]) for k in own)
-        if shape is None:
-            return Surface(names, names, names, distance, sectors=SECTORS)
-        areas = tuple(float(shape.areas[k]) for k in own)
-        return Surface(
-            names, names, names, distance, sectors=SECTORS, areas=areas,
-            foundation=foundation(part, shape),
-        )  # fmt: skip
+        distance = tuple(float(radii[_ring(part, name)]) for name in names)
+        return Surface(names, names, names, distance, sectors=SECTORS)
 
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Of a kick that lasts as the stack's quarter wave, or as the edge of its pulse: the free
@@ -269,46 +268,7 @@ class PiezoStack(MeshedBody):
             _assembled(chip)
         with clock.stage("reduce", "elimination of the potentials"):
             shape = pressure_hats(part, scene)
-            if shape is None:
-                return _device(chip)
-            model = _patched(chip, shape)
-        return self._with_hats(model, part, scene, clock, kept_rings(part, scene))
-
-    def reducible(self, part: Part, scene: Scene, clock: Any, kept: Sequence[str]) -> LinearModel:
-        shape = pressure_hats(part, scene)
-        if shape is None:
-            return super().reducible(part, scene, clock, kept)
-        chip = chip_of(part.keys)
-        with clock.stage("mesh", "chip mesh"):
-            _mesh(chip)
-        with clock.stage("assemble", "piezoelectric matrices"):
-            _assembled(chip)
-        with clock.stage("reduce", "elimination of the potentials"):
-            return _patched(chip, shape)
-
-    def finished(
-        self, model: LinearModel, part: Part, scene: Scene, clock: Any, kept: Sequence[str]
-    ) -> LinearModel:
-        if pressure_hats(part, scene) is None:
-            return model
-        count = sum(name.startswith("ring") for name in kept)
-        return self._with_hats(model, part, scene, clock, count)
-
-    def _with_hats(
-        self, model: LinearModel, part: Part, scene: Scene, clock: Any, count: int
-    ) -> LinearModel:
-        """``model`` with the kept hats instead of the patch; what the springs of the contact give
-        is taken from them."""
-        from kc2spice.bodies.pressure import with_hats
-
-        shape = pressure_hats(part, scene)
-        assert shape is not None
-        with clock.stage("assemble", "dents of the hats of pressure"):
-            compliance = _pressed(chip_of(part.keys), shape).compliance
-        springs = np.diag(1 / (foundation(part, shape) * shape.areas[: shape.count]))
-        names = tuple(f"ring{k}" for k in range(count))
-        own = (compliance - springs)[:count, :count]
-        return with_hats(model, own, names, part.keys.damping.beta)
+            return _device(chip) if shape is None else _patched(chip, shape)
 
     def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         from kc2spice.bodies.piezo_stack import sector_device
@@ -347,8 +307,9 @@ class PiezoStack(MeshedBody):
         if "time" not in waves:
             return found
         pressed = bool(build.scene.of("contact"))
-        if pressed and f"{part.name}.u.ring0" in waves:
-            found["kick_stroke_m"] = float(waves[f"{part.name}.u.ring0"].max())
+        centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
+        if pressed and centre in waves:
+            found["kick_stroke_m"] = float(waves[centre].max())
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
@@ -369,11 +330,13 @@ class PiezoStack(MeshedBody):
             else f"as many states as keep the error below {rom.tolerance:g}"
         )
         low, high = rom.band
+        ports = f"{kept_rings(part, scene)} rings as ports"
+        if pressure_hats(part, scene) is not None:
+            ports = "a patch of pressure as port"
         detail = (
             f"quarter chip, {keys.layers} layers, {mounted(keys)}, "
             f"reduced to {target}, band {low:g} … {high:g} Hz, anode {keys.electrical}, "
-            f"{kept_rings(part, scene)} "
-            f"{'rings' if pressure_hats(part, scene) is None else 'hats of pressure'} as ports"
+            f"{ports}"
         )
         return Modelled(part.name, "FE (piezoelectric, linear)", detail)
 
@@ -387,8 +350,8 @@ class PiezoStack(MeshedBody):
                 "resonance +14 %",
             )  # fmt: skip
         yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
-        kept, every = kept_rings(part, scene), rings(part, scene)
-        if kept < every:
+        kept, every = kept_rings(part, scene), rings(part)
+        if kept < every and pressure_hats(part, scene) is None:
             effect = f"{part.name}: ports at ring{kept}"
             effect += f" to ring{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
@@ -499,20 +462,13 @@ def chip_of(keys: Stack) -> Chip:
 
 
 def pressure_hats(part: Part, scene: Scene) -> Hats | None:
-    """Hats of pressure on the top where a contact wants them, half as far out as the rings are."""
+    """Hats of pressure on the top where a contact wants them, as far out as the rings are."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import hats
 
-            patch = float(ring_radii(part.keys)[-1])
-            return hats(contact.keys.spacing, max(1, int(patch / 2 / contact.keys.spacing)), patch)
+            return hats(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
     return None
-
-
-def foundation(part: Part, shape: Hats) -> float:
-    """Pressure per dent [N/m^3] of springs that are stiffer than the surface under any of the hats:
-    ``8 E* / spacing``; the surface of the usual chip has 6."""
-    return FOUNDATION * top_material(part.keys).indentation_modulus / float(shape.nodes[1])
 
 
 def ring_radii(keys: Chip) -> np.ndarray:
@@ -522,30 +478,28 @@ def ring_radii(keys: Chip) -> np.ndarray:
 
 def kept_rings(part: Part, scene: Scene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants."""
-    count = rings(part, scene)
     wanted = [
-        _ring(part, name.partition(".")[2], count)
+        _ring(part, name.partition(".")[2])
         for other in scene.parts.values()
         for name in (*other.pins.values(), *other.type.wants(other, scene))
         if name.startswith(f"{part.name}.ring")
     ]
-    wanted += [_ring(part, pin, count) for pin in part.pins if pin.startswith("ring")]
+    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("ring")]
     wanted += [
-        _ring(part, probe.of.rpartition(".")[2], count)
+        _ring(part, probe.of.rpartition(".")[2])
         for probe in scene.probes.values()
         if probe.of.startswith((f"{part.name}.u.ring", f"{part.name}.ring"))
     ]
     return 1 + max(wanted, default=-1)
 
 
-def rings(part: Part, scene: Scene) -> int:
-    """How many rings there are, the centre counted: circles of the mesh or hats of pressure."""
-    shape = pressure_hats(part, scene)
-    return int(part.keys.mesh.rings) + 1 if shape is None else shape.count
+def rings(part: Part) -> int:
+    """How many rings there are, the centre counted."""
+    return int(part.keys.mesh.rings) + 1
 
 
-def _ring(part: Part, name: str, count: int) -> int:
-    match = re.fullmatch(r"ring(\d{1,3})", name)
+def _ring(part: Part, name: str) -> int:
+    match, count = re.fullmatch(r"ring(\d{1,3})", name), rings(part)
     if match is None or int(match[1]) >= count:
         raise UsageError(
             f"{part.name} has no such port",
@@ -689,7 +643,7 @@ def _pressed(chip: Chip, shape: Hats) -> Pressed:
     from kc2spice.bodies.pressure import Pressed, pressed
 
     own = chip.model_dump(mode="json", exclude={"damping"})
-    key = {"chip": own, "hats": shape.nodes.tolist(), "count": shape.count}
+    key = {"chip": own, "hats": shape.nodes.tolist()}
     found, _ = cached(
         "pressed", key, lambda: pressed(chip, shape), classes=(Pressed,), sources=SOURCES
     )

@@ -28,6 +28,7 @@ from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 if TYPE_CHECKING:
     import numpy as np
 
+    from kc2spice.bodies.pressure import Hats
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.scene.gates import FullSolution, Gate, Table
@@ -84,9 +85,9 @@ class Surface:
 
     ``force`` pins take the force, ``place`` pins give the position in um; they differ where a
     force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
-    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. Ports of
-    pressure have ``areas`` [m^2] and a ``foundation``, the pressure per dent [N/m^3] of the springs
-    behind which their own compliance is less by as much.
+    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
+    that is a patch of pressure has its radius ``patch`` [m], and gives by ``dents`` what hats of
+    pressure in it give more than the patch (n, n) [m/N] and the time [s] in which they follow it.
     """
 
     ports: tuple[str, ...]
@@ -95,8 +96,8 @@ class Surface:
     distance: tuple[float, ...]
     radius: float | None = None
     sectors: int = 1
-    areas: tuple[float, ...] = ()
-    foundation: float = 0.0
+    patch: float = 0.0
+    dents: Callable[[Hats], tuple[np.ndarray, float]] | None = None
 
     @property
     def rigid(self) -> bool:
