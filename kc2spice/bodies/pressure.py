@@ -99,10 +99,12 @@ def hats(spacing: float, patch: float) -> Hats:
 
 @dataclass(frozen=True)
 class Pressed:
-    """``shares`` (n,) of the hats in the patch, and what they give more than it (n, n) [m/N]."""
+    """``shares`` (n,) of the hats in the patch, what they give more than it (n, n) [m/N], and what
+    it gives on the coarse mesh [m/N]."""
 
     shares: np.ndarray
     compliance: np.ndarray
+    patch: float
 
 
 def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
@@ -124,7 +126,7 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
             where="contact.shape", got=f"compliance {lowest:.3g} m/N of a hat", expected="above 0",
             hint="raise kick.mesh.sectors, or lower contact.spacing",
         )  # fmt: skip
-    return Pressed(shares, added)
+    return Pressed(shares, added, coarse)
 
 
 def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:

@@ -5,7 +5,8 @@ differ by, so one factorisation per mesh serves all figures.
 
 Only rings that shrink with the cells converge. A force on a circle of fixed radius is a line load,
 the centre's a point load: their compliance grows without bound as cells shrink under them. The
-variants with finer cells or elements below the same rings show this, not a better answer.
+variants with finer cells or elements below the same rings show this, not a better answer. Under a
+pressure hats and mesh are refined each by themselves.
 """
 
 from __future__ import annotations
@@ -18,9 +19,20 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.bodies.pressure import (
+    Hats,
+    Pressed,
+    dented,
+    hats,
+    patch_load,
+    pressed,
+    with_hats,
+    with_patch,
+)
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
+from kc2spice.fem.piezo.contact import ContactSurface, contact_surface, sphere_gap
 from kc2spice.fem.piezo.keys import Chip
+from kc2spice.fem.piezo.mesh import kick_mesh
 from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.piezo.transient import Ball, transient
@@ -47,6 +59,15 @@ VARIANTS: dict[str, dict[str, float | int]] = {
     "cells halved under 50 um rings": {"refine": 2},
     "quadratic under 50 um rings": {"order": 2},
 }
+# Factor of the spacing of hats, and the mesh below them.
+HATS: dict[str, tuple[float, dict[str, float | int]]] = {
+    "hats twice as wide": (2.0, {}),
+    "hats as given": (1.0, {}),
+    "hats halved": (0.5, {}),
+    "rings 100 um below the hats": (1.0, VARIANTS["rings 100 um"]),
+    "rings 25 um below the hats": (1.0, VARIANTS["rings 25 um"]),
+}
+ORDER = 30  # of the model on a patch of pressure
 
 
 @dataclass(frozen=True)
@@ -70,7 +91,8 @@ COSTLY = ("cells halved under 50 um rings", "quadratic under 50 um rings")
 @dataclass(frozen=True)
 class Load:
     """What presses on the chip: a sphere of ``radius`` [m] and ``mass`` [kg], pushed ``depth`` [m]
-    deep, or flying at ``velocity`` [m/s] from ``gap`` [m]; ``stiffness`` [N/m] of a sector's ring.
+    deep, or flying at ``velocity`` [m/s] from ``gap`` [m]; ``stiffness`` [N/m] of a sector's ring,
+    or hats of pressure of this ``spacing`` [m].
     """
 
     radius: float
@@ -79,12 +101,16 @@ class Load:
     depth: float = 20e-6  # three rings carry
     velocity: float = -1.0
     gap: float = 1e-6
+    spacing: float | None = None
 
 
 def mesh_table(chip: Chip, load: Load, whole: bool, progress: Callable[[str], None]) -> Table:
     """The study as a table; meshes that take minutes only if ``whole``."""
-    variants = {k: v for k, v in VARIANTS.items() if whole or k not in COSTLY}
-    points = mesh_study(chip, load, variants=variants, progress=progress)
+    if load.spacing is None:
+        variants = {k: v for k, v in VARIANTS.items() if whole or k not in COSTLY}
+        points = mesh_study(chip, load, variants=variants, progress=progress)
+    else:
+        points = hat_study(chip, load, progress=progress)
     rows = tuple(
         (
             point.label, f"{point.unknowns}", f"{point.imprint_force_n:.5g} N",
@@ -102,6 +128,8 @@ def mesh_table(chip: Chip, load: Load, whole: bool, progress: Callable[[str], No
         "Only rings that shrink with the cells converge: a force on a circle of fixed radius is a "
         "line load, under which finer cells or elements yield without bound."
     )
+    if load.spacing:
+        note = _moved(points)
     return Table("Meshes", head, rows, note, tuple(asdict(point) for point in points))
 
 
@@ -127,21 +155,76 @@ def mesh_study(
     return points
 
 
+def hat_study(
+    chip: Chip, load: Load, *, step: float = 50e-9, progress: Callable[[str], None] | None = None
+) -> list[MeshPoint]:
+    """One :class:`MeshPoint` for hats of pressure of several spacings and meshes below them."""
+    points = []
+    for label, (wider, change) in HATS.items():
+        if progress:
+            progress(label)
+        changed = chip.model_copy(update={"mesh": chip.mesh.model_copy(update=change)})
+        spread = replace(load, spacing=wider * (load.spacing or 0.0))
+        points.append(_mesh_point(label, changed, spread, step))
+    return points
+
+
+def _moved(points: list[MeshPoint]) -> str:
+    """What halving the hats, and the mesh, moves."""
+    by = {point.label: point for point in points}
+    now, said = by["hats as given"], []
+    for label in ("hats halved", "rings 25 um below the hats"):
+        moved = {
+            "force": by[label].imprint_force_n / now.imprint_force_n - 1,
+            "lowest point": by[label].min_position_m / now.min_position_m - 1,
+            "rebound": by[label].rebound_velocity_m_s / now.rebound_velocity_m_s - 1,
+        }
+        said.append(f"{label}: " + ", ".join(f"{name} {by_:+.1e}" for name, by_ in moved.items()))
+    return "Against the hats as given, " + "; ".join(said) + "."
+
+
+def _pressed(chip: Chip, load: Load) -> tuple[PiezoSystem, Hats, Pressed]:
+    """A sector whose one mechanical port is the patch of the hats."""
+    mesh = kick_mesh(chip)
+    shape = hats(load.spacing or 0.0, chip.mesh.ring_spacing * chip.mesh.rings)
+    own = pressed(chip, shape)
+    sector = with_patch(assemble_kick(chip, mesh), patch_load(chip, mesh, shape, own.shares))
+    return sector, shape, own
+
+
+def _under_pressure(rom: LinearModel, shape: Hats, own: Pressed, load: Load) -> float:
+    """Static force [N] of the device, anode open, at the depth: the patch gives, then the law."""
+    T = rom.transfer(np.zeros(1))[0].real
+    give = T[0, 0] - T[0, 1] * T[1, 0] / T[1, 1]
+    law = dented(shape, own.compliance + give, sphere_gap(load.radius, shape.distances))
+    s = np.sqrt(load.depth / law.depth)
+    return float(sum(c * s ** (3 + k) for k, c in enumerate(law.coefficients)))
+
+
 def _mesh_point(label: str, chip: Chip, load: Load, step: float) -> MeshPoint:
     start = time.perf_counter()
-    sector = assemble_kick(chip)
-    model = from_sector(sector)
-    rom = reduce(model, order=BLOCKS * len(model.inputs), band=BAND)
-    system = as_system(rom, sector)
-    surface = on_reduced(contact_surface(chip, load.stiffness, load.radius), rom)
-    pushed = imprint(system, surface, np.array([load.depth]))
+    if load.spacing is None:
+        sector = assemble_kick(chip)
+        model = from_sector(sector)
+        rom = reduce(model, order=BLOCKS * len(model.inputs), band=BAND)
+        system = as_system(rom, sector)
+        surface = on_reduced(contact_surface(chip, load.stiffness, load.radius), rom)
+        force = float(imprint(system, surface, np.array([load.depth])).force[0])
+    else:
+        sector, shape, own = _pressed(chip, load)
+        model = from_sector(sector)
+        rom = reduce(model, order=ORDER, band=BAND)
+        gap = sphere_gap(load.radius, shape.distances)
+        system = as_system(rom, sector)
+        system, surface = with_hats(system, system.B[:, 0], own.compliance, gap)
+        force = _under_pressure(rom, shape, own, load) / sector.sectors
     ball = Ball(load.mass / sector.sectors, load.gap, load.velocity)
     bounced = transient(system, surface, ball, step=step, stop=STOP, voltage=None)
     facts = model.facts
     return MeshPoint(
         label=label,
         unknowns=sector.unknowns,
-        imprint_force_n=float(pushed.force[0]),
+        imprint_force_n=force,
         resonance_short_hz=facts["resonance_short_hz"],
         resonance_open_hz=facts["resonance_open_hz"],
         min_position_m=float(bounced.height.min()),

@@ -31,6 +31,7 @@ from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
+    ErrorRow,
     LeftOut,
     Modelled,
     PartType,
@@ -303,6 +304,14 @@ class Contact(PartType):
         every = tuple((1.0, f"{n}.{r}.through") for r in ports)
         return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
 
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        if part.keys.shape == "pressure":
+            yield ErrorRow(
+                f"hats of {part.name}", None, spacing_error(part, scene),
+                f"{part.name}.spacing {part.keys.spacing:g} m",
+                "largest of the static force, against hats twice as wide",
+            )  # fmt: skip
+
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count, own = len(kept_ports(part, scene)), normal(part, scene)
         if part.keys.shape == "pressure":
@@ -397,13 +406,34 @@ def _pressed(part: Part, a: Surface, b: Surface) -> Normal:
     assert a.dents is not None
     assert b.radius is not None
     shape = hats(keys.spacing, a.patch)
-    compliance, pace = a.dents(shape)
-    found = _dented(shape.nodes.tobytes(), compliance.tobytes(), b.radius)
+    dents = a.dents(shape)
+    found = _dented(shape.nodes.tobytes(), dents.compliance.tobytes(), b.radius)
     first, *_ = found.coefficients
     return Normal(
         first / found.depth**1.5, 1.5, keys.damping, keys.friction, keys.creep,
-        tuple(c / first for c in found.coefficients), found.depth, pace, b.radius,
+        tuple(c / first for c in found.coefficients), found.depth, dents.pace,
+        b.radius,
     )  # fmt: skip
+
+
+def spacing_error(part: Part, scene: Scene) -> float:
+    """By how much the force of the hats differs from that of hats twice as wide, relative, at
+    depths from a fifth of what the scene can reach on; the patch's own give is part of both."""
+    from kc2spice.bodies.pressure import hats
+
+    a, b = sides(part, scene)
+    assert a.dents is not None
+    assert b.radius is not None
+    forces = []
+    for wider in (1, 2):
+        shape = hats(wider * part.keys.spacing, a.patch)
+        found = a.dents(shape)
+        law = _dented(shape.nodes.tobytes(), (found.compliance + found.patch).tobytes(), b.radius)
+        depth = np.linspace(0.2, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
+        powers = 3 + np.arange(len(law.coefficients))
+        s = np.sqrt(depth / law.depth)[:, None]
+        forces.append((s**powers) @ np.array(law.coefficients))
+    return float(np.abs(forces[1] / forces[0] - 1).max())
 
 
 @lru_cache(maxsize=8)

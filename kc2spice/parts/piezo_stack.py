@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -26,6 +27,7 @@ from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
+    Dents,
     ErrorRow,
     LeftOut,
     Modelled,
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.convergence import MeshError
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.pressure import Hats, Pressed
+    from kc2spice.fem.piezo.contact import ContactSurface
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
     from kc2spice.scene.gates import FullSolution, Table
@@ -182,10 +185,7 @@ class PiezoStack(MeshedBody):
         if shape is not None:
             return Surface(
                 (PATCH,), (PATCH,), (PATCH,), (0.0,), sectors=SECTORS,
-                patch=float(shape.nodes[-1]),
-                dents=lambda hats: (
-                    _pressed(chip_of(part.keys), hats).compliance, part.keys.damping.beta
-                ),
+                patch=float(shape.nodes[-1]), dents=lambda hats: _dents(part, hats),
             )  # fmt: skip
         names = ports or tuple(f"ring{k}" for k in range(len(radii)))
         distance = tuple(float(radii[_ring(part, name)]) for name in names)
@@ -285,6 +285,8 @@ class PiezoStack(MeshedBody):
             return None
         contact, sphere = found
         load = Load(sphere.keys.radius, sphere.keys.mass, contact.keys.penalty)
+        if pressure_hats(part, build.scene) is not None:
+            load = replace(load, spacing=contact.keys.spacing, depth=10e-6)
         with clock.stage("mesh study", "coarser and finer chips"):
             return mesh_table(
                 chip_of(part.keys), load, whole,
@@ -637,6 +639,25 @@ def _patched(chip: Chip, shape: Hats) -> LinearModel:
 
     load = patch_load(chip, _mesh(chip), shape, _pressed(chip, shape).shares)
     return from_sector(with_patch(_assembled(chip), load))
+
+
+def _dents(part: Part, shape: Hats) -> Dents:
+    found = _pressed(chip_of(part.keys), shape)
+    return Dents(found.compliance, found.patch, part.keys.damping.beta)
+
+
+def with_pressure(
+    part: Part, scene: Scene, system: PiezoSystem, radius: float
+) -> tuple[PiezoSystem, ContactSurface]:
+    """One sector with every hat of the contact under a sphere of this radius [m]."""
+    from kc2spice.bodies.pressure import patch_load, with_hats
+    from kc2spice.fem.piezo.contact import sphere_gap
+
+    chip, shape = chip_of(part.keys), pressure_hats(part, scene)
+    assert shape is not None
+    own = _pressed(chip, shape)
+    load = patch_load(chip, _mesh(chip), shape, own.shares)
+    return with_hats(system, load, own.compliance, sphere_gap(radius, shape.distances))
 
 
 def _pressed(chip: Chip, shape: Hats) -> Pressed:

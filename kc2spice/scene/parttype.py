@@ -80,14 +80,23 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Dents:
+    """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
+    which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
+
+    compliance: np.ndarray
+    patch: float
+    pace: float
+
+
+@dataclass(frozen=True)
 class Surface:
     """What a part offers to a contact: its pins there and their distance from the axis [m].
 
     ``force`` pins take the force, ``place`` pins give the position in um; they differ where a
     force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and gives by ``dents`` what hats of
-    pressure in it give more than the patch (n, n) [m/N] and the time [s] in which they follow it.
+    that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
     """
 
     ports: tuple[str, ...]
@@ -97,7 +106,7 @@ class Surface:
     radius: float | None = None
     sectors: int = 1
     patch: float = 0.0
-    dents: Callable[[Hats], tuple[np.ndarray, float]] | None = None
+    dents: Callable[[Hats], Dents] | None = None
 
     @property
     def rigid(self) -> bool:

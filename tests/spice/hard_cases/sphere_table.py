@@ -26,7 +26,7 @@ from kc2spice.fem.materials import material
 from kc2spice.parts.contact import separation
 from kc2spice.parts.piezo_stack import PiezoStack
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build, Surface
+from kc2spice.scene.parttype import Build, Dents, Surface
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
@@ -68,9 +68,9 @@ def softened(modulus: float) -> Any:
         assert own.dents is not None
         dents = own.dents
 
-        def both(shape: Hats) -> tuple[np.ndarray, float]:
-            compliance, pace = dents(shape)
-            return compliance + half_space(shape, modulus), pace
+        def both(shape: Hats) -> Dents:
+            found = dents(shape)
+            return replace(found, compliance=found.compliance + half_space(shape, modulus))
 
         return replace(own, dents=both)
 
