@@ -9,7 +9,7 @@ so that stresses may jump between materials.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,19 +73,27 @@ class Probe:
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""
-        solid = self.device.solid
-        d, nodes = solid.components, self.basis.element_dofs.T
-        moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-        C = np.array([m.C for m in solid.materials])[solid.owner]
-        e = np.array([m.e for m in solid.materials])[solid.owner]
-        active = e.any(axis=(1, 2), keepdims=True)
-        stresses, fields = [], []
-        for _, B, G in self._operators:
-            E = -(G @ phi[nodes]) * active
-            stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
-            fields.append(E)
-        T, E = np.stack(stresses, 1), np.stack(fields, 1)
-        return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
+        return stress(self.device.solid, self.basis, self._operators, u, phi)
+
+
+def stress(
+    solid: Solid, basis: Basis, operators: Iterable[tuple[np.ndarray, ...]], u: np.ndarray,
+    phi: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Stress (points, 6, k) and field (points, 3, k) at the points of ``basis``, whose
+    ``operators`` are those of :func:`kc2spice.fem.solid.strains`, of nodal columns."""
+    d, nodes = solid.components, basis.element_dofs.T
+    moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
+    C = np.array([m.C for m in solid.materials])[solid.owner]
+    e = np.array([m.e for m in solid.materials])[solid.owner]
+    active = e.any(axis=(1, 2), keepdims=True)
+    stresses, fields = [], []
+    for _, B, G in operators:
+        E = -(G @ phi[nodes]) * active
+        stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
+        fields.append(E)
+    T, E = np.stack(stresses, 1), np.stack(fields, 1)
+    return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
 
 
 def _points(solid: Solid, gauss: bool) -> Basis:

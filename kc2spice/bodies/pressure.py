@@ -30,6 +30,7 @@ from scipy.sparse.linalg import splu
 from skfem import BoundaryFacetBasis
 from skfem.mesh import MeshQuad
 
+from kc2spice.bodies.fields import principal, stress
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.materials import Material
 from kc2spice.fem.piezo.assembly import (
@@ -44,7 +45,7 @@ from kc2spice.fem.piezo.contact import ContactSurface, contact_forces
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.piezo.system import PiezoSystem
-from kc2spice.fem.solid import Solid, assemble
+from kc2spice.fem.solid import Solid, assemble, strains
 from kc2spice.rom.linear import Port
 
 CELLS = 3  # of the graded mesh between two hats
@@ -132,6 +133,52 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
 def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
     """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
     the chip's smaller side, on a roller, electrodes at constant voltage."""
+    stack = _stack(chip, shape, cells)
+    loads = stack.loads[stack.free]
+    S = loads.T @ _static(*stack.blocks, loads)[: len(loads)]
+    return (S + S.T) / 2
+
+
+@dataclass(frozen=True)
+class Stressed:
+    """Largest values in a stack under a contact: the ``pressure`` [Pa], and the ``shear`` [Pa],
+    half the difference of principal stresses, with its ``depth`` [m] below the top."""
+
+    pressure: float
+    shear: float
+    depth: float
+
+
+def stressed(chip: Chip, shape: Hats, force: np.ndarray, cells: int = CELLS) -> Stressed:
+    """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points."""
+    stack = _stack(chip, shape, cells)
+    solid, count = stack.solid, len(stack.free)
+    found = _static(*stack.blocks, -stack.loads[stack.free] @ force[:, None])
+    u, phi = np.zeros((len(stack.loads), 1)), np.zeros((len(stack.loads) // 2, 1))
+    u[stack.free], phi[stack.inner] = found[:count], found[count:]
+    basis = solid.basis(2)
+    T = stress(solid, basis, strains(solid, basis), u, phi)[0][..., 0]
+    shear = (principal(T) + principal(-T)) / 2
+    z = np.asarray(basis.global_coordinates())[1].ravel()
+    return Stressed(
+        float((force / shape.areas).max()), float(shear.max()),
+        float(solid.mesh.p[1].max() - z[shear.argmax()]),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """A round stack: its mesh, the ``free`` displacements and ``inner`` potentials with their
+    ``blocks`` K_uu, K_up, K_pp, and ``loads`` (2 nodes, hats) of unit forces."""
+
+    solid: Solid
+    free: np.ndarray
+    inner: np.ndarray
+    blocks: tuple[sparse.csc_array, sparse.csc_array, sparse.csc_array]
+    loads: np.ndarray
+
+
+def _stack(chip: Chip, shape: Hats, cells: int) -> _Stack:
     heights, materials = _layers(chip)
     solid = _graded(shape, min(chip.half), heights, materials, cells)
     r, z = solid.basis(1).doflocs
@@ -146,8 +193,7 @@ def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
     top = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
     loads = np.zeros((2 * z.size, len(shape.nodes) - 1))
     loads[1::2] = hat_loads(solid, shape, top)
-    S = loads[free].T @ _static(*blocks, loads[free])
-    return (S + S.T) / 2
+    return _Stack(solid, free, inner, blocks, loads)
 
 
 def _active(materials: list[Material]) -> np.ndarray:
@@ -232,7 +278,7 @@ def _patch_compliance(chip: Chip, shape: Hats, shares: np.ndarray) -> float:
     system = assemble_kick(chip, mesh)
     load = patch_load(chip, mesh, shape, shares)
     found = _static(system.K_uu, system.K_up, system.K_pp, load[:, None])
-    return float(load @ found[:, 0]) / system.sectors
+    return float(load @ found[: load.size, 0]) / system.sectors
 
 
 def patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> np.ndarray:
@@ -244,7 +290,7 @@ def patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> n
 def _static(
     K_uu: sparse.csc_array, K_up: sparse.csc_array, K_pp: sparse.csc_array, loads: np.ndarray
 ) -> np.ndarray:
-    """(n, loads) displacements at rest, electrodes at constant voltage."""
+    """(n + m, loads) displacements and potentials at rest, electrodes at constant voltage."""
     whole = K_uu
     if K_pp.shape[0]:
         whole = sparse.block_array([[K_uu, K_up], [K_up.T, -K_pp]], format="csc")
@@ -257,7 +303,7 @@ def _static(
     )  # fmt: skip
     right = np.zeros((whole.shape[0], loads.shape[1]))
     right[: len(loads)] = scale[: len(loads), None] * loads
-    return np.asarray(scale[: len(loads), None] * factor.solve(right)[: len(loads)])
+    return np.asarray(scale[:, None] * factor.solve(right))
 
 
 def with_patch(system: PiezoSystem, load: np.ndarray) -> PiezoSystem:

@@ -416,6 +416,21 @@ def _pressed(part: Part, a: Surface, b: Surface) -> Normal:
     )  # fmt: skip
 
 
+def hat_forces(part: Part, scene: Scene, force: float) -> np.ndarray:
+    """(n,) [N] on each hat of pressure where they carry ``force`` together."""
+    from kc2spice.bodies.pressure import hats, pressing
+
+    (a, b), own = sides(part, scene), normal(part, scene)
+    assert a.dents is not None
+    assert b.radius is not None
+    depths = np.linspace(0.0, own.depth, 1000)
+    depth = np.interp(force, own.force(depths), depths)
+    shape = hats(part.keys.spacing, a.patch)
+    gap = ring_gaps(shape.distances, b.radius)
+    found = pressing(a.dents(shape).compliance, gap, np.array([depth]))[0]
+    return np.asarray(force / found.sum() * found)
+
+
 def spacing_error(part: Part, scene: Scene) -> float:
     """By how much the force of the hats differs from that of hats twice as wide, relative, at
     depths from a fifth of what the scene can reach on; the patch's own give is part of both."""

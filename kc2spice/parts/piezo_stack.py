@@ -273,8 +273,9 @@ class PiezoStack(MeshedBody):
     def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         from kc2spice.bodies.piezo_stack import sector_device
 
-        chip = chip_of(part.keys)
-        return sector_device(chip, _assembled(chip), part.keys.rated_field)
+        chip, shape = chip_of(part.keys), pressure_hats(part, scene)
+        system = _assembled(chip) if shape is None else _on_patch(chip, shape)
+        return sector_device(chip, system, part.keys.rated_field)
 
     def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
         from kc2spice.parts._chip_full import players
@@ -312,6 +313,7 @@ class PiezoStack(MeshedBody):
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
             found["kick_stroke_m"] = float(waves[centre].max())
+        found |= self._under_pressure(part, build, waves)
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
@@ -320,6 +322,25 @@ class PiezoStack(MeshedBody):
                 found["kick_current_peak_a"] = float(np.abs(current).max())
                 found["kick_charge_peak_c"] = float(np.abs(charge).max())
         return found
+
+    def _under_pressure(self, part: Part, build: Build, waves: Waveforms) -> dict[str, float]:
+        """Stresses under the hats when they carry most, which the mesh of the stack does not
+        resolve."""
+        shape, scene = pressure_hats(part, build.scene), build.scene
+        if not part.keys.fields or shape is None:
+            return {}
+        from kc2spice.bodies.pressure import stressed
+        from kc2spice.parts.contact import hat_forces
+
+        name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
+        most = float(waves[f"{name}.force"].max())
+        if most <= 0:
+            return {}
+        found = stressed(chip_of(part.keys), shape, hat_forces(scene.parts[name], scene, most))
+        return {
+            f"{name}_pressure_pa": found.pressure, f"{name}_shear_pa": found.shear,
+            f"{name}_shear_depth_m": found.depth,
+        }  # fmt: skip
 
     def indentation_modulus(self, part: Part) -> float:
         return top_material(part.keys).indentation_modulus
@@ -352,6 +373,12 @@ class PiezoStack(MeshedBody):
                 "resonance +14 %",
             )  # fmt: skip
         yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
+        if part.keys.fields and pressure_hats(part, scene) is not None:
+            yield LeftOut(
+                f"tension around the contact on {part.name}",
+                "its own mesh is too coarse for it; pressure and shear are those of a graded one",
+                "not estimated",
+            )  # fmt: skip
         kept, every = kept_rings(part, scene), rings(part)
         if kept < every and pressure_hats(part, scene) is None:
             effect = f"{part.name}: ports at ring{kept}"
@@ -635,10 +662,15 @@ def _device(chip: Chip) -> LinearModel:
 def _patched(chip: Chip, shape: Hats) -> LinearModel:
     """The device with the patch as its mechanical port."""
     from kc2spice.bodies.piezo_stack import from_sector
+
+    return from_sector(_on_patch(chip, shape))
+
+
+def _on_patch(chip: Chip, shape: Hats) -> PiezoSystem:
     from kc2spice.bodies.pressure import patch_load, with_patch
 
     load = patch_load(chip, _mesh(chip), shape, _pressed(chip, shape).shares)
-    return from_sector(with_patch(_assembled(chip), load))
+    return with_patch(_assembled(chip), load)
 
 
 def _dents(part: Part, shape: Hats) -> Dents:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from kc2spice.bodies.pressure import Hats, dented, dents, hats, pressed, pressing
+from kc2spice.bodies.pressure import Hats, dented, dents, hats, pressed, pressing, stressed
 from kc2spice.fem.piezo.contact import sphere_gap
 from kc2spice.fem.piezo.keys import Chip, Material
 
@@ -142,6 +142,22 @@ def test_hats_close_one_by_one_and_their_law_does_not():
     for x, pressures in zip(depth, each, strict=True):
         last = shape.nodes[np.flatnonzero(pressures)[-1]]
         assert last == pytest.approx(np.sqrt(R * x), abs=2.5 * SPACING)
+
+
+def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
+    """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
+    shape, S, gap = graded(5e-6)
+    depth, nu = 6e-6, 0.291
+    found = stressed(Chip(material=steel()), shape, pressing(S, gap, np.array([depth]))[0])
+    a = np.sqrt(R * depth)
+    p0 = 2 * STEEL * a / (np.pi * R)
+    z = np.linspace(0.01, 2, 20001)  # in units of a
+    axial = -1 / (1 + z**2)
+    radial = -(1 + nu) * (1 - z * np.arctan(1 / z)) - axial / 2
+    shear = np.abs(axial - radial) / 2
+    assert found.pressure == pytest.approx(p0, rel=1e-2)
+    assert found.shear == pytest.approx(shear.max() * p0, rel=1e-2)
+    assert found.depth == pytest.approx(z[shear.argmax()] * a, rel=0.1)  # of a flat maximum
 
 
 def test_hats_stand_where_they_should():
