@@ -40,6 +40,7 @@ _FUNCTIONS = frozenset(
      "sinh", "sqrt", "tan", "tanh")
 )  # fmt: skip
 HOLD = 1e9  # S, of initial conditions
+SERIES = 1e-15  # Ohm, of a source of voltage
 _SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 
@@ -164,7 +165,8 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
     names.module.branches.append(f"branch ({a},{b}) {own};")
     match part.kind:
         case "v":
-            return [f"V({own}) <+ {names.value(_steady(part))};"]
+            # OpenVAF makes one node of the ends of a plain 0 V, whose current it then says is zero
+            return [f"V({own}) <+ {names.value(_steady(part))} + {number(SERIES)}*I({own});"]
         case "l":
             return [f"V({own}) <+ ddt({value}*I({own}));"]
         case "e":
