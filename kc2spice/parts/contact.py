@@ -79,7 +79,7 @@ class ContactKeys(Section):
     shape: Literal["rings", "pressure"] = Field(
         "rings", description="of the chip's ports: circles of the mesh, or pressure under a sphere"
     )
-    spacing: Length = Field(5e-6, gt=0, description="of the hats of pressure near the axis")
+    spacing: Length = Field(10e-6, gt=0, description="of the hats of pressure")
     law: Literal["linear", "hertz"] = Field(
         "linear", description="penalty x, or 4/3 E* sqrt(R) x^(3/2) of a sphere at one port"
     )
