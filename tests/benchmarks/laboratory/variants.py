@@ -22,8 +22,8 @@ FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6, 101), (1.5e-3, 2e-8, 50e-6, 201), (2e-3, 1e-8,
 LOOKUPS = (51, 101, 401)
 # Without inertia behind the contact: reltol, chgtol, heights, ringing of bodies, controller.
 LAUNCH = (
-    (2e-3, 1e-8, 101, "coarse", "ideal"), (1.5e-3, 1e-8, 101, "coarse", "ideal"),
-    (1e-3, 1e-8, 201, "coarse", "ideal"), (1.5e-3, 1e-8, 101, "coarse", "opamps"),
+    (2e-3, 1e-8, 91, "coarse", "ideal"), (1.5e-3, 1e-8, 91, "coarse", "ideal"),
+    (1e-3, 1e-8, 91, "coarse", "ideal"), (1.5e-3, 1e-8, 91, "coarse", "opamps"),
     (1.5e-3, 2e-8, 101, "followed", "ideal"), (1.5e-3, 2e-8, 101, "followed", "opamps"),
 )  # fmt: skip
 SHORT = 1e-4  # s; explicit methods and the densest form are for runs up to this length
@@ -92,7 +92,7 @@ def launches(build: Build, setup: Setup) -> Iterator[Variant]:
         return
     for reltol, chgtol, points, ringing, form in setup.some(LAUNCH, 1):
         keys = {
-            "solver.reltol": reltol, "solver.chgtol": chgtol, "solver.max_step": 50e-6,
+            "solver.reltol": reltol, "solver.chgtol": chgtol, "solver.max_step": 25e-6,
             "solver.ringing": ringing, f"{catch.name}.points": points,
             f"{control.name}.form": form,
         }  # fmt: skip
