@@ -88,7 +88,7 @@ def _cost(point: Mapping[str, Any]) -> str:
 def _place(nearest: Mapping[str, Any], own: Mapping[str, Any]) -> str:
     """Whether the scene as it is lies on the front of its settings."""
     if nearest["on_front"]:
-        return "on the front: no setting as exact is clearly quicker"
+        return "on the front of its settings"
     return (
         f"beaten by {nearest['nearest']}: sum of errors {nearest['error']:.1e} in "
         f"{nearest['time_s'] / own['time_s']:.2f} of the time"

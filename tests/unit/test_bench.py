@@ -91,16 +91,28 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
     assert best["set"][::2] == ["--set"] * len(best["settings"])
 
 
-def test_a_scene_on_its_front_is_told_from_one_that_is_not(record):
-    """The scene's errors cancel to 0 and add up to 2e-4: a coarser pair as exact is quicker."""
-    own, nearest = next(p for p in record["points"] if p["own"]), record["own"]
-    best = min(
-        (p for p in record["points"] if max(p["error"], p["bound"]) <= own["bound"]),
-        key=lambda p: p["time_s"],
-    )
-    assert nearest["on_front"] is (best["time_s"] > own["time_s"] / 1.1)
-    if not nearest["on_front"]:
-        assert (nearest["time_s"], nearest["settings"]) == (best["time_s"], best["settings"])
+def point(error, time, *, own=False, spread=0.1):
+    low, high = time * (1 - spread), time * (1 + spread)
+    return {"label": f"{error} {time}", "settings": {}, "error": error, "bound": error, "own": own,
+            "time_s": time, "time_low_s": low, "time_high_s": high}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "floor", "beaten"),
+    [
+        (point(1e-4, 0.7), 0.0, True),  # as exact and quicker
+        (point(1e-4, 0.85), 0.0, False),  # not clearly quicker
+        (point(1.1e-4, 0.7), 0.0, False),  # less exact
+        (point(1.1e-4, 0.7), 2e-4, True),  # equal within the reference's uncertainty
+        (point(4e-5, 1.0), 0.0, True),  # clearly more exact in the same time
+        (point(6e-5, 1.0), 0.0, False),  # a little more exact
+        (point(4e-5, 1.0), 9e-5, False),  # which cannot be told
+    ],
+)
+def test_a_scene_is_beaten_only_clearly(other, floor, beaten):
+    found = plane.place_of_own([point(1e-4, 1.0, own=True), other], floor)
+    assert found["on_front"] is not beaten
+    assert found["nearest"] == (other["label"] if beaten else "0.0001 1.0")
 
 
 def test_a_slower_scene_is_beaten(made, monkeypatch, tmp_path):

@@ -99,9 +99,8 @@ def _reduction(rom: Rom, transient: bool) -> Axis:
         own = rom.tolerance or 1e-5
         coarser = [{"rom.tolerance": _rounded(t * own)} for t in (100, 10) if t * own < 0.5]
         finer = [{"rom.tolerance": max(_rounded(t * own), 1e-9)} for t in (0.1, 0.01)]
-        return Axis(
-            "rom", (*coarser, OWN, *finer), len(coarser), {"rom.tolerance": 1e-10}, finer[1]
-        )
+        finest = {"rom.tolerance": max(_rounded(3e-3 * own), 1e-10)}  # rounding must not stop it
+        return Axis("rom", (*coarser, OWN, *finer), len(coarser), finest, finer[1])
     order = rom.order or 30
     below = [{"rom.order": n} for n in sorted({order // 2, 3 * order // 4}) if n > 0]
     above = [{"rom.order": n * order // 2} for n in (3, 4, 6)]
