@@ -92,7 +92,7 @@ def launches(build: Build, setup: Setup) -> Iterator[Variant]:
         return
     for reltol, chgtol, points, ringing, form in setup.some(LAUNCH, 1):
         keys = {
-            "solver.reltol": reltol, "solver.chgtol": chgtol, "solver.max_step": 25e-6,
+            "solver.reltol": reltol, "solver.chgtol": chgtol, "solver.max_step": 15e-6,
             "solver.ringing": ringing, f"{catch.name}.points": points,
             f"{control.name}.form": form,
         }  # fmt: skip
