@@ -100,7 +100,8 @@ class Certificate:
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
 class LinearModel:
     """``M x'' + E x' + K x = B u``, ``y = C x + D u`` (second order, ``A`` is None), or
-    ``E x' = A x + B u``, ``y = C x + D u`` (first order, ``M`` and ``K`` are None).
+    ``E x' = A x + B u``, ``y = C x + D u`` (first order, ``M`` and ``K`` are None). Given as
+    ``E x' + K x = B u``, as heat is written, ``A`` becomes ``-K``.
 
     ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
     ``D`` (outputs, inputs) dense. All values are SI and of the *whole* device. A missing ``C`` is
@@ -138,12 +139,15 @@ class LinearModel:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # frozen: this is the constructor
+        if self.M is self.A is None and self.E is not None and self.K is not None:
+            put(self, "A", negated(_square(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
         if first == (self.K is not None) or first == (self.M is not None):
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
             raise UsageError(
                 "is not a complete model", where=self.name, got=got,
-                expected="M, K, B and as needed E, C, D; or A, B and as needed C, D, E",
+                expected="M, K, B and as needed E, C, D; E, K, B and as needed C, D; or A, B "
+                "and as needed C, D, E",
             )  # fmt: skip
         for letter in "MEKA":
             put(self, letter, _square(getattr(self, letter), letter, self.name))

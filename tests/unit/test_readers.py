@@ -16,6 +16,7 @@ from scipy import sparse
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.rom.linear import LinearModel
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 N = 6
@@ -330,6 +331,8 @@ def test_first_order_and_heat(tmp_path):
     heat = tmp_path / "heat"
     heat.mkdir()
     model = read_model(write_family(heat, E=M, K=K, B=np.ones((N, 1))))
+    own = LinearModel(E=M, K=K, B=np.ones((N, 1)))
+    np.testing.assert_array_equal(own.A, -K)
     np.testing.assert_allclose(model.A.toarray(), -K)
     np.testing.assert_allclose(model.transfer(np.array([0.0]))[0], [[np.linalg.inv(K).sum()]])
 
@@ -498,7 +501,7 @@ def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
     np.savez(tmp_path / "m.npz", K=stiffness, M=np.diag([m, 0, 0]), nodes=[1, 1, 2], dofs=[1, 9, 9])
     side = sidecar(
         tmp_path,
-        '[[ports]]\nname="drive"\nkind="electrical"\nnode=2\n'
+        'band = [0, 3]\n[[ports]]\nname="drive"\nkind="electrical"\nnode=2\n'
         '[[ports]]\nname="x"\nkind="mechanical"\nnode=1\ndof="ux"\n',
     )
     model = read_model(tmp_path / "m.npz", side)
@@ -509,6 +512,7 @@ def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
         static, [[c * (1 - p), -c * inner[1, 1]], [x, inner[0, 1]]], rtol=1e-12
     )
     assert static[0, 1] == pytest.approx(static[1, 0])
+    assert model.band == (0.0, 3.0)
 
 
 # ---------------------------------------------------------------------------- refusals

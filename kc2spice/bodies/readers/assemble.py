@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -49,7 +49,7 @@ def _size(square: dict[str, Matrix]) -> int:
 
 
 def _complete(source: Source) -> dict[str, Matrix]:
-    """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` becomes first order."""
+    """All matrices by letter, shapes fitting; heat ``E x' + K x = B u`` is of first order."""
     found = dict(source.raw.matrices)
     first = "A" in found
     ports = bool(source.sidecar.ports)
@@ -417,9 +417,10 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
     if E is not None and (alpha or beta):
         raise UsageError("damping is given twice", where=source.sidecar.where,
                          expected="matrix E or 'damping'")  # fmt: skip
-    return with_potentials(
+    model = with_potentials(
         M=_cut(M, u), K_uu=_cut(K, u), K_up=sparse.csc_array(K[u][:, p]) if len(p) else None,
         K_pp=-_cut(K, p) if len(p) else None, k_uV=KT[u], k_pV=-KT[p] if len(p) else None,
         c_VV=c, B=np.column_stack(B) if B else np.zeros((len(u), 0)), ports=ports,
         alpha=alpha, beta=beta, E=E, facts={"unknowns": float(len(rest))}, name=source.name,
     )  # fmt: skip
+    return replace(model, band=source.sidecar.band)
