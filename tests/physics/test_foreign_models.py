@@ -1,0 +1,317 @@
+"""Models as other tools may hand them over, of twelve unfriendly kinds: each is certified rightly,
+refused with a reason, or ends in bounded time.
+
+The oracle shares no code with the reduction: poles by scipy's generalised eigenvalues of the full
+matrices, responses by numpy's solver on, beside and between them and in the notches.
+"""
+
+import signal
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scipy.linalg import eigvals
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
+from kc2spice.spice.realize import subcircuit
+
+SECONDS = 60
+REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
+FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
+ROUNDING = 1e-9
+FLANK = 1e-4  # relative distance from an undamped pole, which no frequency hits exactly
+
+
+def rotation(rng, n):
+    return np.linalg.qr(rng.standard_normal((n, n)))[0]
+
+
+def spd(rng, n, low, high):
+    """Symmetric, eigenvalues spread evenly on a logarithmic scale."""
+    Q = rotation(rng, n)
+    P = Q @ np.diag(np.exp(rng.uniform(np.log(low), np.log(high), n))) @ Q.T
+    return 0.5 * (P + P.T)
+
+
+def ports(rng, n, collocated):
+    B = rng.standard_normal((n, int(rng.integers(1, 4))))
+    return {"B": B} if collocated else {"B": B, "C": rng.standard_normal((2, n))}
+
+
+def chain(n):
+    return 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+
+
+def non_normal(rng):
+    """Eigenvalues far left, a large part above the diagonal: the response grows before it falls."""
+    n = int(rng.integers(5, 60))
+    A = np.triu(rng.standard_normal((n, n)), 1) * 10 ** rng.uniform(0, 1.5)
+    A -= np.diag(np.exp(rng.uniform(0, 3, n)))
+    Q = rotation(rng, n)
+    return {"A": Q @ A @ Q.T, **ports(rng, n, False)}
+
+
+def undamped(rng):
+    n = int(rng.integers(5, 80))
+    return {"M": spd(rng, n, 0.3, 3), "K": spd(rng, n, 1, 1e3), **ports(rng, n, rng.random() < 0.5)}
+
+
+def high_loss(rng):
+    """Loss that is larger than stiffness and couples all modes."""
+    n = int(rng.integers(5, 80))
+    loss = 10 ** rng.uniform(0, 3)
+    return {
+        "M": spd(rng, n, 0.3, 3), "K": spd(rng, n, 1, 1e3), "E": loss * spd(rng, n, 1e-3, 1),
+        **ports(rng, n, rng.random() < 0.5),
+    }  # fmt: skip
+
+
+def heat(rng):
+    """Conduction along a rod of random conductivity and capacity, as E x' + K x = B u."""
+    n = int(rng.integers(20, 400))
+    k = np.exp(rng.uniform(-2, 2, n + 1))
+    K = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    return {
+        "E": np.diag(np.exp(rng.uniform(-1, 1, n))) / n, "K": K * n,
+        "B": np.eye(n)[:, [n // 3]], "C": np.eye(n)[[2 * n // 3, n // 2]],
+    }  # fmt: skip
+
+
+def index_two(rng):
+    """Masses held together by a constraint with its multiplier: E is singular, of index 2."""
+    n = int(rng.integers(5, 40))
+    G = rng.standard_normal((1, n))
+    A = np.block([[-spd(rng, n, 1, 50), -G.T], [G, np.zeros((1, 1))]])
+    E = np.diag(np.r_[np.ones(n), 0.0])
+    B, C = np.zeros((n + 1, 1)), np.zeros((1, n + 1))
+    B[:n, 0], C[0, :n] = rng.standard_normal(n), rng.standard_normal(n)
+    if rng.random() < 0.5:  # driven constraint: the multiplier answers to the derivative of u
+        B[n, 0] = C[0, n] = 1.0
+    return {"A": A, "E": E, "B": B, "C": C}
+
+
+def integrator(rng):
+    """One or two poles at zero, of which two may be a double one (a Jordan block)."""
+    n = int(rng.integers(4, 50))
+    A = -spd(rng, n, 1, 100)
+    A[0, :] = A[:, 0] = 0.0
+    if rng.random() < 0.5:
+        A[1, :] = A[:, 1] = 0.0
+        A[0, 1] = float(rng.random() < 0.5)
+    return {"A": A, **ports(rng, n, False)}
+
+
+def rigid(rng):
+    """Free along and across: two motions that cost no energy."""
+    n = int(rng.integers(4, 40))
+    K = chain(n)
+    K[0, 0] = K[-1, -1] = 1.0
+    zero = np.zeros_like(K)
+    K = np.block([[100 * K, zero], [zero, 30 * K]])
+    M = np.diag(np.exp(rng.uniform(-1, 1, 2 * n)))
+    E = K * 10 ** rng.uniform(-5, -2) if rng.random() < 0.7 else 0 * K
+    Q = rotation(rng, 2 * n) if rng.random() < 0.5 else np.eye(2 * n)
+    M, K, E = (0.5 * (P + P.T) for P in (Q @ M @ Q.T, Q @ K @ Q.T, Q @ E @ Q.T))
+    return {"M": M, "K": K, "E": E, **ports(rng, 2 * n, True)}
+
+
+def unstable(rng):
+    n = int(rng.integers(5, 60))
+    if rng.random() < 0.5:
+        A = rng.standard_normal((n, n))
+        return {"A": A * 10 ** rng.uniform(0, 2), **ports(rng, n, False)}
+    K = spd(rng, n, 1, 1e3) - rng.uniform(2, 200) * np.eye(n)
+    E = 1e-3 * spd(rng, n, 1, 1e3)
+    return {"M": spd(rng, n, 0.3, 3), "K": K, "E": E, **ports(rng, n, True)}
+
+
+def unsymmetric(rng):
+    """Follower forces: K has a skew part, which may or may not make it flutter."""
+    n = int(rng.integers(5, 60))
+    S = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 1.5)
+    K = spd(rng, n, 1, 1e3) + 0.5 * (S - S.T)
+    return {
+        "M": spd(rng, n, 0.3, 3), "K": K, "E": 10 ** rng.uniform(-4, -1) * spd(rng, n, 1, 1e2),
+        **ports(rng, n, rng.random() < 0.5),
+    }  # fmt: skip
+
+
+def gyroscopic(rng):
+    n = int(rng.integers(5, 60))
+    S = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 1)
+    E = 0.5 * (S - S.T) + 10 ** rng.uniform(-5, -1) * spd(rng, n, 1, 1e2)
+    return {"M": spd(rng, n, 0.3, 3), "K": spd(rng, n, 1, 1e3), "E": E, **ports(rng, n, True)}
+
+
+def massless(rng):
+    """Half of the unknowns without inertia, some of them without damping either."""
+    n = int(rng.integers(6, 60))
+    M = np.diag(np.where(rng.random(n) < 0.5, 0.0, rng.uniform(0.3, 3, n)))
+    E = 10 ** rng.uniform(-4, -1) * np.diag(np.where(rng.random(n) < 0.5, 0.0, 1.0))
+    return {"M": M, "K": spd(rng, n, 1, 1e3), "E": E, **ports(rng, n, True)}
+
+
+def sparse_large(rng):
+    """Too large to be taken whole: a grid with a dashpot at a corner."""
+    n = int(rng.integers(310, 420))
+    K = chain(n) * 10 ** rng.uniform(0, 4)
+    E = 1e-4 * K
+    E[0, 0] += 10 ** rng.uniform(-2, 2)
+    B = np.eye(n)[:, [n // 5, n - 1]]
+    return {"M": np.diag(np.exp(rng.uniform(-1, 1, n))), "K": K, "E": E, "B": B}
+
+
+KINDS = (
+    non_normal, undamped, high_loss, heat, index_two, integrator, rigid, unstable, unsymmetric,
+    gyroscopic, massless, sparse_large,
+)  # fmt: skip
+
+
+def polynomial(matrices):
+    """``(P0, P1[, P2])`` with ``P(s) = sum s^k Pk``, by the definitions alone."""
+    if "M" in matrices:
+        K = matrices["K"]
+        return K, matrices.get("E", 0 * K), matrices["M"]
+    if "A" in matrices:
+        A = matrices["A"]
+        return -A, matrices.get("E", np.eye(len(A)))
+    return matrices["K"], matrices["E"]
+
+
+def poles(P):
+    """Finite eigenvalues [rad/s] of the pencil, infinite ones left out."""
+    zero, one = np.zeros_like(P[0]), np.eye(len(P[0]))
+    scale = 1.0
+    if len(P) == 3:
+        scale = np.sqrt(np.abs(P[0]).max() / np.abs(P[2]).max())
+        left = np.block([[zero, one], [-P[0], -scale * P[1]]])
+        right = np.block([[one, zero], [zero, scale**2 * P[2]]])
+    else:
+        left, right = -P[0], P[1]
+    found = eigvals(left, right)
+    found = found[np.isfinite(found)] * scale
+    return found[np.abs(found) < 1e9 * np.median(np.abs(found) + 1e-30)]  # infinite ones, rounded
+
+
+def direct(model, frequency):
+    P, B, C, D = model
+    found = [
+        C @ np.linalg.solve(sum(s**k * each for k, each in enumerate(P)), B.astype(complex)) + D
+        for s in 2j * np.pi * np.asarray(frequency)
+    ]
+    return np.array(found)
+
+
+def fine(model, band, found):
+    """On and beside every pole near the band and in between, then into the notches."""
+    found = found[found.imag > 1e-7 * 2 * np.pi * band[1]] / (2 * np.pi)
+    found = found[found.imag < 1.1 * band[1]]
+    width = np.abs(found.real)
+    sharp = width < 3e-7 * found.imag
+    width = np.where(sharp, FLANK * found.imag, width)
+    offsets = np.r_[0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
+    near = found.imag[:, None] + width[:, None] * np.r_[-offsets, 0.0, offsets]
+    between = np.r_[np.linspace(*band, 150), np.geomspace(1e-4, 1, 60) * band[1]]
+    every = np.unique(np.r_[near.ravel(), between])
+
+    def kept(points):
+        points = points[(points >= band[0]) & (points <= band[1]) & (points > 0)]
+        clear = np.abs(points[:, None] - found.imag[sharp]) >= 0.99 * FLANK * found.imag[sharp]
+        return points[clear.all(axis=1)]
+
+    every = kept(every)
+    for _ in range(3):
+        size = np.abs(direct(model, every)).reshape(len(every), -1)
+        lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
+        at = np.flatnonzero(lowest.any(axis=1))
+        every = kept(np.unique(np.r_[every, *(np.linspace(*every[[k, k + 2]], 7) for k in at)]))
+    return every
+
+
+def true_error(model, reduced, band):
+    frequency = fine(model, band, poles(model[0]))
+    exact = direct(model, frequency)
+    base = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
+    return float((np.abs(direct(reduced, frequency) - exact) / base).max())
+
+
+def letters(matrices):
+    P = polynomial(matrices)
+    C = matrices["C"] if "C" in matrices else matrices["B"].T
+    return P, matrices["B"], C, np.zeros((len(C), matrices["B"].shape[1]))
+
+
+def band_of(P, rng):
+    """Zero to somewhere among the poles, a few dozen of them at most."""
+    size = np.sort(np.abs(poles(P)))
+    top = size[min(int(len(size) * rng.uniform(0.2, 0.8)), 60)]
+    return 0.0, float(top or 1.0) * 1.03 / (2 * np.pi)
+
+
+@contextmanager
+def bounded(seconds):
+    def late(*_):
+        raise AssertionError(f"no end after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def outcome(kind, seed):
+    """What became of one model: its certificate is checked, anything but a refusal raises."""
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    matrices = kind(rng)
+    model = letters(matrices)
+    band, tolerance = band_of(model[0], rng), 10 ** rng.uniform(-6, -2)
+    try:
+        with bounded(SECONDS):
+            rom = reduce(LinearModel(**matrices, name="foreign"), tolerance=tolerance, band=band)
+            subcircuit(rom, "foreign")
+    except (UsageError, SimulationError) as refused:
+        return f"refused: {refused}"
+    small = letters({
+        k: getattr(rom, k) for k in ("AEB" if rom.first_order else "MEKB")
+    })  # fmt: skip
+    error = true_error(model, (small[0], rom.B, rom.C, rom.D), band)
+    estimate = rom.certificate.error_estimate
+    said = f"error {error:.1e}, estimate {estimate:.1e}, tolerance {tolerance:.1e}"
+    assert error <= estimate + ROUNDING, said
+    assert estimate <= tolerance, said
+    grows = poles(model[0]).real.max() > 1e-6 * 2 * np.pi * band[1]
+    assert rom.certificate.stable is not grows, f"stable {rom.certificate.stable}: {said}"
+    if rom.certificate.stable:
+        assert poles(small[0]).real.max() <= 1e-7 * 2 * np.pi * band[1], said
+    return said
+
+
+def check(kind, seed):
+    said = outcome(kind, seed)
+    if said.startswith("refused"):
+        assert any(reason in said for reason in REASONS), said
+
+
+QUICK = {
+    non_normal: (2, 8), undamped: (0, 9), high_loss: (2,), heat: (4, 5), index_two: (1, 2),
+    integrator: (0, 2), rigid: (0, 1), unstable: (4, 5), unsymmetric: (8,), gyroscopic: (0,),
+    massless: (4, 7),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "seed"), [(k, s) for k, seeds in QUICK.items() for s in seeds])
+def test_foreign_models_are_certified_rightly_or_refused(kind, seed):
+    check(kind, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("kind", KINDS)
+def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed):
+    check(kind, seed)
