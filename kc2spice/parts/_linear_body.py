@@ -170,7 +170,7 @@ class LinearBody(PartType):
 
     # --- model and netlist ----------------------------------------------------------------------
 
-    def settings(self, part: Part, scene: Scene) -> Rom:
+    def reduction(self, part: Part, scene: Scene) -> Rom:
         """Reduction of this body: its own, else the scene's."""
         own: Rom | None = getattr(part.keys, "rom", None)
         if own is not None:
@@ -192,14 +192,14 @@ class LinearBody(PartType):
         return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
-        rom = self.settings(part, scene)
+        rom = self.reduction(part, scene)
         kept = [port.name for port in self.kept(part, scene)]
         own = rom.model_dump(mode="json")
         found = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
         return found | {"massless": massless(part, scene)}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        target = self.settings(part, scene)
+        target = self.reduction(part, scene)
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         without, kept = massless(part, scene), [port.name for port in self.kept(part, scene)]
 
@@ -376,7 +376,7 @@ class LinearBody(PartType):
         return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
-        rom = self.settings(part, scene)
+        rom = self.reduction(part, scene)
         target = (
             f"order {rom.order}"
             if rom.order is not None

@@ -346,7 +346,7 @@ class PiezoStack(MeshedBody):
         return top_material(part.keys).indentation_modulus
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
-        keys, rom = part.keys, self.settings(part, scene)
+        keys, rom = part.keys, self.reduction(part, scene)
         target = (
             f"order {rom.order}"
             if rom.order is not None

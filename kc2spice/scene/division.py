@@ -8,6 +8,7 @@ from typing import Any
 from kc2spice.scene.budget import STEP, Stages, divide, known_error, lookup_error
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import ErrorRow
+from kc2spice.scene.settings import Rom
 
 KEYS = {
     "reduction": ("rom.order", "rom.tolerance", "rom.band"),
@@ -38,6 +39,10 @@ def division(scene: Scene, *, estimate: bool = False) -> tuple[ErrorRow, ...]:
 def _stages(scene: Scene) -> Iterator[ErrorRow]:
     budget, found = scene.error_budget, stages(scene)
     for stage, setting in divide(found, budget or 1.0).items():
+        own = _reductions(scene) if stage == "reduction" else {}
+        if any(rom != scene.rom for rom in own.values()):
+            yield from (_reduction(name, rom, found) for name, rom in own.items())
+            continue
         keys = KEYS.get(stage, tuple(setting.keys))
         if stage == "time stepping" and found.throws:
             keys = (*keys, STEP)
@@ -54,6 +59,20 @@ def _stages(scene: Scene) -> Iterator[ErrorRow]:
             text,
             "error_budget" if ours else "set by the scene",
         )
+
+
+def _reductions(scene: Scene) -> dict[str, Rom]:
+    """The settings of each part's reduction."""
+    found = {part.name: part.type.reduction(part, scene) for part in scene.parts.values()}
+    return {name: rom for name, rom in found.items() if rom is not None}
+
+
+def _reduction(name: str, rom: Rom, found: Stages) -> ErrorRow:
+    """Where bodies do not follow the scene's ``rom``: one row for each."""
+    target = "order" if rom.tolerance is None else "tolerance"
+    text = f"{target} {_short(getattr(rom, target))}, band {_short(rom.band)}"
+    expected = None if found.transient else rom.tolerance
+    return ErrorRow(f"reduction of {name}", None, expected, text, "of the frequency response")
 
 
 def _expected(scene: Scene, found: Stages, stage: str, values: dict[str, Any]) -> float | None:

@@ -24,6 +24,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Section
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
     import numpy as np
@@ -296,6 +297,10 @@ class PartType(ABC):
         Parts and sweeps with equal keys share that stage.
         """
         return self.model_key(part, scene)
+
+    def reduction(self, part: Part, scene: Scene) -> Rom | None:
+        """Settings of its reduction, None where its model is not a reduced one."""
+        return None
 
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
         """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""

@@ -10,6 +10,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.parts.piezo_stack import PiezoStack
 from kc2spice.parts.throw import Throw
 from kc2spice.scene.budget import REDUCTION, STEPPING, Stages, divide, lookup_error, smallest
+from kc2spice.scene.division import division
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
@@ -121,6 +122,17 @@ def test_the_lookups_error_is_what_was_found(points, error):
     assert 0.09 <= ratio[0] / ratio[1] <= 0.15
 
 
+def test_a_body_with_a_reduction_of_its_own_is_not_told_the_scenes():
+    """The buzzer's band is that of its analysis: nothing has the 30 states of ``rom``."""
+    for override, text in (
+        ([], "tolerance 0.001, band 504 … 16800"),
+        (["disc.rom.order=7", "disc.rom.band=[0, 2e4]"], "order 7, band 0 … 20000"),
+    ):
+        rows = {row.stage: row for row in division(load_scene("buzzer_7bb_20_6", override))}
+        assert set(rows) == {"reduction of disc"}
+        assert rows["reduction of disc"].settings == text
+
+
 def test_what_rings_is_followed_where_nothing_is_thrown():
     """A body driven alone: its motion is the result."""
     alone = load_scene({"kick": {}, "solver": {"stop": "1 ms"}, "error_budget": 1e-3})
@@ -213,7 +225,7 @@ def test_a_body_that_nothing_strikes_keeps_its_band(band):
     scene = load_scene("harvester_bridge", ["error_budget=1e-3", *own])
     usual = load_scene("harvester_bridge")
     bimorph = next(part for part in usual.parts.values() if part.type.reduced)
-    assert scene.rom.band == (band or bimorph.type.settings(bimorph, usual).band)
+    assert scene.rom.band == (band or bimorph.type.reduction(bimorph, usual).band)
     errors = {each.stage: each for each in plan(scene).errors}
     found = errors["reduction"]
     assert found.share == found.expected == scene.rom.tolerance == pytest.approx(3e-4)
