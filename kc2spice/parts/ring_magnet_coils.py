@@ -538,6 +538,8 @@ class RingMagnetCoils(PartType):
             panels[-1] = replace(panels[-1], x="time in ms")
             caption = f"Currents in the coils of {part.name}."
             yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
+        if real(part, build.scene):
+            yield coil_impedance(part, build)
         yield force_map(part, build)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
@@ -602,6 +604,29 @@ def force_map(part: Part, build: Build) -> Figure:
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
+
+
+def coil_impedance(part: Part, build: Build) -> Figure:
+    """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
+    table = build.model(part)
+    matrix = inductances(table, 0.5 * (table.y[0] + table.y[-1]))
+    each = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
+    f = np.geomspace(10.0, 1e5, 201)
+    z = {
+        name: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i)
+        for name, i in each.items()
+    }
+    size = tuple(Curve(name, 1e-3 * f, np.abs(v)) for name, v in z.items())
+    phase = tuple(Curve(name, 1e-3 * f, np.angle(v, deg=True)) for name, v in z.items())
+    return Figure(
+        f"{part.name}_impedance", f"Impedance of {part.name}",
+        f"Magnitude and phase of the coils of {part.name}, the sphere held in the middle of their "
+        "field, capacitance of the windings left out.",
+        (
+            Panel("", "|Z| in Ω", size, log_x=True, log_y=True),
+            Panel("frequency in kHz", "phase in °", phase, log_x=True),
+        ),
+    )  # fmt: skip
 
 
 def force_table(table: EMTable) -> laws.ForceTable:

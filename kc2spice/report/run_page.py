@@ -33,7 +33,7 @@ def write_run(
         _checks(result),
         *(_energy(name, entries) for name, entries in result.get("energy_j", {}).items()),
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
-        _facts("Reduced model", result.get("rom", {})),
+        _facts("Reduced model", {k: v for k, v in result.get("rom", {}).items() if v is not None}),
         _modelled(scene),
         _errors(scene),
         _left_out(scene),
@@ -98,8 +98,10 @@ def _wall(result: Mapping[str, Any]) -> Section:
 
 def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
     rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
-    rows += [(f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()]
+    if scene.analysis.type != "transient":
+        return Section("Simulator", [*rows, ("analysis", scene.analysis.type)])
     solver = scene.solver
+    rows += [(f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()]
     rows += [
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+# Words of keys that are none.
+_WORDS = {"bvd": "equivalent circuit", "c0": "C0", "rm": "Rm", "lm": "Lm", "cm": "Cm"}
 # Longest suffix first: the key's name says its unit, as in result.json.
 _SUFFIXES = (
     ("_m_per_100v", "m per 100 V"), ("_m_per_v", "m/V"), ("_m_s", "m/s"), ("_v_m", "V/m"),
@@ -24,9 +26,10 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
         return f"{value:g} {unit}".strip()
     if not unit:
         return f"{value:.{digits}g}"
-    power = min(max(3 * math.floor(math.log10(abs(value)) / 3), -15), 9)
     if unit == "kg":  # its prefix is part of the unit: write grams
         return quantity(1e3 * value, "g", digits)
+    power = 3 * math.floor(math.log10(abs(value)) / 3)
+    power = power if power in _PREFIXES else 0
     sign = "−" if value < 0.0 else ""
     return f"{sign}{abs(value) / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"
 
@@ -57,7 +60,7 @@ def flat(facts: Mapping[str, Any]) -> dict[str, Any]:
 def fact(key: str, value: Any, digits: int = 5) -> tuple[str, str]:
     """A key of result.json and its value as words: the suffix of the key is the unit."""
     suffix, unit = _suffix(key)
-    name = key.removesuffix(suffix).replace("_", " ")
+    name = " ".join(_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     if isinstance(value, (list, tuple)) and len(value) > 8:
         return name, f"{len(value)} values, in result.json"
     values = value if isinstance(value, (list, tuple)) else [value]

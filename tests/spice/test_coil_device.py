@@ -5,9 +5,12 @@ import pytest
 from device import bench
 from scipy.integrate import solve_ivp
 
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable, force, inductances
 from kc2spice.parts.ring_magnet_coils import coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 
 L0, M0, R0 = 43.8e-3, 7.3e-3, 1596.0
@@ -34,6 +37,28 @@ def coils() -> EMTable:
         c11=change * d1 / 2, c12=0.3 * change * dm, c22=change * d2 / 2,
         flux0=flux, inductance=inductance, resistance=np.array([R0, R0]), unknowns=0,
     )  # fmt: skip
+
+
+def test_impedance_in_the_report_is_that_of_the_subcircuit(header, coils, tmp_path):
+    """Lower coil, upper coil and both against each other, each from ngspice's current."""
+    scene = load_scene("coil_rails")
+    part = scene.parts["catch"]
+    figures = part.type.figures(part, Build(scene, {"catch": coils}), Waveforms({}, {}))
+    size, phase = next(f for f in figures if f.name == "catch_impedance").panels
+    nodes = {"lower": "in 0 open 0", "upper": "open 0 in 0", "both": "in far 0 far"}
+    for curve, angle, (name, joined) in zip(size.curves, phase.curves, nodes.items(), strict=True):
+        cards = f"""Vy y 0 2500
+Vv v 0 0
+Vin in 0 DC 0 AC 1
+Ropen open 0 1e12
+Xcoil {joined} y v 0 coil
+.ac dec 10 10 100k"""
+        part = coil_subcircuit(header, coils)
+        waves = run_deck(bench([part], cards, {"i": ("i(vin)", -1.0)}), tmp_path)
+        f, z = 1e-3 * waves["frequency"].real, 1 / waves["i"]
+        assert curve.label == angle.label == name
+        np.testing.assert_allclose(np.interp(f, curve.x, curve.y), np.abs(z), rtol=1e-3)
+        np.testing.assert_allclose(np.interp(f, angle.x, angle.y), np.angle(z, deg=True), atol=0.1)
 
 
 def test_step_response_is_that_of_coupled_coils(header, coils, tmp_path):

@@ -211,7 +211,8 @@ def test_a_run_without_catch_says_nothing_of_one() -> None:
         (1.386e-4, "kg", "138.6 mg"),
         (0.0, "s", "0 s"),
         (None, "s", "—"),
-        (1e-20, "N", "1e-05 fN"),
+        (1e-20, "N", "1e-20 N"),
+        (-2.5e12, "Hz", "−2.5e+12 Hz"),
         (1.057e-3, "", "0.001057"),
     ],
 )
@@ -230,6 +231,7 @@ def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) ->
         ("kick_charge_peak_c", 1.4e-5, ("kick charge peak", "14 µC")),
         ("band_hz", [0, 5e5], ("band", "0 Hz, 500 kHz")),
         ("caught", True, ("caught", "yes")),
+        ("bvd_c0_f", 1e-9, ("equivalent circuit C0", "1 nF")),
         ("force_n", [1.0] * 9, ("force", "9 values, in result.json")),
     ],
 )
