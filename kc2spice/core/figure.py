@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class Shape:
 
 def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     """Mask (n,) of the points from ``first`` to ``last`` and one more on either side."""
+    import numpy as np  # late: what draws loads this module before anything that computes
+
     low, high = np.searchsorted(t, (first, last))
     inside = np.zeros(t.size, dtype=bool)
     inside[max(low - 1, 0) : high + 1] = True

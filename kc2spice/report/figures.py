@@ -17,6 +17,7 @@ from kc2spice.report.plots import (
     legend_beside,
     name_axes,
     open_sheet,
+    plain_log,
     sheet,
     style,
 )
@@ -66,8 +67,10 @@ def _fill(axes: Any, panel: Panel) -> None:
             axes.plot(curve.x, curve.y, color=colour, ls=style, label=curve.label or None)
     if panel.log_x:
         axes.set_xscale("log")
+        plain_log(axes.xaxis)
     if panel.log_y:
         axes.set_yscale("log")
+        plain_log(axes.yaxis)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     elif panel.span is not None:

@@ -1,7 +1,8 @@
 """A process that draws beside the simulator.
 
 Loading matplotlib takes longer than most simulations, and drawing as long again. Both wait for
-nothing but the waveforms, so they have a process of their own, started before anything else.
+nothing but the waveforms, so they have a process of their own, started before anything else: this
+module loads neither numpy nor what computes.
 """
 
 from __future__ import annotations

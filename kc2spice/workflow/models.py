@@ -8,6 +8,7 @@ from typing import Any
 from kc2spice.core.progress import Clock
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow.ahead import built_ahead
 from kc2spice.workflow.decks import libraries
 
 
@@ -17,13 +18,20 @@ def build_models(
     *,
     trust: bool = False,
     functions: Mapping[str, Any] | None = None,
+    ahead: bool = False,
 ) -> Build:
     """Build or fetch the models of the parts that the scene names, and only those.
 
     ``trust`` lets included netlists act on the machine; ``functions`` are those of controllers, by
-    part.
+    part. ``ahead`` computes two at a time; see :func:`kc2spice.workflow.ahead.built_ahead`.
     """
-    models = {part.name: part.type.build(part, scene, clock) for part in scene.parts.values()}
+    keyed = model_keys(scene) if ahead else {}
+    waiting = {name: scene.parts[name] for name in keyed}
+    models = {}
+    with built_ahead(scene, waiting, clock):
+        for name, part in scene.parts.items():
+            models[name] = part.type.build(part, scene, clock)
+            waiting.pop(name, None)
     return Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
 
 

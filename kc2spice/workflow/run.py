@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -62,14 +63,16 @@ def run(
     out: Path,
     progress: Progress = silent,
     *,
+    plots: PlotWorker | None = None,
     trust: bool = False,
     deck: Path | None = None,
     keep: bool = False,
 ) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
 
-    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
-    somebody edited, to be run instead of the scene's own; ``keep`` keeps raw file and log.
+    ``plots`` draws if it has been started already. ``trust`` lets included netlists act on the
+    machine; ``deck`` is a netlist of this scene that somebody edited, to be run instead of the
+    scene's own; ``keep`` keeps raw file and log.
 
     Raises
     ------
@@ -79,11 +82,12 @@ def run(
         beside it in ``<out>.failed``.
     """
     # Loading what draws need not wait for the simulator, nor it for that.
-    with PlotWorker() as plots, staged(out) as work:
+    worker = PlotWorker() if plots is None else nullcontext(plots)
+    with worker as pens, staged(out) as work:
         with kept_on_failure(work, out, scene.name):
-            done = complete(scene, work, progress, trust=trust, deck=deck)
+            done = complete(scene, work, progress, trust=trust, deck=deck, ahead=True)
         return write_run_files(
-            done, work, lambda figures: plots.draw(share, draw_all, work, figures).result, keep=keep
+            done, work, lambda figures: pens.draw(share, draw_all, work, figures).result, keep=keep
         )
 
 
@@ -95,10 +99,11 @@ def complete(
     trust: bool = False,
     deck: Path | None = None,
     functions: Mapping[str, Any] | None = None,
+    ahead: bool = False,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
-    ``functions`` are those of controllers, by part.
+    ``functions`` are those of controllers, by part; ``ahead`` is that of :func:`build_models`.
 
     Where the scene leaves a key to us and what we took for it proves too little, such as the rings
     that a contact needs, it runs again with more, and says so.
@@ -108,7 +113,7 @@ def complete(
     simulator = find_ngspice()
     clock = Clock(progress)
     while True:
-        build = build_models(scene, clock, trust=trust, functions=functions)
+        build = build_models(scene, clock, trust=trust, functions=functions, ahead=ahead)
         with clock.stage("export", "netlists"):
             chosen = make_deck(build) if deck is None else edited_deck(build, deck)
             lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
@@ -164,13 +169,14 @@ def write_run_files(
     """
     scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
     with done.clock.stage("report", "metrics, plots and page"):
-        drawn = draw(done.figures)
+        shown = done.figures
+        drawn = draw(shown)
         record = run_record(done)
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
-        figures = {figure.name: figure for figure in done.figures}
+        figures = {figure.name: figure for figure in shown}
         pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
@@ -242,7 +248,7 @@ def export(
         )  # fmt: skip
     clock = Clock(progress)
     with staged(out) as work:
-        build = build_models(scene, clock, trust=trust)
+        build = build_models(scene, clock, trust=trust, ahead=True)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(build)
             if count is not None:
