@@ -17,6 +17,7 @@ from kc2spice.core.errors import Kc2spiceError
 if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
     from rich.progress import Progress, TaskID
 
+COLUMNS = 80  # of what is piped
 INTERRUPTED = 130  # what a shell reports after Ctrl-C
 
 
@@ -126,7 +127,7 @@ def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str]
         table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    width = None if sys.stdout.isatty() else 80
+    width = None if sys.stdout.isatty() else COLUMNS
     Console(width=width).print(table)
 
 

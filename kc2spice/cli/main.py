@@ -16,7 +16,7 @@ import typer
 
 from kc2spice import __version__
 from kc2spice.cli.bench import bench
-from kc2spice.cli.console import print_table, reported_errors, shown_progress
+from kc2spice.cli.console import COLUMNS, print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
 from kc2spice.cli.tables import (
@@ -44,8 +44,23 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+
+def _scene_names(incomplete: str) -> list[str]:
+    """What the shell offers; file names come from the shell itself."""
+    from importlib import resources
+
+    names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
+    return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
+
+
 SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="Gallery name (see 'scenes') or path of a TOML file.")
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="Gallery name (see 'scenes') or path of a TOML file.",
+        autocompletion=_scene_names,
+    ),
 ]
 Out = Annotated[
     Path | None,
@@ -158,7 +173,12 @@ def run(
 @app.command()
 def export(
     scene: Annotated[
-        str | None, typer.Argument(metavar="SCENE", help="Gallery name or path of a TOML file.")
+        str | None,
+        typer.Argument(
+            metavar="SCENE",
+            help="Gallery name or path of a TOML file.",
+            autocompletion=_scene_names,
+        ),
     ] = None,
     out: Out = None,
     set_: Set = None,
@@ -212,7 +232,10 @@ def export(
 @app.command()
 def verify(
     scene: Annotated[
-        str | None, typer.Argument(metavar="SCENE", help="Gallery name or TOML file.")
+        str | None,
+        typer.Argument(
+            metavar="SCENE", help="Gallery name or TOML file.", autocompletion=_scene_names
+        ),
     ] = None,
     all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
     full: Annotated[
@@ -265,6 +288,7 @@ def verify(
 def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None:
     """Say what is modelled, what was left out, why, at what error."""
     with reported_errors():
+        import textwrap
         from dataclasses import asdict
 
         from kc2spice.scene.hash import scene_hash
@@ -276,7 +300,8 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         if as_json:
             print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
             return
-        print(f"{loaded.name}: {loaded.title}\nscene hash {scene_hash(loaded)}\n")
+        print(textwrap.fill(f"{loaded.name}: {loaded.title}", COLUMNS))
+        print(f"scene hash {scene_hash(loaded)}\n")
         show_plan(found)
 
 

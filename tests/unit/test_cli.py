@@ -1,6 +1,7 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
+import os
 import subprocess
 import sys
 import types
@@ -189,10 +190,26 @@ def test_scenes(cli):
     assert keys["kick.drive.voltage"]["unit"] == "V"
 
 
+def test_the_shell_offers_commands_and_scenes():
+    for words, position, offered in (
+        ("kc2spice ver", "1", ["verify"]),
+        ("kc2spice run kick_", "2", ["kick_and_catch", "kick_slew"]),
+        ("kc2spice explain harv", "2", ["harvester", "harvester_bridge"]),
+    ):
+        asked = {"_KC2SPICE_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": position}
+        code = "import kc2spice.cli.main as m; m.app(prog_name='kc2spice')"
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(
+            command, env=os.environ | asked, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == offered
+
+
 def test_explain(cli):
     text = cli("explain", "kick_and_catch").stdout
     assert "left out" in text
     assert "anode" in text
+    assert max(map(len, text.splitlines())) <= 80
     found = json.loads(cli("explain", "impact", "--json").stdout)
     assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
