@@ -268,7 +268,7 @@ def verify(
         loaded = [load_scene(name, set_ or []) for name in names]
         directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
         from kc2spice.spice.read import read_deck
-        from kc2spice.workflow.verify import verify as verify_scenes
+        from kc2spice.workflow.verify.verify import verify as verify_scenes
 
         shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.response import relative_error
 from kc2spice.scene.gates import Gate, Limit
 from kc2spice.scene.parttype import Build
 
@@ -89,6 +88,8 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
         low = scale <= gate.share * scale[-1]
         pairs = [(a[low], b[low]) for a, b in pairs]
     if gate.measure == "spectral":
+        from kc2spice.rom.response import relative_error  # which loads scipy; every run is here
+
         return relative_error(*(np.stack(each, axis=1) for each in zip(*pairs, strict=True)))
     apart = max(float(np.abs(a - b).max()) for a, b in pairs)
     if gate.measure == "absolute":
