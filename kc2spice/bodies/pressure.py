@@ -203,14 +203,15 @@ def _active(materials: list[Material]) -> np.ndarray:
 
 
 def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
-    """(nodes, hats) unit axial forces, spread over the facets as the hats are."""
+    """(nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
     basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=5)
     r = np.asarray(basis.global_coordinates())[0]
+    area = basis.dx * r * np.abs(np.asarray(basis.normals)[1])
     loads = np.zeros((int(basis.N), len(shape.nodes) - 1))
     for j, column in enumerate(loads.T):
         pressure = np.interp(r, shape.nodes, np.eye(len(shape.nodes))[j], right=0.0)
         for nodes, function in zip(basis.element_dofs, basis.basis, strict=True):
-            np.add.at(column, nodes, (np.asarray(function[0]) * basis.dx * r * pressure).sum(1))
+            np.add.at(column, nodes, (np.asarray(function[0]) * area * pressure).sum(1))
     return loads / loads.sum(axis=0)
 
 

@@ -398,19 +398,22 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Tap:
-    """An input of a device: across of ``pin`` less that of ``minus``, or the rate of it."""
+    """An input of a device: across of ``pin`` less those of ``minus`` and ``less``, or its rate."""
 
     pin: str
     minus: str = ""
     rate: bool = False
+    less: str = ""
 
 
 @dataclass(frozen=True)
 class Flow:
-    """An output of a device: a through quantity into it at ``pin``, out of it at ``minus``."""
+    """An output of a device: a through quantity into it at ``pin``, out of it at ``minus``, and as
+    much at ``less``."""
 
     pin: str
     minus: str = ""
+    less: str = ""
 
 
 class Device(ABC):
@@ -525,6 +528,9 @@ class Contact(Device):
 
     ``curve`` multiplies the force by ``sum_k curve_k sqrt(pen / depth)^k``. Of surfaces that follow
     within ``pace`` [s] all of this is said of ``pen + pace pen'`` instead of ``pen``.
+
+    The surface of ``b`` may carry another pin, whose displacement adds to its own and on which the
+    forces act as well.
     """
 
     name: str
@@ -538,20 +544,21 @@ class Contact(Device):
     curve: tuple[float, ...] = (1.0,)
     depth: float = 1.0
     pace: float = 0.0
+    carried: str = ""
     kind: str = "displacement"
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        """The ports, ``b``, and with friction ``slide`` and ``rail``."""
-        own = tuple(Pin(p, self.kind) for p in self.ports)
+        """The ports, what ``b`` carries, ``b``, and with friction ``slide`` and ``rail``."""
+        own = tuple(Pin(p, self.kind) for p in (*self.ports, self.carried) if p)
         along = (Pin("slide", self.kind), Pin("rail", self.kind, grounded=True))
         return (*own, Pin("b", self.kind, grounded=True), *(along if self.friction else ()))
 
     @property
     def taps(self) -> tuple[Tap, ...]:
         """Approach of every pair, their rates where there is damping, the speed of sliding."""
-        near = tuple(Tap(p, "b") for p in self.ports)
-        rates = tuple(Tap(p, "b", rate=True) for p in self.ports if self._rated)
+        near = tuple(Tap(p, "b", less=self.carried) for p in self.ports)
+        rates = tuple(Tap(p, "b", rate=True, less=self.carried) for p in self.ports if self._rated)
         return near + rates + ((Tap("slide", "rail", rate=True),) if self.friction else ())
 
     @property
@@ -562,7 +569,7 @@ class Contact(Device):
     def flows(self) -> tuple[Flow, ...]:
         """A force per pair, and the friction."""
         along = (Flow("slide", "rail"),) if self.friction else ()
-        return (*(Flow(p, "b") for p in self.ports), *along)
+        return (*(Flow(p, "b", self.carried) for p in self.ports), *along)
 
     @property
     def affine(self) -> bool:

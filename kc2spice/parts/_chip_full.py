@@ -97,7 +97,7 @@ def players(chip: Part, scene: Scene) -> tuple[Part, Part] | None:
     found = []
     for contact in scene.of("contact"):
         (one, _), (other, b) = contacts._names(contact, scene)
-        plain = not (contact.keys.gap or contact.keys.damping)
+        plain = not (contact.keys.gap or contact.keys.damping or b.elastic)
         if one == chip.name and b.radius is not None and plain:
             found.append((contact, scene.parts[other]))
     return found[0] if len(found) == 1 and len(scene.of("piezo_stack")) == 1 else None

@@ -25,12 +25,13 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.sphere import integral
+from kc2spice.parts.sphere import integral, made_of
 from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
+    Dents,
     ErrorRow,
     LeftOut,
     Modelled,
@@ -45,7 +46,7 @@ from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Dented
+    from kc2spice.bodies.pressure import Dented, Hats
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate.
@@ -60,6 +61,7 @@ ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
 FEW = 20  # events that are not too many for any reltol
 FLOOR = "floor"  # port of a rigid plane
+PATCH, CARRIED = "patch", "dent"  # port of an elastic sphere, and the pin that meets it
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 
 
@@ -149,6 +151,7 @@ class Contact(PartType):
         second = [Terminal("b", "um", "N")]
         if b.rigid:
             second = [Terminal("v", "m/s", "N"), Terminal("bottom", "um", "-")]
+        second += [Terminal(CARRIED, "um", "N")] if b.elastic else []
         along = (Terminal("slide", "um", "N", required=True), Terminal("rail", "um", "N", "gnd"))
         base = Terminal("base", "um", "N", "gnd")
         return (*first, *second, *(along if part.keys.friction else ()), base)
@@ -160,6 +163,8 @@ class Contact(PartType):
         if a.rigid:
             one = moved_by(one, scene)
             joins = {"va": f"{one}.{a.force[0]}", "a": f"{one}.{a.place[0]}"}
+        if b.elastic:
+            joins[CARRIED] = f"{b.elastic}.{PATCH}"
         other = moved_by(other, scene)
         if b.rigid:
             return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
@@ -168,7 +173,8 @@ class Contact(PartType):
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         (one, a), (other, b) = _names(part, scene)
         first = a.force if a.rigid else kept_ports(part, scene)
-        return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}")
+        carried = (f"{b.elastic}.{PATCH}",) if b.elastic else ()
+        return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}", *carried)
 
     def closeness(self, part: Part, scene: Scene) -> float:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
@@ -203,7 +209,8 @@ class Contact(PartType):
         return (
             contact_subcircuit(
                 header, ports, added, normal(part, build.scene), under=under,
-                rigid=(a.rigid, b.rigid), name=build.libraries[part.name],
+                rigid=(a.rigid, b.rigid), elastic=bool(b.elastic),
+                name=build.libraries[part.name],
             ),
         )  # fmt: skip
 
@@ -219,7 +226,7 @@ class Contact(PartType):
         return found | {name: Vector(text, 1.0, "N") for name, text in forces.items()}
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
-        if pin in ("v", "b"):
+        if pin in ("v", "b", CARRIED):
             return waves.data.get(f"{part.name}.force")
         if pin in ("slide", "rail"):
             force = waves.data.get(f"{part.name}.friction")
@@ -293,10 +300,12 @@ class Contact(PartType):
         law = laws.Contact(
             n, ports, np.full(len(ports), own.stiffness), gaps(part, scene), own.damping,
             own.power, own.friction, own.creep, own.curve, own.depth, own.pace,
+            CARRIED if b.elastic else "",
         )  # fmt: skip
         first = ("a",) if a.rigid else ports
         pins = tuple((pin, f"{n}.{port}") for pin, port in zip(first, ports, strict=True))
         pins += (("bottom" if b.rigid else "b", f"{n}.b"),)
+        pins += ((CARRIED, f"{n}.{CARRIED}"),) if b.elastic else ()
         results = {f"{n}.force.{r}": laws.reading(f"{n}.{r}.through") for r in ports}
         if own.friction:
             pins += (("slide", f"{n}.slide"), ("rail", f"{n}.rail"))
@@ -381,7 +390,7 @@ def normal(part: Part, scene: Scene) -> Normal:
     """
     keys, (a, b) = part.keys, sides(part, scene)
     if keys.shape == "pressure":
-        return _pressed(part, a, b)
+        return _pressed(part, scene)
     value, power = a.sectors * float(keys.penalty), 1.0
     if keys.law == "hertz":
         round_ = [1 / side.radius for side in (a, b) if side.radius is not None]
@@ -398,15 +407,14 @@ def normal(part: Part, scene: Scene) -> Normal:
     return Normal(value, power, keys.damping, keys.friction, keys.creep)
 
 
-def _pressed(part: Part, a: Surface, b: Surface) -> Normal:
+def _pressed(part: Part, scene: Scene) -> Normal:
     """The law of hats of pressure under a sphere (:mod:`kc2spice.bodies.pressure`)."""
     from kc2spice.bodies.pressure import hats
 
-    keys = part.keys
-    assert a.dents is not None
+    keys, (a, b) = part.keys, sides(part, scene)
     assert b.radius is not None
     shape = hats(keys.spacing, a.patch)
-    dents = a.dents(shape)
+    dents = _dents(part, scene, shape)
     found = _dented(shape.nodes.tobytes(), dents.compliance.tobytes(), b.radius)
     first, *_ = found.coefficients
     return Normal(
@@ -421,14 +429,31 @@ def hat_forces(part: Part, scene: Scene, force: float) -> np.ndarray:
     from kc2spice.bodies.pressure import hats, pressing
 
     (a, b), own = sides(part, scene), normal(part, scene)
-    assert a.dents is not None
     assert b.radius is not None
     depths = np.linspace(0.0, own.depth, 1000)
     depth = np.interp(force, own.force(depths), depths)
     shape = hats(part.keys.spacing, a.patch)
     gap = ring_gaps(shape.distances, b.radius)
-    found = pressing(a.dents(shape).compliance, gap, np.array([depth]))[0]
+    found = pressing(_dents(part, scene, shape).compliance, gap, np.array([depth]))[0]
     return np.asarray(force / found.sum() * found)
+
+
+def _dents(part: Part, scene: Scene, shape: Hats) -> Dents:
+    """Of both sides together, which follow the pressure within the mean of their times."""
+    a, b = sides(part, scene)
+    assert a.dents is not None
+    found = a.dents(shape)
+    if not b.elastic:
+        return found
+    carried = scene.parts[b.elastic]
+    surface = carried.type.surface(carried, scene, (PATCH,))
+    assert surface is not None
+    assert surface.dents is not None
+    other = surface.dents(shape)
+    whole = found.compliance + other.compliance
+    share = float(np.trace(other.compliance) / np.trace(whole))
+    pace = (1 - share) * found.pace + share * other.pace
+    return Dents(whole, found.patch + other.patch, pace)
 
 
 def spacing_error(part: Part, scene: Scene) -> float:
@@ -437,12 +462,11 @@ def spacing_error(part: Part, scene: Scene) -> float:
     from kc2spice.bodies.pressure import hats
 
     a, b = sides(part, scene)
-    assert a.dents is not None
     assert b.radius is not None
     forces = []
     for wider in (1, 2):
         shape = hats(wider * part.keys.spacing, a.patch)
-        found = a.dents(shape)
+        found = _dents(part, scene, shape)
         law = _dented(shape.nodes.tobytes(), (found.compliance + found.patch).tobytes(), b.radius)
         depth = np.linspace(0.2, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
         powers = 3 + np.arange(len(law.coefficients))
@@ -682,10 +706,15 @@ def _height(
 
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
     """Position [m] of side ``b`` at its lowest point, zero where it touches."""
-    if "imprint.depth" in waves:
-        return -waves["imprint.depth"]
     (_, _), (other, b) = _names(part, build.scene)
-    return _height(other, b, b.place[0], build, waves)
+    if "imprint.depth" in waves:
+        found: np.ndarray | None = -waves["imprint.depth"]
+    else:
+        found = _height(other, b, b.place[0], build, waves)
+    if not b.elastic or found is None:
+        return found
+    dent_ = waves.data.get(f"{b.elastic}.u.{PATCH}")
+    return None if dent_ is None else found + dent_
 
 
 def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
@@ -845,6 +874,7 @@ def contact_subcircuit(
     *,
     rigid: tuple[bool, bool] = (False, True),
     under: tuple[float, np.ndarray] | None = None,
+    elastic: bool = False,
     name: str = "contact",
 ) -> Subcircuit:
     """``law`` of the penetration ``u - bottom - gap`` between ring pins and the other side.
@@ -853,14 +883,15 @@ def contact_subcircuit(
     the rings are ``under`` and their own [m], the gaps follow from the parameter ``radius`` as
     ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A side that is a ``rigid`` body
     has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
-    ``b``.
+    ``b``. A rigid one that is ``elastic`` carries a patch, whose displacement adds to it.
     """
     first = tuple(Pin(ring, "um", "N") for ring in rings)
     if rigid[0]:
         first = (Pin("va", "m/s", "N"), Pin("a", "um", "-"))
     side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid[1] else (Pin("b", "um", "N"),)
     along = (Pin("slide", "um", "N"), Pin("rail", "um", "N")) if law.friction else ()
-    pins = (*first, *side, *along, Pin("base", "um", "N"))
+    carried = (Pin(CARRIED, "um", "N"),) if elastic else ()
+    pins = (*first, *side, *carried, *along, Pin("base", "um", "N"))
     radii = () if under is None else under[1][: len(rings)]
     sphere = [] if under is None else [
         Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
@@ -901,6 +932,7 @@ def contact_subcircuit(
         squares=[] if law.radius else [float(r) ** 2 for r in radii],
         force=side[0].name,
         place=side[-1].name,
+        carried=CARRIED if elastic else "",
         law=law,
         series=[c / (1e6 * law.depth) ** (k / 2) for k, c in enumerate(law.curve)],
         rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
@@ -941,6 +973,8 @@ def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Reac
         body = scene.parts.get(one)
         modulus = body.type.indentation_modulus(body) if body else None
         if other == sphere.name and b.radius and modulus is not None:
+            if b.elastic:
+                modulus = 1 / (1 / modulus + 1 / made_of(sphere).indentation_modulus)
             yield Reach(dent(modulus, sphere.keys.mass, speed, b.radius), why)
 
 

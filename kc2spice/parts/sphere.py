@@ -1,9 +1,10 @@
-"""The rigid sphere: one vertical degree of freedom, ``m y'' = sum of forces - m g``."""
+"""The sphere: one vertical degree of freedom, ``m y'' = sum of forces - m g``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,13 +46,17 @@ def _stuff(given: str | dict[str, Any]) -> Material:
 
 
 class SphereKeys(Section):
-    """Rigid sphere, vertical motion only."""
+    """Sphere, vertical motion only; rigid unless ``elastic``."""
 
     radius: Length = Field(1e-3, gt=0)
     density: Density = Field(7850.0, gt=0, description="by default that of the material, or steel")
     material: str | dict[str, Any] | None = Field(
-        None, description="for contacts that need its modulus"
+        None, description="for contacts that need its modulus, steel where it is elastic"
     )
+    elastic: bool | dict[str, Any] | None = Field(
+        None, description="dents and modes under contact.shape = pressure: true, or a table of "
+        "damping, mesh, rom; rigid if absent",
+    )  # fmt: skip
     velocity: Velocity = Field(0.0, description="at t = 0; not zero: no operating point is sought")
     height: Length = Field(0.0, description="of the lowest point at t = 0, with a velocity")
 
@@ -59,6 +64,8 @@ class SphereKeys(Section):
     def _made_of(self) -> SphereKeys:
         if self.material is not None and "density" not in self.model_fields_set:
             object.__setattr__(self, "density", _stuff(self.material).density)
+        if self.elastic is False:
+            object.__setattr__(self, "elastic", None)
         return self
 
     @property
@@ -71,6 +78,12 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
+
+    def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        if (given := part.keys.elastic) is None:
+            return {}
+        table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
+        return {_carried(part): table if given is True else {**given, **table}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         if _moved(part, scene):
@@ -100,11 +113,12 @@ class Sphere(PartType):
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
-        return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius)
+        return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius,
+                       elastic=_carried(part))  # fmt: skip
 
     def indentation_modulus(self, part: Part) -> float | None:
-        given = part.keys.material
-        return None if given is None else _stuff(given).indentation_modulus
+        rigid = part.keys.material is None and part.keys.elastic is None
+        return None if rigid else made_of(part).indentation_modulus
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
@@ -211,12 +225,24 @@ class Sphere(PartType):
         return Modelled(part.name, "closed form", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
-        if any(contact.keys.law == "linear" for contact in scene.of("contact")):
-            yield LeftOut("elasticity of the sphere", "the part is rigid", _softer(part, scene))
+        linear = any(contact.keys.law == "linear" for contact in scene.of("contact"))
+        if linear and part.keys.elastic is None:
+            why = f"the part is rigid unless {part.name}.elastic"
+            yield LeftOut("elasticity of the sphere", why, _softer(part, scene))
         if scene.analysis.type == "transient":
             yield _air_drag(part.keys)
             why = "the part moves along one axis"
             yield LeftOut("rotation and sideways motion of the sphere", why, "not estimated")
+
+
+def made_of(part: Part) -> Material:
+    """The sphere's material, steel if nothing is said, with the sphere's density."""
+    return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
+
+
+def _carried(part: Part) -> str:
+    """The part that is its elasticity, "" where it is rigid."""
+    return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
 def _moved(part: Part, scene: Scene) -> bool:
@@ -272,7 +298,7 @@ def integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
-    own = _stuff(part.keys.material or "steel").indentation_modulus
+    own = made_of(part).indentation_modulus
     bodies = (other.type.indentation_modulus(other) for other in scene.parts.values()
               if other is not part)  # fmt: skip
     found = [modulus / own for modulus in bodies if modulus is not None]

@@ -255,9 +255,9 @@ class _Assembly:
             row[(self.node if self.kinds[net] == "electrical" else self.signal)[net]] = 1.0
         return row
 
-    def gap(self, law: L.Law, a: str, b: str) -> np.ndarray:
-        """Form of the difference of two pins."""
-        return self.form(law, a) - (self.form(law, b) if b else 0.0)
+    def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
+        """Form of a pin less those of others, where they have a name."""
+        return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
     def rate(self, form: np.ndarray) -> np.ndarray:
         """The same form of the velocities."""
@@ -653,11 +653,12 @@ def _sensor(law: L.Sensor, into: _Assembly) -> None:
 @stamp.register
 def _device(law: L.Device, into: _Assembly) -> None:
     taps = [
-        into.across(law, t.pin, t.rate) - (into.across(law, t.minus, t.rate) if t.minus else 0.0)
+        into.across(law, t.pin, t.rate)
+        - sum(into.across(law, pin, t.rate) for pin in (t.minus, t.less) if pin)
         for t in law.taps
     ]
     own = [np.eye(1, into.size, into.own[f"{law.name}.{s}"])[0] for s in law.states]
-    through = [-into.gap(law, f.pin, f.minus) for f in law.flows]
+    through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = [into.form(law, pin) for pin in law.drives]
     if own and not has_store(law):
         for form in own:

@@ -98,6 +98,7 @@ class Surface:
     force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
     that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
+    ``elastic`` is the part whose port ``patch`` a rigid surface carries.
     """
 
     ports: tuple[str, ...]
@@ -108,6 +109,7 @@ class Surface:
     sectors: int = 1
     patch: float = 0.0
     dents: Callable[[Hats], Dents] | None = None
+    elastic: str = ""
 
     @property
     def rigid(self) -> bool:

@@ -1,0 +1,200 @@
+"""What the elasticity of a sphere adds to its rigid motion: dents under a contact, and modes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kc2spice.bodies.convergence import MeshError, bound
+from kc2spice.bodies.keys import Damping, Mesh
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.parts.contact import PATCH, normal, sides
+from kc2spice.parts.sphere import made_of
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Dents, LeftOut, Surface, register
+from kc2spice.scene.settings import Rom
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.pressure import Hats, Pressed
+    from kc2spice.bodies.sphere import Sphere
+
+BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
+
+
+class ElasticSphereKeys(BodyKeys):
+    """Of the sphere ``of``, whose key ``elastic`` is this table."""
+
+    of: str
+    damping: Damping = Damping(ratio=1e-3)
+    mesh: Mesh = Mesh()
+
+
+class ElasticSphere(LinearBody):
+    name = "elastic_sphere"
+    title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
+    schema = ElasticSphereKeys
+    source = "FE (elastic, axisymmetric, free)"
+    example = """
+[impact]
+
+[kick]
+electrical = "open"
+
+[contact]
+shape = "pressure"
+
+[sphere]
+elastic = true
+"""
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        return (Port(PATCH, "mechanical"),)
+
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        _contact(part, scene)  # says what it cannot be
+        stuff = made_of(scene.parts[part.keys.of])
+        if stuff.piezoelectric:
+            yield UsageError(
+                "a sphere has no electrodes", where=f"{part.keys.of}.material", got=stuff.name,
+                expected="a material that is not piezoelectric",
+            )  # fmt: skip
+        if part.keys.damping.per_material:
+            yield UsageError(
+                "a sphere has one material", where=f"{part.keys.of}.elastic.damping.per_material",
+                got=True, expected="ratio, quality or loss_factor",
+            )  # fmt: skip
+
+    def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
+        """None by itself: its sphere is touched, and carries the patch that a contact names."""
+        if ports != (PATCH,):
+            return None
+
+        def dents(shape: Hats) -> Dents:
+            found = self._pressed(part, scene, shape)
+            return Dents(found.compliance, found.patch, _body(part, scene).rayleigh[1])
+
+        return Surface(ports, ports, ports, (0.0,), dents=dents)
+
+    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
+        return {
+            "radius": body.radius, "density": body.material.density,
+            "stiffness": body.material.C.tolist(), "rayleigh": body.rayleigh, "own": own,
+            "hats": _hats(part, scene).nodes.tolist(),
+        }  # fmt: skip
+
+    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+        from kc2spice.bodies.sphere import sphere
+
+        shape = _hats(part, scene)
+        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+            shares = self._pressed(part, scene, shape).shares
+            return sphere(_body(part, scene), shares, shape, refine * part.keys.mesh.refine)
+
+    def settings(self, part: Part, scene: Scene) -> Rom:
+        """Its own, not the scene's: its modes lie above any band of an actuator."""
+        own: Rom | None = part.keys.rom
+        if own is not None:
+            return own
+        return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
+
+    def coarse(self, part: Part, scene: Scene) -> bool:
+        """Nothing is joined to it that could tell: at 0.01 % of damping steps would follow its
+        megahertz through the flight, eight times as many."""
+        return True
+
+    def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
+        yield LeftOut(f"free ringing of {part.keys.of}", why, "none of the path")
+
+    def mesh_error(self, part: Part, scene: Scene) -> MeshError:
+        """Of the compliance of a contact half as wide as its patch, against cells half the size."""
+        body, shape, refine = _body(part, scene), _hats(part, scene), part.keys.mesh.refine
+
+        def estimate() -> MeshError:
+            from kc2spice.bodies.sphere import compliance
+
+            began = time.process_time()
+            inner = shape.nodes[:-1] < shape.nodes[-1] / 2
+            flat = np.ones(np.count_nonzero(inner))
+            coarse, fine = (
+                1 / np.linalg.solve(compliance(body, shape, k * refine)[np.ix_(inner, inner)], flat)
+                .sum() for k in (1, 2)
+            )  # fmt: skip
+            return MeshError(
+                "static_compliance_m_n", bound(coarse, fine, 2), time.process_time() - began
+            )
+
+        key = {"type": self.name, "full": self.full_key(part, scene)}
+        found, _ = cached(
+            "mesh_error", key, estimate, classes=(MeshError,), sources=self.sources()
+        )
+        return found
+
+    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        yield from super().left_out(part, scene)
+        deep = normal(_contact(part, scene), scene).depth / _body(part, scene).radius
+        yield LeftOut(
+            f"slope of {part.keys.of} under the contact", "pressure acts along the axis",
+            f"at most {deep:.1g} of the dent, by its depth over the radius",
+        )  # fmt: skip
+
+    def _pressed(self, part: Part, scene: Scene, shape: Hats) -> Pressed:
+        from kc2spice.bodies.pressure import Pressed
+        from kc2spice.bodies.sphere import pressed
+
+        key = {**self.full_key(part, scene), "hats": shape.nodes.tolist()}
+        found, _ = cached(
+            "pressed", key, lambda: pressed(_body(part, scene), shape, part.keys.mesh.refine),
+            classes=(Pressed,), sources=self.sources(),
+        )  # fmt: skip
+        return found
+
+
+def _body(part: Part, scene: Scene) -> Sphere:
+    from kc2spice.bodies.sphere import Sphere
+
+    owner = scene.parts[part.keys.of]
+    return Sphere(owner.keys.radius, made_of(owner), part.keys.damping)
+
+
+def _hats(part: Part, scene: Scene) -> Hats:
+    """Those of its contact."""
+    from kc2spice.bodies.pressure import hats
+
+    contact = _contact(part, scene)
+    return hats(contact.keys.spacing, sides(contact, scene)[0].patch)
+
+
+def _contact(part: Part, scene: Scene) -> Part:
+    """The one contact of the sphere, by pressure."""
+    of = part.keys.of
+    found = [c for c in scene.of("contact") if part.name in (s.elastic for s in sides(c, scene))]
+    if len(found) != 1:
+        raise UsageError(
+            "an elastic sphere has one contact", where=f"{of}.elastic",
+            got=", ".join(c.name for c in found) or "none",
+            expected='one, with shape = "pressure" and a body in a',
+        )  # fmt: skip
+    (contact,) = found
+    if contact.keys.shape != "pressure":
+        raise UsageError(
+            "forces on rings dent an elastic sphere without limit as meshes get finer",
+            where=f"{contact.name}.shape", got=contact.keys.shape, expected="pressure",
+            hint=f'set {contact.name}.shape = "pressure", or {of}.elastic = false',
+        )  # fmt: skip
+    if contact.keys.damping:
+        raise UsageError(
+            "an elastic sphere has its own damping", where=f"{contact.name}.damping",
+            got=contact.keys.damping, expected=f"0, and {of}.elastic.damping",
+        )  # fmt: skip
+    return contact
+
+
+register(ElasticSphere())
