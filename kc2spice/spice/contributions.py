@@ -165,8 +165,11 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
     names.module.branches.append(f"branch ({a},{b}) {own};")
     match part.kind:
         case "v":
-            # OpenVAF makes one node of the ends of a plain 0 V, whose current it then says is zero
-            return [f"V({own}) <+ {names.value(_steady(part))} + {number(SERIES)}*I({own});"]
+            value = names.value(_steady(part))
+            if any(part.name in other.sources for other in scope.elements):
+                # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
+                value += f" + {number(SERIES)}*I({own})"
+            return [f"V({own}) <+ {value};"]
         case "l":
             return [f"V({own}) <+ ddt({value}*I({own}));"]
         case "e":
