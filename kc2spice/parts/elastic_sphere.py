@@ -97,7 +97,7 @@ elastic = true
             shares = self._pressed(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, refine * part.keys.mesh.refine)
 
-    def settings(self, part: Part, scene: Scene) -> Rom:
+    def reduction(self, part: Part, scene: Scene) -> Rom:
         """Its own, not the scene's: its modes lie above any band of an actuator."""
         own: Rom | None = part.keys.rom
         if own is not None:

@@ -47,6 +47,15 @@ def test_a_rigid_sphere_has_no_mesh(keys):
     assert "sphere_elastic" not in load_scene("impact", keys).parts
 
 
+def test_its_reduction_is_its_own_and_keeps_its_modes():
+    """The scene's order and band are the chip's; a sphere of steel breathes at 2.4 MHz."""
+    scene = load_scene("impact", PRESSED)
+    part = scene.parts["sphere_elastic"]
+    chosen = part.type.reduction(part, scene)
+    assert chosen.order is None
+    assert chosen.band[1] > 2.65e6
+
+
 def hertz(mass, radius, speed):
     """Time [s] and depth [m] of the impact of an elastic sphere on a rigid plane (Johnson 1985,
     11.3): ``2.868 (m^2 / (R E*^2 v))^(1/5)``, ``(15 m v^2 / (16 sqrt(R) E*))^(2/5)``."""
