@@ -17,7 +17,7 @@ from kc2spice.workflow.bench.plane import place_of_own
 TARGET = Path(__file__).parents[1] / "docs" / "bench" / "fronts.md"
 HEAD = """# Shipped settings and their fronts
 
-`kc2spice bench SCENE --repeats 3` of each scene whose run takes less than a second, CPU times of
+`kc2spice bench SCENE --repeats 3` of scenes whose run takes less than a second, CPU times of
 ngspice on a busy machine: `tools/fronts.py`. An error is the larger of the whole setting's and of
 the sum of what its values do alone, of the scene's metrics, against all keys at their finest. A
 setting is beaten by one as exact in clearly less time (a fifth and 5 ms less, and less than its
