@@ -61,6 +61,8 @@ ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
 CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
 FEW = 20  # events that are not too many for any reltol
 FLOOR = "floor"  # port of a rigid plane
+# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
+SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 PATCH, CARRIED = "patch", "dent"  # port of an elastic sphere, and the pin that meets it
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 
@@ -938,7 +940,7 @@ def contact_subcircuit(
         rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
         rate="v" if rigid[1] else "rateb",
     )
-    return Subcircuit(name, pins, params, text)
+    return Subcircuit(name, pins, params, text, no_module=SLIPS if law.friction else "")
 
 
 def _validity(law: Normal) -> str:

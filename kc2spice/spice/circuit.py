@@ -34,7 +34,8 @@ class Param:
 class Subcircuit:
     """One part: its ``.subckt``, pin table and the text of its library file.
 
-    ``file`` is the name of that file where it is not ``NAME.lib``.
+    ``file`` is the name of that file where it is not ``NAME.lib``. ``no_module`` says why it must
+    not become a Verilog-A module, "" where it may.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Subcircuit:
     params: tuple[Param, ...]
     text: str
     file: str = ""
+    no_module: str = ""
 
     @property
     def filename(self) -> str:

@@ -28,6 +28,9 @@ def library(
     UsageError : a construct without a Verilog-A form (waveforms, hysteresis, global ground).
     """
     parts = tuple(parts)
+    for part in parts:
+        if part.no_module:
+            raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
     files = {part.filename: part.text for part in known or parts}
     main = "\n".join(["* parts", *(f".include {name}" for name in files)])
     top = circuit("parts", {"parts": main, **files})

@@ -11,11 +11,14 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
+from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
-from kc2spice.spice.dialect import DIALECTS, dialect_files, translate
+from kc2spice.spice.dialect import DIALECTS, dialect_files, translate, translate_text
+from kc2spice.spice.header import Header
 from kc2spice.spice.lint import problems
+from kc2spice.spice.veriloga import library
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
 
@@ -142,6 +145,42 @@ def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
             assert before == after
         for line in cards(text):
             card.parse_string(line)
+
+
+PRESSED = Normal(
+    1e9, 1.5, curve=(1.0, 0.2, -0.1, 0.1, 0.0, 0.1), depth=1e-5, pace=1e-8, radius=1e-3
+)
+LAWS = {
+    "hertz": Normal(1e9, 1.5), "damped": Normal(1e7, damping=0.5),
+    "hertz, damped": Normal(1e9, 1.5, damping=0.5), "dry": Normal(1e7, friction=0.3),
+    "pressure": PRESSED,
+}  # fmt: skip
+
+
+def pressing(law):
+    header = Header("laws", "0")
+    return contact_subcircuit(header, ("patch",), np.zeros(1), law)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_every_law_of_a_contact_is_in_the_grammar(dialect, law):
+    part, card = pressing(LAWS[law]), grammar(dialect)
+    text = translate_text(part.text, part.filename, dialect)
+    assert len(cards(text)) == len(cards(part.text))
+    for line in cards(text):
+        card.parse_string(line)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_of_a_contact_is_a_module_but_friction(law):
+    part = pressing(LAWS[law])
+    if law == "dry":
+        with pytest.raises(UsageError, match="friction"):
+            library([part])
+    else:
+        (text,) = library([part]).values()
+        assert "endmodule" in text
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])

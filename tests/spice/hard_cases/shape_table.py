@@ -35,9 +35,9 @@ FORMS = {
     "rings, 25 um, massless": FINE,
     "pressure, 20 um": (PRESSURE, "contact.spacing=20 um"),
     "pressure, 10 um": (PRESSURE,),
-    "pressure, 10 um, order 20": (PRESSURE, "rom.order=20"),
-    "pressure, 10 um, on rings of 25 um": (PRESSURE, *FINE),
     "pressure, 5 um": (PRESSURE, "contact.spacing=5 um"),
+    "pressure, 5 um, order 20": (PRESSURE, "contact.spacing=5 um", "rom.order=20"),
+    "pressure, 5 um, on rings of 25 um": (PRESSURE, "contact.spacing=5 um", *FINE),
     "pressure, 2.5 um": (PRESSURE, "contact.spacing=2.5 um"),
 }
 CLOSE = "solver.reltol=1e-6"
