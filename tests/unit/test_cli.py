@@ -74,7 +74,8 @@ LATE = {"numpy", "pydantic", "jinja2"}
 @pytest.mark.parametrize(
     ("module", "heavy"),
     [
-        ("cli", BUILDERS | LATE), ("report.plotworker", BUILDERS | LATE),
+        ("cli", BUILDERS | LATE),
+        ("report.plotworker", BUILDERS | LATE),
         ("workflow.run", BUILDERS),
     ],
     ids=["help", "what draws, before it is forked", "run with cached models"],

@@ -84,7 +84,7 @@ class Contacts:
         runs = [
             transient(
                 self.system, self.surface, ball, step=LAUNCH_STEP, stop=LAUNCH_STOP,
-                voltage=Drive(voltage=volts, start=0.0).waveform.value, resting=True,
+                voltage=Drive(voltage=volts, start=0.0).waveform, resting=True,
             )
             for volts in LAUNCH_VOLTAGES
         ]  # fmt: skip

@@ -64,7 +64,8 @@ def main() -> None:
         made_of = material(name)
         (rigid, _), (soft, mode) = (
             numbers(
-                f"sphere.material={name}", f"sphere.density={made_of.density!r}",
+                f"sphere.material={name}",
+                f"sphere.density={made_of.density!r}",
                 f"sphere.elastic={elastic}",
             )
             for elastic in ("false", "true")
