@@ -13,7 +13,7 @@ from hard_cases.budgets import drawn, judged
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("number", [0, 3, 5, 6, 9])
+@pytest.mark.parametrize("number", [0, 3, 5, 16])
 def test_a_budget_holds_or_the_run_says_that_it_does_not(number):
     found = judged(number)
     assert found.outcome in ("holds", "said"), found
