@@ -36,6 +36,9 @@ DEARER = 9.0  # times a run: 4.6 times the points, of twice the states
 LIMIT = 1e-2  # error_budget where the scene has one
 NEAR = 0.3  # of its limit: a check of too coarse steps that passes, but leaves a doubt
 SHRINKS = 0.5  # error of the closer run over its distance from the first: 0.2 to 0.45 seen
+# What a budget allows for besides, where a part has doubts: at 0.09 % damping 39 and 78 states
+# agree to 2e-5, and 96 launch 1.4e-4 faster.
+ALLOWED = 3e-4
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,9 @@ def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check |
         apart = _apart(scene, key, ours, solution(found.waves, closer))
     except SimulationError:
         return check
-    first, own = (replace(check, value=share * apart) for share in (1 + SHRINKS, SHRINKS))
+    doubted = any(reason for p in scene.parts.values() for reason in p.type.doubts(p, scene))
+    spare = ALLOWED if doubted and scene.error_budget is not None else 0.0
+    first, own = (replace(check, value=share * apart + spare) for share in (1 + SHRINKS, SHRINKS))
     return Closer(closer, found, first, own)
 
 

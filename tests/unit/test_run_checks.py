@@ -129,6 +129,16 @@ def test_reduction_is_compared_with_twice_the_states(closer):
         assert richer.closer_run(silent, outcome, Clock()) is None
 
 
+def test_a_budget_allows_for_what_two_runs_may_both_miss(closer):
+    """Light damping: twice the states may agree and both be off."""
+    speeds, outcome = closer
+    scene = load_scene(LOOP, {"kick.damping.ratio": 1e-3, "error_budget": 1e-4})
+    speeds += [0.30, 0.24]
+    found = richer.closer_run(Build(scene, {"kick": Model()}), outcome, Clock())
+    assert found.check.value == pytest.approx(1.5 * 0.25 + richer.ALLOWED)
+    assert found.own.value == pytest.approx(0.5 * 0.25 + richer.ALLOWED)
+
+
 @pytest.mark.parametrize("volts", [-100.0, 40.0, 100.0])
 def test_a_closer_run_asks_ngspice_for_less(volts):
     """Of what the decks say: a low kick asks for a thirtieth where its ringing is coarse."""
