@@ -23,10 +23,12 @@ OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 14 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
 
-SAMPLE ?= 40
-mutants: setup  ## do tests notice changed operators? SAMPLE of each package, hours: docs/mutants.md
+SAMPLE ?= 100
+SEED ?= 1
+mutants: setup  ## do tests notice changed operators? SAMPLE of them, half an hour: docs/mutants.md
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
-	.venv/bin/python tools/mutants.py --sample $(SAMPLE)
+	[ -e build/mutants/times.json ] || .venv/bin/python tools/mutants.py record
+	.venv/bin/python tools/mutants.py run --sample $(SAMPLE) --seed $(SEED)
 
 netlists: setup  ## write the committed netlists anew
 	for scene in kc2spice/scenes/*.toml; do \

@@ -1,123 +1,342 @@
 """Mutation testing by cosmic-ray: does a test fail when one operator or number is changed?
 
-    python tools/mutants.py [--sample N] [--seed S] [--out docs/mutants.md]
+    python tools/mutants.py record [TESTS …]        which test executes which line: 20 minutes
+    python tools/mutants.py run [--sample N] [--seed S] [--only PACKAGE …] [--out FILE]
 
-A sample of all mutants of each package below runs in a copy of the repository against the tests
-that know the package; what survives is written with file, line and change.
+``record`` runs the tests (all that are not slow, or those named, on top of what is known) under
+coverage. ``run`` draws N places of the packages below, one mutant each, and runs those tests that
+execute its lines, fastest first, until one fails. What is no behaviour is not drawn: annotations,
+messages of errors, plots, sketches and words, and whole constants of a module above two (one sample
+more is as good a choice). Both work on a copy in ``build/mutants``, made by the first ``record``.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import json
 import os
 import random
-import shutil
+import re
+import resource
+import signal
 import subprocess
 import sys
-import tempfile
+import time
+from collections import Counter, defaultdict
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
-
-from cosmic_ray.work_db import WorkDB, use_db
-from cosmic_ray.work_item import WorkerOutcome, WorkItem, WorkResult
+from shutil import copytree, ignore_patterns
 
 ROOT = Path(__file__).parents[1]
-TESTS = {  # fast ones first: the first failure ends a mutant
-    "kc2spice/rom": "tests/unit/test_rom_io.py tests/physics/test_certificates.py "
-    "tests/unit/test_reduce_scene.py",
-    "kc2spice/spice": "tests/unit/test_lint.py tests/unit/test_scan.py tests/unit/test_naming.py "
-    "tests/unit/test_read_lib.py tests/unit/test_keys_reach.py tests/spice/test_dialect.py "
-    "tests/spice/test_symbols.py tests/spice/test_veriloga.py tests/spice/test_kick_subcircuit.py",
-    "kc2spice/parts": "tests/unit/test_grammar.py tests/unit/test_keys_reach.py "
-    "tests/unit/test_metrics.py tests/unit/test_run_checks.py tests/spice/test_parts.py",
-    "kc2spice/sim": "tests/unit/test_run_checks.py tests/spice/test_engine.py "
-    "tests/spice/test_retries.py",
-    "kc2spice/workflow/verify": "tests/unit/test_verify_report.py tests/spice/test_verify.py",
-}
-TIMEOUT = 900.0  # s; a mutant that hangs is killed
+HOME = ROOT / "build" / "mutants"
+COPY, DATA, TIMES = HOME / "copy", HOME / "coverage", HOME / "times.json"
+ALL = HOME / "all.sqlite"
+PACKAGES = ("rom", "spice", "parts", "sim", "workflow/verify")
+LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
+            "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip
+SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|Panel|Curve|Line2D")
+WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
+DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
+FORMAL = {"dataclass", "lru_cache", "cache", "Field"}
+ROUNDS = ((30, 20.0), (80, 60.0))  # tests, and seconds that they took: first, then for survivors
+ALIKE = 3  # cases of one test in the first round
+SLOWER, START = 3.0, 30.0  # times the CPU time, and seconds more, that a mutant may take
+WAITED = 8.0  # times that of wall time: other programs may run beside
+MEMORY = 6 << 30  # bytes
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of one place, what became of it and which test found it."""
+
+    path: str
+    line: int
+    operator: str
+    occurrence: int
+    change: str
+    killed: bool
+    by: str
+    seconds: float
 
 
 def main() -> int:
-    """Run the sample of each package and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sample", type=int, default=40, help="mutants of each package")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", nargs="*", default=list(TESTS), help="packages")
-    parser.add_argument("--out", type=Path, help="page to write instead of printing it")
+    """Record, or draw and run."""
+    plain = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("record").add_argument("tests", nargs="*")
+    run = commands.add_parser("run")
+    run.add_argument("--sample", type=int, default=100, help="mutants of all packages together")
+    run.add_argument("--seed", type=int, default=1)
+    run.add_argument("--only", nargs="*", default=list(PACKAGES))
+    run.add_argument("--again", type=Path, help="run the survivors of this earlier --out")
+    run.add_argument("--out", type=Path, default=HOME / "mutants.json")
     asked = parser.parse_args()
-    rows, survivors = [], []
-    with tempfile.TemporaryDirectory() as directory:
-        copy = Path(directory) / "copy"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "build", "out"))
-        for package in asked.only:
-            database = Path(directory) / f"{package.replace('/', '_')}.sqlite"
-            total, done = tested(copy, package, database, asked.sample, asked.seed)
-            alive = [item for item, result in done if not result.is_killed]
-            rows.append((package, total, len(done), len(done) - len(alive)))
-            survivors += [described(item, result) for item, result in done if not result.is_killed]
-    page = "\n".join(written(rows, survivors, asked.seed))
-    if asked.out:
-        asked.out.write_text(page, encoding="utf-8")
-    sys.stdout.write(page)
+    if asked.command == "record":
+        return record(asked.tests)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # puts the mutated source back
+    drawn = draw(asked.only, asked.sample, asked.seed)
+    if asked.again:
+        alive = {(m["path"], m["operator"], m["occurrence"])
+                 for m in json.loads(asked.again.read_text()) if not m["killed"]}  # fmt: skip
+        drawn = [item for item in drawn if (item.path, item.operator, item.occurrence) in alive]
+    done = []
+    for mutant in map(judged(), drawn):
+        done.append(mutant)
+        asked.out.write_text(json.dumps([asdict(each) for each in done], indent=1))
+        print("killed  " if mutant.killed else "SURVIVED", mutant.path, mutant.line, mutant.change,
+              mutant.by, f"{mutant.seconds:.0f} s", flush=True)  # fmt: skip
+    print(*page(done, asked.seed), sep="\n")
     return 0
 
 
-def tested(
-    copy: Path, package: str, database: Path, sample: int, seed: int
-) -> tuple[int, list[tuple[WorkItem, WorkResult]]]:
-    """The number of all mutants of a package, and those of the sample with their results."""
-    config = database.with_suffix(".toml")
-    command = f"{sys.executable} -m pytest -q -x -m 'not slow' -p no:cacheprovider {TESTS[package]}"
-    config.write_text(
-        f'[cosmic-ray]\nmodule-path = "{package}"\ntimeout = {TIMEOUT}\nexcluded-modules = []\n'
-        f'test-command = "{command}"\n[cosmic-ray.distributor]\nname = "local"\n'
-    )
-    environment = dict(os.environ, PYTHONPATH=str(copy))
-    tool = [sys.executable, "-m", "cosmic_ray.cli"]
-    run = {"cwd": copy, "env": environment, "check": True}
-    subprocess.run([*tool, "init", str(config), str(database)], **run)
-    with use_db(database, WorkDB.Mode.open) as db:
-        jobs = sorted(item.job_id for item in db.work_items)
-        keep = {item.job_id for item in chosen(list(db.work_items), sample, seed)}
-        for job in jobs:
-            if job not in keep:
-                db.set_result(job, WorkResult(worker_outcome=WorkerOutcome.SKIPPED))
-    subprocess.run([*tool, "exec", str(config), str(database)], **run)
-    with use_db(database, WorkDB.Mode.open) as db:
-        results = dict(db.results)
-        return len(jobs), [(i, results[i.job_id]) for i in db.work_items if i.job_id in keep]
+def record(tests: list[str]) -> int:
+    """Run ``tests`` under coverage; with none named, all, from the beginning."""
+    HOME.mkdir(parents=True, exist_ok=True)
+    for known in (ALL, *(() if tests else (DATA, TIMES))):
+        known.unlink(missing_ok=True)
+    skip = ignore_patterns(".git", ".venv", "build", "out", "__pycache__", ".*_cache")
+    copytree(ROOT, COPY, ignore=skip, dirs_exist_ok=True)
+    hashed = ["-m", "compileall", "-q", "--invalidation-mode", "checked-hash", "kc2spice"]
+    subprocess.run([sys.executable, *hashed], cwd=COPY, check=True)
+    command = [sys.executable, "-m", "coverage", "run", "--source=kc2spice"]
+    command += ["--append"] if tests else []
+    command += ["-m", "pytest", "-q", "-m", "not slow", "-p", "which_tests"]
+    command += ["-p", "no:cacheprovider", *(f"--ignore={each}" for each in LEFT_OUT), *tests]
+    path = os.pathsep.join([str(COPY), str(COPY / "tools")])
+    environment = {"PYTHONPATH": path, "COVERAGE_FILE": str(DATA), "TIMES": str(TIMES)}
+    return subprocess.run(command, cwd=COPY, env=os.environ | environment, check=False).returncode
 
 
-def chosen(items: list[WorkItem], sample: int, seed: int) -> list[WorkItem]:
-    """A sample that is the same for the same source; annotations' operators are no code."""
-
-    def place(item: WorkItem) -> tuple[object, ...]:
-        one = item.mutations[0]
-        return str(one.module_path), one.start_pos, one.operator_name, one.occurrence
-
-    real = [i for i in items if "BitOr" not in i.mutations[0].operator_name]
-    return random.Random(seed).sample(sorted(real, key=place), min(sample, len(real)))
+# ----------------------------------------------------------------------------------- drawing
 
 
-def described(item: WorkItem, result: WorkResult) -> str:
-    """Where a survivor is and what it changed."""
-    one = item.mutations[0]
-    lines = [
-        x for x in (result.diff or "").splitlines() if x[:1] in "+-" and x[:3] not in ("+++", "---")
-    ]
-    change = " → ".join(f"`{line[1:].strip()}`" for line in lines)
-    return f"| {one.module_path}:{one.start_pos[0]} | {change} | |"
+@dataclass(frozen=True)
+class Item:
+    """A mutant to run: its operator is asked for its ``occurrence`` in the module."""
+
+    path: str
+    line: int
+    last: int
+    operator: str
+    occurrence: int
 
 
-def written(
-    rows: list[tuple[str, int, int, int]], survivors: list[str], seed: int
-) -> Iterator[str]:
-    """The page, line by line."""
-    yield from ("# Mutants", "", f"`make mutants`, cosmic-ray, seed {seed}.", "")
-    yield from ("| package | mutants in all | sampled | killed |", "|---|---|---|---|")
-    for package, total, count, killed in rows:
-        yield f"| `{package}` | {total} | {count} | {killed} ({killed / max(count, 1):.0%}) |"
-    yield from ("", "| survivor | change | reason |", "|---|---|---|", *survivors, "")
+def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
+    """One mutant of each of ``sample`` places; the same for the same source."""
+    from cosmic_ray.commands.init import init
+    from cosmic_ray.work_db import WorkDB, use_db
+
+    files = [path for each in packages for path in _modules(each)]
+    texts = {path: path.read_text(encoding="utf-8") for path in files}
+    places = defaultdict(list)
+    if not ALL.exists():  # finding all takes minutes
+        part = ALL.with_suffix(".part")
+        with use_db(str(part), WorkDB.Mode.create) as database:
+            init(sorted(path for each in PACKAGES for path in _modules(each)), database, {})
+        part.rename(ALL)
+    with use_db(str(ALL), WorkDB.Mode.open) as database:
+        for item in database.work_items:
+            one = item.mutations[0]
+            if Path(one.module_path) in texts:
+                places[Path(one.module_path), one.start_pos, one.end_pos].append(one)
+    quiet = {path: list(_no_behaviour(text)) for path, text in texts.items()}
+    real = sorted(key for key in places if not any(a <= key[1] < b for a, b in quiet[key[0]]))
+    rng = random.Random(seed)
+    print(f"{len(real)} places of {len(places)}", flush=True)
+    found = []
+    for place in rng.sample(real, min(sample, len(real))):
+        several = sorted(places[place], key=lambda m: (m.operator_name, m.occurrence))
+        one = rng.choice(several)
+        path, (line, _), (last, _) = place
+        name = str(path.relative_to(COPY))
+        found.append(Item(name, line, last, one.operator_name, one.occurrence))
+    return found
+
+
+def _modules(package: str) -> list[Path]:
+    every = (COPY / "kc2spice" / package).rglob("*.py")
+    return sorted(path for path in every if path.stem not in DRAWN)
+
+
+def _no_behaviour(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """From where to where nothing is drawn."""
+
+    def span(node: ast.AST | None) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+        if node is not None:
+            yield (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
+
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.AnnAssign | ast.arg):
+            yield from span(node.annotation)
+        if isinstance(node, ast.FunctionDef):
+            yield from span(node.returns)
+            for decorator in node.decorator_list:
+                (line, column), end = next(span(decorator))
+                yield (line, column - 1), end
+            if node.name in WORDS:
+                yield from span(node)
+        if isinstance(node, ast.ClassDef):
+            for decorator in node.decorator_list:
+                (line, column), end = next(span(decorator))
+                yield (line, column - 1), end
+        if isinstance(node, ast.Raise | ast.Assert):
+            yield from span(node)
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if SAID.fullmatch(name) or name in FORMAL:
+                yield from span(node)
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+            yield from span(node)
+    for node in tree.body:  # one sample more or less is as good a choice
+        if isinstance(node, ast.Assign):
+            for each in ast.walk(node.value):
+                value = getattr(each, "value", None)
+                if isinstance(value, int) and value > 2:
+                    yield from span(each)
+
+
+def _difference(before: str, after: str) -> str:
+    old, new = before.splitlines(), after.splitlines()
+    if len(old) != len(new):
+        return "a line fewer"
+    pairs = [(a.strip(), b.strip()) for a, b in zip(old, new, strict=True) if a != b]
+    return "; ".join(f"`{a}` → `{b}`" for a, b in pairs)
+
+
+# ----------------------------------------------------------------------------------- running
+
+
+def judged():
+    """``Item -> Mutant``, by the tests that were recorded."""
+    import coverage
+    from cosmic_ray.mutating import use_mutation
+    from cosmic_ray.plugins import get_operator
+
+    data = coverage.CoverageData(basename=str(DATA))
+    data.read()
+    measured = {f"kc2spice/{n.rpartition('/kc2spice/')[2]}": n for n in data.measured_files()}
+    times = json.loads(TIMES.read_text())
+    _preload()
+
+    def judge(item: Item) -> Mutant:
+        started = time.perf_counter()
+        lines = data.contexts_by_lineno(measured.get(item.path, item.path))
+        tests = chosen(lines, item, times)
+        operator = get_operator(item.operator)()
+        killed, by = False, "no test executes it"
+        with use_mutation(COPY / item.path, operator, item.occurrence) as texts:
+            change = _difference(*texts)
+            for each in tests:
+                killed, by = _fails(each, sum(_cost(test, times) for test in each))
+                if killed:
+                    break
+        spent = time.perf_counter() - started
+        return Mutant(
+            item.path, item.line, item.operator, item.occurrence, change, killed, by, spent
+        )
+
+    return judge
+
+
+def chosen(lines: dict[int, list[str]], item: Item, times: dict[str, float]) -> Iterator[list[str]]:
+    """Tests of each round. What a test's fixtures execute concerns its whole file; what an import
+    executes concerns all tests of the module."""
+    own = {c for k in range(item.line, item.last + 1) for c in lines.get(k, []) if c}
+    own = own or {context for each in lines.values() for context in each if context}
+    files = {c.partition("::")[0] for c in own if c.endswith("|setup")}
+    exact = {context.rpartition("|")[0] for context in own}
+    tests = {test for test in times if test in exact or test.partition("::")[0] in files}
+    kept: list[tuple[bool, str]] = []
+    counts: Counter[str] = Counter()
+    for test in sorted(tests, key=lambda test: (test not in exact, _cost(test, times))):
+        kept.append((counts[name := test.partition("[")[0]] >= ALIKE, test))
+        counts[name] += 1
+    queue = [test for _, test in sorted(kept, key=lambda pair: pair[0])]
+    for count, seconds in ROUNDS:
+        round_: list[str] = []
+        spent = 0.0
+        while queue and len(round_) < count and spent + _cost(queue[0], times) <= seconds:
+            spent += _cost(queue[0], times)
+            round_.append(queue.pop(0))
+        if round_:
+            yield round_
+
+
+def _cost(test: str, times: dict[str, float]) -> float:
+    """Seconds of a test that runs alone: its file's fixtures are set up for it."""
+    return times[test] + times.get(f"{test.partition('::')[0]}|setup", 0.0)
+
+
+def _preload() -> None:
+    """What every test imports and no mutant changes: children inherit it."""
+    import gmsh  # noqa: F401
+    import hypothesis  # noqa: F401
+    import matplotlib.figure  # noqa: F401
+    import numpy  # noqa: F401
+    import pydantic  # noqa: F401
+    import pytest  # noqa: F401
+    import scipy.integrate
+    import scipy.interpolate
+    import scipy.io
+    import scipy.optimize
+    import scipy.sparse.linalg
+    import scipy.spatial  # noqa: F401
+    import skfem  # noqa: F401
+    import typer.testing  # noqa: F401
+
+
+def _fails(tests: list[str], seconds: float) -> tuple[bool, str]:
+    """Whether one of ``tests`` fails, and which; a mutant that hangs fails too."""
+    log = HOME / "mutant.log"
+    limit = SLOWER * seconds + START
+    child = os.fork()
+    if child == 0:
+        _child(tests, log, int(limit))
+    deadline = time.monotonic() + WAITED * limit
+    while time.monotonic() < deadline:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            found = re.search(r"(?m)^(?:FAILED|ERROR) (\S+)", log.read_text(errors="replace"))
+            code = os.waitstatus_to_exitcode(status)
+            return code != 0, found[1] if found else f"exit code {code}" if code else ""
+        time.sleep(0.05)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return True, "time"
+
+
+def _child(tests: list[str], log: Path, limit: int) -> None:
+    import pytest
+
+    os.setsid()
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    os.chdir(COPY)
+    sys.dont_write_bytecode = True
+    sys.path.insert(0, str(COPY))
+    os.environ |= {"PYTHONPATH": str(COPY), "KC2SPICE_CACHE": str(HOME / "cache")}
+    code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests])
+    sys.stdout.flush()
+    os._exit(int(code))
+
+
+def page(done: list[Mutant], seed: int) -> Iterator[str]:
+    """Tables of the scores and of the survivors."""
+    yield from (f"Seed {seed}:", "", "| package | mutants | killed |", "|---|---|---|")
+    for package in PACKAGES:
+        own = [m.killed for m in done if m.path.startswith(f"kc2spice/{package}/")]
+        yield f"| `{package}` | {len(own)} | {sum(own)} |"
+    killed = sum(m.killed for m in done)
+    yield f"| all | {len(done)} | {killed} ({killed / max(len(done), 1):.0%}) |"
+    yield from ("", "| survivor | change | reason |", "|---|---|---|")
+    yield from (f"| {m.path}:{m.line} | {m.change} | |" for m in done if not m.killed)
 
 
 if __name__ == "__main__":

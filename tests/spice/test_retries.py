@@ -9,9 +9,9 @@ from device import built, deck_of, edited
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock, silent
-from kc2spice.sim.failure import belongs_to
+from kc2spice.sim.failure import Failure, belongs_to
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.retries import RetriesFailedError, run_with_retries
+from kc2spice.sim.retries import RetriesFailedError, _farther, run_with_retries
 from kc2spice.sim.settings import RETRIES, Settings, next_setting, with_settings
 from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
@@ -183,3 +183,12 @@ def test_a_decks_own_settings_are_replaced_not_repeated(loop):
         assert float(tighter.option(name)) == pytest.approx(0.1 * float(loop.option(name)))
     assert float(tighter.command.words[3]) == pytest.approx(0.1 * float(loop.command.words[3]))
     assert with_settings(loop, RETRIES[0], Settings()) is loop
+
+
+def test_the_farthest_failure_is_the_latest_in_time():
+    at = [Failure("stuck", "timestep", time=s) for s in (2e-3, 1e-3)]
+    unknown = Failure("stuck", None)
+    assert _farther(*at) is at[0]
+    assert _farther(at[1], at[0]) is at[0]
+    assert _farther(at[0], unknown) is at[0]
+    assert _farther(None, unknown) is unknown

@@ -296,7 +296,7 @@ def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
 
 MATTERS = ("kick.damping.ratio=0.02", "kick.mesh.refine=2", "kick.material.density=7800",
            "kick.side=2e-3", "kick.layers=3", "rom.order=7", "rom.band=[0, 4e5]",
-           "contact.inertia=lumped", "catch.mu_r=1.2", "catch.refine=2",
+           "contact.inertia=lumped", "contact.rings=1", "catch.mu_r=1.2", "catch.refine=2",
            "catch.polarity=antiparallel", "catch.positions=5", "catch.ring.height=0.7e-3",
            "sphere.radius=0.9e-3")  # fmt: skip
 LATER = {"remanence", "shift", "points"}  # act on a field that is known

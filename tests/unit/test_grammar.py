@@ -286,3 +286,10 @@ def test_a_take_that_does_not_exist_is_refused():
         load_scene({"sphere": {}, "probes": {"top": {"of": "sphere.y", "take": "maxx"}}})
     assert "probes.top.take" in str(caught.value)
     assert math.isfinite(len(str(caught.value)))
+
+
+@pytest.mark.parametrize("part", [{"part": "spring", "stiffness": "1 N/m"},
+                                  {"part": "damper", "damping": "1 N s/m"}])  # fmt: skip
+def test_the_first_pin_of_a_spring_must_be_joined(part):
+    with pytest.raises(UsageError, match="pin a of x is not joined"):
+        load_scene({"name": "x", "x": part, "m": {"part": "mass", "mass": "1 g"}})
