@@ -227,7 +227,7 @@ def _rational(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
 ) -> Subspace:
     search = _Search(pencil, band, solver)
-    met, error, recent = 0, np.inf, [np.inf]
+    met, error, recent, idle = 0, np.inf, [np.inf], 0
     search.add(2j * np.pi * band[1])
     while search.points < MAX_POINTS and search.basis.shape[1] < STATES:
         error, grown = search.check(search.next_point())
@@ -235,8 +235,10 @@ def _rational(
         if search.points == MANY + 1 and pencil.size >= COSTLY:
             _explain(search.response, band, error, target)
         # An error that was found before the basis grew is no longer that of the projection.
-        recent = [*recent[-1:], error] if grown else [error]
-        if met == CONFIRMATIONS or not grown:
+        # A point beside a former one adds nothing, and says nothing of the rest of the band.
+        recent = [*recent[-1:], error] if grown or idle else [error]
+        idle = 0 if grown else idle + 1
+        if CONFIRMATIONS in (met, idle):
             break
     worst = max(recent)
     if worst > limit:
@@ -384,6 +386,7 @@ class _Search:
         new = np.column_stack([part for x in answers for part in _parts(x)])
         fresh = np.column_stack([np.empty((self.pencil.size, 0)), *_independent(self.basis, new)])
         if not fresh.shape[1]:
+            self._previous = self.response
             return
         self.basis = np.hstack([self.basis, fresh])
         for side in self._sides:
