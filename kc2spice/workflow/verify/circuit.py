@@ -25,7 +25,7 @@ from kc2spice.reference.integrate import Result, transient
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import replacements, swept
 
-RTOL = 3e-9  # of the integrator; at 1e-8 a sphere that rings at megahertz loses 5e-7 of its energy
+RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 # Kind of a pin: the source that can stand for a part there, and the factor to SI of ngspice's node.
 SOURCES = {"electrical": ("voltage", 1.0), "displacement": ("displacement", 1e-6),
            "signal": ("signal", 1.0)}  # fmt: skip
