@@ -320,7 +320,7 @@ class Contact(PartType):
             yield ErrorRow(
                 f"hats of {part.name}", None, spacing_error(part, scene),
                 f"{part.name}.spacing {part.keys.spacing:g} m",
-                "largest of the static force, against hats twice as wide",
+                "largest of the static force, against hats half as wide",
             )  # fmt: skip
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
@@ -459,18 +459,18 @@ def _dents(part: Part, scene: Scene, shape: Hats) -> Dents:
 
 
 def spacing_error(part: Part, scene: Scene) -> float:
-    """By how much the force of the hats differs from that of hats twice as wide, relative, at
-    depths from a fifth of what the scene can reach on; the patch's own give is part of both."""
+    """By how much the force of the hats differs from that of hats half as wide, relative, at
+    depths from half of what the scene can reach on; the patch's own give is part of both."""
     from kc2spice.bodies.pressure import hats
 
     a, b = sides(part, scene)
     assert b.radius is not None
     forces = []
-    for wider in (1, 2):
+    for wider in (1.0, 0.5):
         shape = hats(wider * part.keys.spacing, a.patch)
         found = _dents(part, scene, shape)
         law = _dented(shape.nodes.tobytes(), (found.compliance + found.patch).tobytes(), b.radius)
-        depth = np.linspace(0.2, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
+        depth = np.linspace(0.5, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
         powers = 3 + np.arange(len(law.coefficients))
         s = np.sqrt(depth / law.depth)[:, None]
         forces.append((s**powers) @ np.array(law.coefficients))
