@@ -60,9 +60,13 @@ def ac(start: float, stop: float, points: int, scale: str) -> Command:
 
 
 def dc(source: str, first: float, last: float, points: int) -> Command:
-    """``.dc`` of a source, in its own unit."""
+    """``.dc`` of a source, in its own unit.
+
+    The simulator adds step to step; a quarter of one beyond the end keeps rounding from losing the
+    last point.
+    """
     step = (last - first) / (points - 1)
-    return Command("dc", (source, number(first), number(last), number(step)))
+    return Command("dc", (source, number(first), number(last + step / 4), number(step)))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
