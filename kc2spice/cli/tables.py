@@ -27,6 +27,9 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
+        errors = rom.get("above_band_compliance_error", ())
+        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True):
+            rows.append((f"compliance at {f:g} Hz", f"{error:.2g} off, which contact sees"))
         if "contact_error" in rom:
             rows.append(("error of the launch", contact_error(rom["contact_error"])))
         print_table("reduced model", rows)

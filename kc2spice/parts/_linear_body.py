@@ -332,6 +332,9 @@ class LinearBody(PartType):
                 "stable": certificate.stable,
                 "passive": certificate.passive,
             }
+            if certificate.above:
+                frequency, error = map(list, zip(*certificate.above, strict=True))
+                found |= {"above_band_hz": frequency, "above_band_compliance_error": error}
         return found
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:

@@ -122,6 +122,7 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
         _printable(facts["method"], 1000),
         bool(facts["stable"]),
         bool(facts["passive"]),
+        tuple((float(f), float(error)) for f, error in facts.get("above", ())),
     )
     letters = _letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
@@ -133,7 +134,9 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
             raise ValueError(f"matrix {letter} is {array.dtype} {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError(f"matrix {letter} is not finite")
-    if not all(np.isfinite([*certificate.band_hz, certificate.error_estimate])):
+    if not all(np.isfinite([*certificate.band_hz, certificate.error_estimate])) or not all(
+        np.isfinite(pair).all() for pair in certificate.above
+    ):
         raise ValueError("the certificate is not finite")
     return LinearModel(ports=ports, certificate=certificate, **arrays)
 

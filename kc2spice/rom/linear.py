@@ -87,7 +87,9 @@ class Certificate:
     """What is known about a reduced model's error with respect to the *full* model.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``;
-    ``method`` names the estimator.
+    ``method`` names the estimator. ``above`` is what contact sees beyond the band and nothing
+    bounds: frequency [Hz] and the largest relative difference there of a mechanical port's own
+    compliance to the larger model that the estimate compares with.
     """
 
     band_hz: tuple[float, float]
@@ -95,6 +97,7 @@ class Certificate:
     method: str
     stable: bool
     passive: bool
+    above: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)

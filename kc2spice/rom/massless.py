@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.modal import Resonators
-from kc2spice.rom.response import Judge, Response, telling
+from kc2spice.rom.response import Judge, Response, above_band, telling
 
 SHARE = 1e-3  # of a port's static compliance: what its answer at the band's end may change by
 # The same where the lowest mode that is left out would ring: its damping ratio is below RINGS. Such
@@ -49,12 +49,15 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
     for count in range(_beyond(model, band[1]), 0, -1):
         found = _relaxing(model, count)
         error = certificate.error_estimate
-        error += judge.error(Response(found.linear().pencil))
+        light = Response(found.linear().pencil)
+        error += judge.error(light)
         if tolerance is None or error <= tolerance:
             cut = found.omega[-1] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
+            more = dict(above_band(model.ports, exact, light, band))
+            above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
             return replace(found, certificate=replace(certificate, error_estimate=error,
-                                                      method=method))  # fmt: skip
+                                                      method=method, above=above))  # fmt: skip
     return model
 
 

@@ -30,7 +30,7 @@ from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
-from kc2spice.rom.response import Judge, Response, around, grid, telling
+from kc2spice.rom.response import Judge, Response, above_band, around, grid, telling
 from kc2spice.rom.structure import Structure, structure
 from kc2spice.rom.subspace import Subspace, is_definite, subspace
 
@@ -137,7 +137,7 @@ def _krylov(
     frequency = telling(reference, band, True)
     error = SAFETY * Judge(reference, frequency, band).error(Response(reduced))
     method = f"difference to {large.size} states at resonances, flanks and notches"
-    return _certified(model, reduced, band, error, method, structure(reduced, band))
+    return _certified(model, reduced, reference, band, error, method, structure(reduced, band))
 
 
 @dataclass(frozen=True)
@@ -214,14 +214,17 @@ class Reduction:
         if not self.space.static:
             method += "; free to move at zero frequency"
         reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
-        return _certified(self.full, reduced, self.band, error, method, found)
+        return _certified(self.full, reduced, self.whole, self.band, error, method, found)
 
 
 def _certified(
-    model: LinearModel, reduced: Pencil, band: tuple[float, float], error: float, method: str,
-    found: Structure,
+    model: LinearModel, reduced: Pencil, larger: Response, band: tuple[float, float], error: float,
+    method: str, found: Structure,
 ) -> LinearModel:  # fmt: skip
-    certificate = Certificate(band, max(error, ROUNDING), method, found.stable, found.passive)
+    above = above_band(model.ports, larger, Response(reduced), band)
+    certificate = Certificate(
+        band, max(error, ROUNDING), method, found.stable, found.passive, above
+    )
     rest, *others = reduced.coefficients
     letters = {"A": -rest, "E": others[0]} if reduced.degree == 1 else {
         "K": rest, "E": others[0], "M": others[1],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -10,6 +11,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigh, null_space
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.rom.linear import Port
 from kc2spice.rom.pencil import Pencil
 
 # Errors of entries this far below their own peak are measured against this part of the peak.
@@ -22,6 +24,7 @@ COUPLING = 1e-9
 # are then measured on its flanks, at this relative distance.
 SHARPEST = 3e-7
 FLANK = 1e-4
+ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
 NOTCHES, ZOOM, ROUNDS = 60, 9, 4
@@ -291,6 +294,23 @@ class Judge:
             order = np.argsort(frequency)
             frequency, error = frequency[order], error[order]
         return float(error.max())
+
+
+def above_band(
+    ports: Sequence[Port], exact: Response, found: Response, band: tuple[float, float]
+) -> tuple[tuple[float, float], ...]:
+    """``above`` of a :class:`Certificate`: the largest relative difference of any mechanical port's
+    own response, at ``ABOVE`` times the band's end; nothing where no port is mechanical."""
+    columns = [port for port in ports if port.kind != "output"]
+    rows = [port for port in ports if port.kind != "input"]
+    moved = [port for port in ports if port.kind in ("mechanical", "rotational")]
+    if not moved:
+        return ()
+    points = clear_of_poles(ABOVE * band[1], *exact.resonances)
+    own = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
+    H, ours = (each.transfer(2j * np.pi * points)[:, *own] for each in (exact, found))
+    size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
+    return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:

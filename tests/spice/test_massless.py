@@ -62,6 +62,19 @@ def test_the_cut_is_that_of_its_criterion(lumped, light):
     assert 0 < error.max() <= light.certificate.error_estimate
 
 
+def test_what_contact_sees_above_the_band_is_added(lumped):
+    before = dataclasses.replace(lumped.certificate, above=((1e6, 0.1), (2e6, 0.4)))
+    light = without_inertia(dataclasses.replace(lumped, certificate=before))
+    frequency = np.array([1e6, 2e6])
+    exact, found = (
+        np.diagonal(each.transfer(frequency), axis1=1, axis2=2)[:, :6] for each in (lumped, light)
+    )
+    more = np.abs(found / exact - 1).max(axis=1)
+    assert more.min() > 1e-5
+    said = [error for _, error in light.certificate.above]
+    np.testing.assert_allclose(said, np.array([0.1, 0.4]) + more, rtol=1e-9)
+
+
 def test_a_tolerance_is_kept(lumped):
     for tolerance in (1.5e-3, 1e-2):
         found = without_inertia(lumped, tolerance)

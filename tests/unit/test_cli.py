@@ -43,7 +43,8 @@ def study(monkeypatch):
         return {
             "scene": scene.name,
             "model": {"kick": {"mass_kg": 1.386e-4, "unknowns": 16722}},
-            "rom": {"order": 30, "band_hz": [0.0, 5e5], "error_estimate": 1e-3},
+            "rom": {"order": 30, "band_hz": [0.0, 5e5], "error_estimate": 1e-3,
+                    "above_band_hz": [1e6], "above_band_compliance_error": [0.11]},
             "metrics": {"caught": True, "launch_velocity_m_s": 1.02, "curve": [1, 2]},
             "wall_s": {"mesh": 0.5},
             "files": ["result.json"],
@@ -93,7 +94,8 @@ def test_run_prints_tables(cli, study, tmp_path):
     scene, out = study.calls[0]
     assert scene.parts["kick"].keys.drive.voltage == 80
     assert out.resolve() == tmp_path / "kick_and_catch"
-    for word in ("138.6 mg", "16 722", "launch velocity", "1.02 m/s", "yes", "result.json"):
+    for word in ("138.6 mg", "16 722", "launch velocity", "1.02 m/s", "yes", "result.json",
+                 "compliance at 1e+06 Hz", "0.11 off, which contact sees"):  # fmt: skip
         assert word in done.stdout
     assert "mesh: building" in done.stderr
 

@@ -289,7 +289,7 @@ EVIL = "x\n.control\nshell touch pwned\n.endc"
 
 
 WORDS = [("ports", 0, key) for key in ("name", "kind", "across", "flow")]
-FACTS = [("certificate", key) for key in ("method", "band_hz", "error_estimate")]
+FACTS = [("certificate", key) for key in ("method", "band_hz", "error_estimate", "above")]
 
 
 @pytest.mark.parametrize(
@@ -299,6 +299,7 @@ FACTS = [("certificate", key) for key in ("method", "band_hz", "error_estimate")
         *itertools.product(FACTS, [EVIL, [EVIL], "x" * 2_000, [0.0, float("inf")]]),
         (("certificate", "method"), 3),
         (("certificate", "band_hz"), [float("nan"), 1.0]),
+        (("certificate", "above"), [[1e6, float("nan")]]),
     ],
     ids=str,
 )
