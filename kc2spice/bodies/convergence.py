@@ -10,7 +10,6 @@ from typing import Any
 from kc2spice.rom.linear import LinearModel
 
 HEADLINES = ("resonance_short_hz", "resonance_hz", "capacitance_free_f")
-GROWTH = 6.0  # time of a mesh with halved cells against that of the mesh itself
 
 
 @dataclass(frozen=True)
@@ -25,15 +24,17 @@ class MeshError:
     seconds: float
 
 
-def headline_error(build: Callable[[int], LinearModel], limit: float) -> MeshError | None:
+def headline_error(
+    build: Callable[[int], LinearModel], limit: float, growth: float
+) -> MeshError | None:
     """Mesh error of the first of :data:`HEADLINES` that the body has; None if it has none.
 
     ``build(refine)`` gives the full model with every cell divided by ``refine``; the finer mesh is
-    left out where it would take more than ``limit`` [s].
+    left out where it would take more than ``limit`` [s], ``growth`` times as long as the coarse one.
     """
     start = time.process_time()
     coarse = build(1).facts
-    expected = GROWTH * (time.process_time() - start)
+    expected = growth * (time.process_time() - start)
     fact = next((name for name in HEADLINES if name in coarse), None)
     if fact is None:
         return None

@@ -45,7 +45,6 @@ app = typer.Typer(
 )
 
 
-
 def _scene_names(incomplete: str) -> list[str]:
     """What the shell offers; file names come from the shell itself."""
     from importlib import resources

@@ -24,6 +24,7 @@ class Body(MeshedBody):
     title = "the user's own mesh (piezoelectric FE, reduced)"
     schema = BodyKeys
     source = "FE (piezoelectric, the user's mesh)"
+    mesh_growth = 50.0  # solids
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         keys = self.body_keys(part)

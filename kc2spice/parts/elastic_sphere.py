@@ -132,9 +132,7 @@ elastic = true
             )
 
         key = {"type": self.name, "full": self.full_key(part, scene)}
-        found, _ = cached(
-            "mesh_error", key, estimate, classes=(MeshError,), sources=self.sources()
-        )
+        found, _ = cached("mesh_error", key, estimate, classes=(MeshError,), sources=self.sources())
         return found
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:

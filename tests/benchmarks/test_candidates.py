@@ -120,9 +120,7 @@ def test_the_one_that_ships_needs_the_fewest_states():
     value = {(one.candidate, one.order): one for one in found}
     others = {one.candidate for one in found} - {SHIPPED}
     assert value[SHIPPED, 16].harmonic < 2e-5  # measured 1.3e-5
-    assert (
-        value[SHIPPED, 20].harmonic < 2e-6
-    )  # 1.5e-6
+    assert value[SHIPPED, 20].harmonic < 2e-6  # 1.5e-6
     assert value[SHIPPED, 22].launch < 3e-4  # 1.4e-4
     for name in others:
         assert value[name, 20].harmonic > 100 * value[SHIPPED, 20].harmonic

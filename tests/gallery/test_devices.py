@@ -16,6 +16,7 @@ import pytest
 
 from kc2spice.bodies import bimorph
 from kc2spice.core.errors import UsageError
+from kc2spice.parts.piezo_stack import PiezoStack
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.plan import plan
 from kc2spice.workflow.judge import frequency
@@ -362,6 +363,22 @@ def test_explain_says_where_a_mesh_error_takes_too_long(monkeypatch):
     row = next(row for row in rows if row.stage == "mesh of disc")
     assert row.expected is None
     assert row.why.startswith("not estimated")
+
+
+def test_explain_does_not_refine_a_chip_for_minutes(monkeypatch):
+    """Its own mesh takes 2 s, the finer one two minutes and 5 GB; one that is tried anyway fails."""
+
+    def full(self, part, scene, clock, refine=1):
+        assert refine == 1
+        return built(self, part, scene, clock)
+
+    built = PiezoStack.full
+    monkeypatch.setattr(PiezoStack, "full", full)
+    monkeypatch.setattr("kc2spice.parts._linear_body.cached", lambda *a, **k: (a[2](), None))
+    rows = plan(load_scene("harmonic", []), estimate=True).errors
+    (row,) = (row for row in rows if row.stage == "mesh of kick")
+    assert row.expected is None
+    assert float(row.why.split()[-2]) > 20
 
 
 def test_records_are_json(results):
