@@ -16,9 +16,9 @@ from kc2spice.sim.ngspice import run_deck, write_deck
 from kc2spice.spice.read import read_deck, subcircuits
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify import verify
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import circuits, solve, without_law
+from kc2spice.workflow.verify.verify import verify
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
 
