@@ -30,7 +30,7 @@ def headline_error(
     """Mesh error of the first of :data:`HEADLINES` that the body has; None if it has none.
 
     ``build(refine)`` gives the full model with every cell divided by ``refine``; the finer mesh is
-    left out where it would take more than ``limit`` [s], ``growth`` times as long as the coarse one.
+    left out where ``growth`` times the time of the coarse one is more than ``limit`` [s].
     """
     start = time.process_time()
     coarse = build(1).facts

@@ -366,7 +366,7 @@ def test_explain_says_where_a_mesh_error_takes_too_long(monkeypatch):
 
 
 def test_explain_does_not_refine_a_chip_for_minutes(monkeypatch):
-    """Its own mesh takes 2 s, the finer one two minutes and 5 GB; one that is tried anyway fails."""
+    """Its own mesh takes 2 s, the finer one two minutes and 5 GB: not tried."""
 
     def full(self, part, scene, clock, refine=1):
         assert refine == 1

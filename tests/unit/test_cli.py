@@ -43,8 +43,13 @@ def study(monkeypatch):
         return {
             "scene": scene.name,
             "model": {"kick": {"mass_kg": 1.386e-4, "unknowns": 16722}},
-            "rom": {"order": 30, "band_hz": [0.0, 5e5], "error_estimate": 1e-3,
-                    "above_band_hz": [1e6], "above_band_compliance_error": [0.11]},
+            "rom": {
+                "order": 30,
+                "band_hz": [0.0, 5e5],
+                "error_estimate": 1e-3,
+                "above_band_hz": [1e6],
+                "above_band_compliance_error": [0.11],
+            },
             "metrics": {"caught": True, "launch_velocity_m_s": 1.02, "curve": [1, 2]},
             "wall_s": {"mesh": 0.5},
             "files": ["result.json"],
