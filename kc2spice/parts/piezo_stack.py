@@ -61,6 +61,7 @@ PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 KICKS, LASTING = (40.0, 105.0), 10e-6  # V, s: the error budget's relations hold; it throws in 6 us
 MESH_ERROR = 0.02  # of launch and impact, between rings of 50 and 25 um
+FINER = 4.0  # hats of the full model than those of the law
 
 
 class Drive(Section):
@@ -491,13 +492,14 @@ def chip_of(keys: Stack) -> Chip:
     return Chip(**{name: getattr(keys, name) for name in given})
 
 
-def pressure_hats(part: Part, scene: Scene) -> Hats | None:
-    """Hats of pressure on the top where a contact wants them, as far out as the rings are."""
+def pressure_hats(part: Part, scene: Scene, finer: float = 1.0) -> Hats | None:
+    """Hats of pressure on the top where a contact wants them, as far out as the rings are; so many
+    times ``finer``."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import hats
 
-            return hats(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
+            return hats(contact.keys.spacing / finer, float(ring_radii(part.keys)[-1]))
     return None
 
 
@@ -682,11 +684,12 @@ def _dents(part: Part, shape: Hats) -> Dents:
 def with_pressure(
     part: Part, scene: Scene, system: PiezoSystem, radius: float
 ) -> tuple[PiezoSystem, ContactSurface]:
-    """One sector with every hat of the contact under a sphere of this radius [m]."""
+    """One sector with hats :data:`FINER` than the contact's under a sphere of this radius [m], each
+    of which closes by itself: their force swings by the square of their spacing."""
     from kc2spice.bodies.pressure import patch_load, with_hats
     from kc2spice.fem.piezo.contact import sphere_gap
 
-    chip, shape = chip_of(part.keys), pressure_hats(part, scene)
+    chip, shape = chip_of(part.keys), pressure_hats(part, scene, FINER)
     assert shape is not None
     own = _pressed(chip, shape)
     load = patch_load(chip, _mesh(chip), shape, own.shares)

@@ -1,0 +1,41 @@
+"""The netlist of a pressure under a sphere against its law: at rest, and where contact ends."""
+
+from __future__ import annotations
+
+import pytest
+
+from kc2spice.core.progress import Clock, silent
+from kc2spice.parts.contact import separation
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.verify.circuit import solve
+
+KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
+
+
+@pytest.fixture
+def solved(request, tmp_path):
+    """Waves of ngspice, and of the laws at the same points."""
+    scene, *keys = request.param
+    build = build_models(load_scene(scene, [*KEYS, *keys]), Clock(silent))
+    waves = run_deck(make_deck(build), tmp_path)
+    return waves, solve(build, waves).results
+
+
+@pytest.mark.parametrize("solved", [("imprint", "imprint.depth=8 um", "imprint.steps=40")],
+                         indirect=True)  # fmt: skip
+def test_a_force_at_rest_is_that_of_the_law(solved):
+    found, exact = (waves["contact.force"][1:] for waves in solved)
+    assert found == pytest.approx(exact, rel=1e-11)
+
+
+@pytest.mark.parametrize("solved", [("impact",)], indirect=True)
+def test_contact_ends_where_the_law_says(solved):
+    """The force ends while the surfaces still overlap by pace times their speed, 12 nm."""
+    (time, speed), (exact_time, exact_speed) = (
+        separation(w["time"], w["contact.force"], w["sphere.v"]) for w in solved
+    )
+    assert time == pytest.approx(exact_time, abs=5e-10)
+    assert speed == pytest.approx(exact_speed, rel=4e-5)
