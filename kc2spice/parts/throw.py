@@ -13,7 +13,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import fall, landing, separation
+from kc2spice.parts.contact import fall, landing, separation, unresolved
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Setting, register
@@ -90,7 +90,10 @@ class Throw(PartType):
         def every(limit: float) -> dict[str, float]:
             return dict.fromkeys(PAIRS, limit)
 
-        yield Gate("position over travel", f"{ball}.y", every(gates.position), "travel",
+        contact = build.scene.only("contact")
+        hats = unresolved(contact, build.scene) if contact else 0.0
+        full = dict.fromkeys(("rom_vs_fom", "ngspice_vs_fom"), max(gates.position, hats))
+        yield Gate("position over travel", f"{ball}.y", every(gates.position) | full, "travel",
                    leads=True)  # fmt: skip
         yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
         yield Gate("separation time", "separation_time_s", every(gates.separation_time),
