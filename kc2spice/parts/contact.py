@@ -244,7 +244,8 @@ class Contact(PartType):
         if "time" not in waves or v is None or thrown(part, build.scene):
             return {}
         force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
-        launch = separation(waves["time"], force, v, busy)
+        power = normal(part, build.scene).power
+        launch = separation(waves["time"], force, v, busy, power)
         return {
             "launch_velocity_m_s": launch[1] if launch else None,
             "launch_time_s": launch[0] if launch else None,
@@ -638,9 +639,11 @@ def thrown(part: Part, scene: Scene) -> bool:
 
 
 def separation(
-    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf
+    t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
     """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
+
+    ``power`` of the overlap is what the force is there.
 
     A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
     later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
@@ -648,6 +651,7 @@ def separation(
     one it is the first of all; by default the drive is not known and all of them count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
+    force = np.maximum(force, 0.0) ** (1 / power)
     flights = []
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])

@@ -13,7 +13,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import fall, landing, separation, unresolved
+from kc2spice.parts.contact import fall, landing, normal, separation, unresolved
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Setting, register
@@ -74,7 +74,8 @@ class Throw(PartType):
         ball = sphere(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{contact.name}.force"]
-        leave = separation(t, force, waves[f"{ball.name}.v"])
+        power = normal(contact, build.scene).power
+        leave = separation(t, force, waves[f"{ball.name}.v"], power=power)
         time, lowest = minimum(t, y)
         return {
             "min_position_m": lowest,

@@ -194,3 +194,12 @@ def test_imprint_and_harmonic_give_lists_of_one_sector() -> None:
     got = of_scene(Waveforms(sweep, {}), "harmonic")
     assert got["amplitude"]["ring0"]["anode"] == [5.0, 0.0]
     json.dumps(got)
+
+
+def test_a_curved_force_ends_where_its_root_does() -> None:
+    t = np.arange(0.0, 60e-6, 20e-9)
+    end = 10.013e-6
+    force = np.maximum(0.0, end - t) ** 1.5
+    found = separation(t, force, np.ones(t.size), power=1.5)
+    assert found is not None
+    assert found[0] == pytest.approx(end, abs=1e-14)
