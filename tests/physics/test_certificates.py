@@ -5,6 +5,7 @@ responses by numpy's solver at, beside and between them.
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from scipy.linalg import eigvals
 
 from kc2spice.bodies import disc
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.reduce import reduce
+from kc2spice.rom.reduce import ordered, reduce
+from kc2spice.rom.subspace import subspace
 
 FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
 ROUNDING = 1e-9
@@ -105,6 +107,43 @@ def test_estimate_is_between_the_error_and_three_times_it(seed):
 @pytest.mark.parametrize("seed", [0, 5, 7, *range(10, 500)])
 def test_estimate_is_between_the_error_and_three_times_it_in_all(seed):
     check(seed)
+
+
+def chain(unknowns, dashpot):
+    """Masses of 1 to 3 on springs, driven inside and at an end; a ``dashpot`` couples the modes."""
+    K = 2 * np.eye(unknowns) - np.eye(unknowns, k=1) - np.eye(unknowns, k=-1)
+    E = 1e-2 * K
+    E[0, 0] += dashpot
+    M = np.diag(np.linspace(1, 3, unknowns))
+    return M, E, K, np.eye(unknowns)[:, [unknowns // 5, unknowns - 1]]
+
+
+@pytest.mark.parametrize(
+    ("unknowns", "dashpot", "way"), [(90, 0.0, "being all"), (310, 0.3, "checked"),
+                                     (1310, 0.0, "settled")],
+)  # fmt: skip
+def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
+    """It stops as early as it may, so that its error is large where it is not all of the model."""
+    M, E, K, B = chain(unknowns, dashpot)
+    rayleigh = None if dashpot else (0.0, 1e-2)
+    full = LinearModel(M=M, E=E if dashpot else None, K=K, B=B, rayleigh=rayleigh)
+    band = 0.0, 10.0 / unknowns / (2 * np.pi)
+    space = subspace(full.pencil, band, np.inf, np.inf, "scipy")
+    assert space.proof.startswith(way)
+    frequency = np.linspace(0.31, 0.97, 4) * band[1]
+    exact = direct((M, E, K, B, B.T), frequency)
+    error = (np.abs(space.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
+    assert 0 < error <= space.error
+
+
+def test_error_and_rounding_of_the_subspace_are_part_of_the_certificate():
+    matrices, band, _ = random_case(1)
+    M, E, K, B, C = matrices
+    full = LinearModel(M=M, E=E, K=K, B=B, C=C)
+    space = subspace(full.pencil, band, 1e-8, np.inf, "scipy")
+    found = ordered(full, replace(space, error=2e-3, floor=1e-3), band, True, 1e-2)
+    estimate = found.model(found.size).certificate.error_estimate
+    assert 3e-3 <= estimate < 3.1e-3
 
 
 def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():

@@ -8,7 +8,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import gallery, load_scene
 
 WILD = [
-    ("kick.side=3", "kick.side", "sintered"),
+    ("kick.side=0.15", "kick.side", "sintered"),
     ("kick.drive.voltage=10 kV", "kick.drive.voltage", "breaks down"),
     ("catch.wire_diameter=0.2 mm", "catch.turns", "do not fit"),
     ("catch.remanence=200", "catch.remanence", "permanent magnet"),

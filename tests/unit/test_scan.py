@@ -239,6 +239,15 @@ def test_a_trusted_circuit_takes_what_can_be_read(tmp_path):
     assert text.endswith("\n.include missing.lib\n")
 
 
+def test_a_refused_card_is_named_with_its_line(tmp_path):
+    """Of the included file, where the card begins: it has a continuation line."""
+    (tmp_path / "part.lib").write_text("* part\nR1 a b 1\n.shell\n+ id\nR2 a b 1\n")
+    (tmp_path / "main.cir").write_text("* main\n.include part.lib\nR3 a 0 1\n")
+    with pytest.raises(UsageError) as refused:
+        third_party(tmp_path / "main.cir")
+    assert "(part.lib:3)" in str(refused.value)
+
+
 def test_includes_in_a_circle_are_refused(tmp_path):
     (tmp_path / "a.lib").write_text(".include b.lib\n")
     (tmp_path / "b.lib").write_text(".include a.lib\n")

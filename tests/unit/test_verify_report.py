@@ -80,6 +80,17 @@ def test_errors_of_waves_are_of_both_solutions() -> None:
     assert found["ball.force"].largest == 0.0
 
 
+def test_the_rms_of_an_error_is_over_time() -> None:
+    """A quarter of the time is wrong by 1 %, with most of the points there; then a single point."""
+    t = np.union1d(np.linspace(0.0, 0.25, 1001), np.linspace(0.25, 1.0, 101))
+    exact = Waveforms({"time": t, "u": 1 + 0 * t}, {})
+    wrong = Waveforms({"time": t, "u": 1 + 0.01 * (t <= 0.25)}, {})
+    (found,) = output_errors("x", wrong, exact)
+    assert found.rms == pytest.approx(0.005, rel=0.02)
+    one, other = (Waveforms({"x": np.zeros(1), "u": np.array([v])}, {}) for v in (1.01, 1.0))
+    assert output_errors("x", one, other)[0].rms == pytest.approx(0.01)
+
+
 def test_page_shows_gates_costs_and_the_paper(tmp_path: Path) -> None:
     met = Limit("position error / travel", 3e-5, 1e-4)
     missed = Limit("separation time", 4e-8, 2e-8, "s")
