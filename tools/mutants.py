@@ -5,9 +5,10 @@
 
 ``record`` runs the tests (all that are not slow, or those named, on top of what is known) under
 coverage. ``run`` draws N places of the packages below, one mutant each, and runs those tests that
-execute its lines, fastest first, until one fails. What is no behaviour is not drawn: annotations,
-messages of errors, plots, sketches and words, and whole constants of a module above two (one sample
-more is as good a choice). Both work on a copy in ``build/mutants``, made by the first ``record``.
+execute its lines, the most specific and the cheapest first, until one fails or about 80 recorded
+seconds are spent. What is no behaviour is not drawn: annotations, messages of errors, plots,
+sketches and words, and whole constants of a module above two (one sample more is as good a choice).
+Both work on a copy in ``build/mutants``, made by the first ``record``.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shutil import copytree, ignore_patterns
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import coverage
 
 ROOT = Path(__file__).parents[1]
 HOME = ROOT / "build" / "mutants"
@@ -40,8 +45,10 @@ SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|P
 WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
 DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
 FORMAL = {"dataclass", "lru_cache", "cache", "Field"}
-ROUNDS = ((30, 20.0), (80, 60.0))  # tests, and seconds that they took: first, then for survivors
-ALIKE = 3  # cases of one test in the first round
+ROUNDS = (15.0, 80.0)  # recorded seconds of tests: first, then for survivors
+MOST = 200  # tests of a round
+ALIKE = 3  # cases of one test before those of others
+START_UP = 0.5  # s; tests that take less are equally cheap
 SLOWER, START = 3.0, 30.0  # times the CPU time, and seconds more, that a mutant may take
 WAITED = 8.0  # times that of wall time: other programs may run beside
 MEMORY = 6 << 30  # bytes
@@ -70,7 +77,9 @@ def main() -> int:
     run = commands.add_parser("run")
     run.add_argument("--sample", type=int, default=100, help="mutants of all packages together")
     run.add_argument("--seed", type=int, default=1)
-    run.add_argument("--only", nargs="*", default=list(PACKAGES))
+    run.add_argument(
+        "--only", nargs="*", default=list(PACKAGES), help="packages, or modules like rom/pencil.py"
+    )
     run.add_argument("--again", type=Path, help="run the survivors of this earlier --out")
     run.add_argument("--out", type=Path, default=HOME / "mutants.json")
     asked = parser.parse_args()
@@ -132,12 +141,14 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
     files = [path for each in packages for path in _modules(each)]
     texts = {path: path.read_text(encoding="utf-8") for path in files}
     places = defaultdict(list)
-    if not ALL.exists():  # finding all takes minutes
+    whole = sorted(packages) == sorted(PACKAGES)
+    found_before = ALL if whole else ALL.with_name("some.sqlite")
+    if not (whole and ALL.exists()):  # finding all takes minutes
         part = ALL.with_suffix(".part")
         with use_db(str(part), WorkDB.Mode.create) as database:
-            init(sorted(path for each in PACKAGES for path in _modules(each)), database, {})
-        part.rename(ALL)
-    with use_db(str(ALL), WorkDB.Mode.open) as database:
+            init(sorted(files), database, {})
+        part.rename(found_before)
+    with use_db(str(found_before), WorkDB.Mode.open) as database:
         for item in database.work_items:
             one = item.mutations[0]
             if Path(one.module_path) in texts:
@@ -157,7 +168,8 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
 
 
 def _modules(package: str) -> list[Path]:
-    every = (COPY / "kc2spice" / package).rglob("*.py")
+    folder = COPY / "kc2spice" / package
+    every = [folder] if folder.suffix else folder.rglob("*.py")
     return sorted(path for path in every if path.stem not in DRAWN)
 
 
@@ -219,19 +231,19 @@ def judged():
     data = coverage.CoverageData(basename=str(DATA))
     data.read()
     measured = {f"kc2spice/{n.rpartition('/kc2spice/')[2]}": n for n in data.measured_files()}
-    times = json.loads(TIMES.read_text())
+    known = recorded(data)
     _preload()
 
     def judge(item: Item) -> Mutant:
         started = time.perf_counter()
         lines = data.contexts_by_lineno(measured.get(item.path, item.path))
-        tests = chosen(lines, item, times)
+        tests = chosen(lines, item, known)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
         with use_mutation(COPY / item.path, operator, item.occurrence) as texts:
             change = _difference(*texts)
             for each in tests:
-                killed, by = _fails(each, sum(_cost(test, times) for test in each))
+                killed, by = _fails(each, known.limit(each))
                 if killed:
                     break
         spent = time.perf_counter() - started
@@ -242,33 +254,72 @@ def judged():
     return judge
 
 
-def chosen(lines: dict[int, list[str]], item: Item, times: dict[str, float]) -> Iterator[list[str]]:
+def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator[list[str]]:
     """Tests of each round. What a test's fixtures execute concerns its whole file; what an import
-    executes concerns all tests of the module."""
+    executes concerns all tests of the module.
+
+    First come those that execute little else and are cheap: a test of few lines looks at them. Of
+    the cases of one test a few come first; the rest follows while the time allows.
+    """
     own = {c for k in range(item.line, item.last + 1) for c in lines.get(k, []) if c}
     own = own or {context for each in lines.values() for context in each if context}
     files = {c.partition("::")[0] for c in own if c.endswith("|setup")}
     exact = {context.rpartition("|")[0] for context in own}
-    tests = {test for test in times if test in exact or test.partition("::")[0] in files}
-    kept: list[tuple[bool, str]] = []
+    tests = {t for t in known.seconds if t in exact or t.partition("::")[0] in files}
     counts: Counter[str] = Counter()
-    for test in sorted(tests, key=lambda test: (test not in exact, _cost(test, times))):
-        kept.append((counts[name := test.partition("[")[0]] >= ALIKE, test))
-        counts[name] += 1
-    queue = [test for _, test in sorted(kept, key=lambda pair: pair[0])]
-    for count, seconds in ROUNDS:
+    ranked = []
+    for test in sorted(tests, key=lambda each: (known.rank(each), each)):
+        counts[name := test.partition("[")[0]] += 1
+        ranked.append(((counts[name] > ALIKE, test not in exact), test))
+    queue = [test for _, test in sorted(ranked, key=lambda pair: pair[0])]
+    ready: set[str] = set()  # files whose fixtures are paid for
+    for limit in ROUNDS:
         round_: list[str] = []
         spent = 0.0
-        while queue and len(round_) < count and spent + _cost(queue[0], times) <= seconds:
-            spent += _cost(queue[0], times)
-            round_.append(queue.pop(0))
+        for test in list(queue):
+            file = test.partition("::")[0]
+            cost = known.seconds[test] + (file not in ready) * known.fixtures(file)
+            if spent + cost > limit or len(round_) == MOST:
+                continue
+            spent += cost
+            ready.add(file)
+            round_.append(test)
+            queue.remove(test)
         if round_:
             yield round_
+        ready.clear()
 
 
-def _cost(test: str, times: dict[str, float]) -> float:
-    """Seconds of a test that runs alone: its file's fixtures are set up for it."""
-    return times[test] + times.get(f"{test.partition('::')[0]}|setup", 0.0)
+@dataclass(frozen=True)
+class Recorded:
+    """Seconds of each test, and of ``FILE|setup``; how many lines of the package each executes."""
+
+    seconds: dict[str, float]
+    lines: Counter[str]
+
+    def fixtures(self, file: str) -> float:
+        """Seconds until the fixtures of a test file are set up."""
+        return self.seconds.get(f"{file}|setup", 0.0)
+
+    def rank(self, test: str) -> float:
+        """Small for what is specific and cheap; what takes less than START_UP is cheap."""
+        file = test.partition("::")[0]
+        return self.lines[test] * (START_UP + self.seconds[test] + self.fixtures(file))
+
+    def limit(self, tests: list[str]) -> float:
+        """CPU seconds after which ``tests`` hang."""
+        files = {test.partition("::")[0] for test in tests}
+        spent = sum(self.seconds[test] for test in tests) + sum(map(self.fixtures, files))
+        return SLOWER * spent + START
+
+
+def recorded(data: coverage.CoverageData) -> Recorded:
+    """What ``record`` found; what fixtures execute counts for each test of the file."""
+    own: Counter[str] = Counter()
+    for file in data.measured_files():
+        for contexts in data.contexts_by_lineno(file).values():
+            own.update({context.rpartition("|")[0] for context in contexts if context})
+    return Recorded(json.loads(TIMES.read_text()), own)
 
 
 def _preload() -> None:
@@ -289,10 +340,9 @@ def _preload() -> None:
     import typer.testing  # noqa: F401
 
 
-def _fails(tests: list[str], seconds: float) -> tuple[bool, str]:
+def _fails(tests: list[str], limit: float) -> tuple[bool, str]:
     """Whether one of ``tests`` fails, and which; a mutant that hangs fails too."""
     log = HOME / "mutant.log"
-    limit = SLOWER * seconds + START
     child = os.fork()
     if child == 0:
         _child(tests, log, int(limit))

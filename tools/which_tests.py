@@ -1,8 +1,9 @@
 """A plugin of pytest: notes which test executes which line, and how long each takes.
 
 Run under coverage, it names the context after the test and its stage; ``TIMES`` in the environment
-is the JSON file for the durations [s]. Each test file begins with an empty cache, so that what an
-earlier one has built does not hide who executes the building.
+is the JSON file for the durations [s]. A test that fails without a mutant tells nothing and is left
+out. Each test file begins with an empty cache, so that what an earlier one has built does not hide
+who executes the building.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import coverage
 import pytest
 
 _spent: Counter[str] = Counter()
+_failed: set[str] = set()
 _folder = tempfile.TemporaryDirectory()
 
 
@@ -41,6 +43,8 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.failed:
+        _failed.add(report.nodeid)
     if report.passed:
         _spent[report.nodeid] += report.duration
     if report.when == "setup":  # mostly that of the file's first test
@@ -51,4 +55,4 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_sessionfinish() -> None:
     file = Path(os.environ["TIMES"])
     known = json.loads(file.read_text()) if file.exists() else {}
-    file.write_text(json.dumps(known | _spent))
+    file.write_text(json.dumps({k: v for k, v in (known | _spent).items() if k not in _failed}))
