@@ -23,6 +23,7 @@ from kc2spice.scene.parttype import Build
 
 if TYPE_CHECKING:
     from kc2spice.fem.piezo.contact import ContactSurface
+    from kc2spice.fem.piezo.keys import Chip
     from kc2spice.fem.piezo.system import PiezoSystem
     from kc2spice.fem.piezo.transient import TransientResult
 
@@ -41,10 +42,11 @@ class _Problem:
     chip: Part
     contact: Part
     sphere: Part
+    body: Chip
     system: PiezoSystem
+    hats: ContactSurface | None
     whole: bool
     clock: Any
-    hats: ContactSurface | None = None
 
     @property
     def open(self) -> bool:
@@ -54,31 +56,35 @@ class _Problem:
     def surface(self, *, per_node: bool = False) -> ContactSurface:
         """The contact springs of one sector, or its hats of pressure."""
         from kc2spice.fem.piezo.contact import contact_surface
-        from kc2spice.parts.piezo_stack import chip_of
 
         if self.hats is not None:
             return self.hats
         return contact_surface(
-            chip_of(self.chip.keys), self.contact.keys.penalty, self.sphere.keys.radius,
+            self.body, self.contact.keys.penalty, self.sphere.keys.radius,
             per_node=per_node,
         )  # fmt: skip
 
 
 def solve(
-    chip: Part, build: Build, assembled: Callable[[], PiezoSystem], clock: Any, whole: bool
+    chip: Part,
+    build: Build,
+    body: Chip,
+    assembled: Callable[[Part, Part], tuple[PiezoSystem, ContactSurface | None]],
+    clock: Any,
+    whole: bool,
 ) -> FullSolution | None:
-    """The full solution of a scene in which nothing but a sphere touches ``chip``, else None."""
+    """The full solution of a scene in which nothing but a sphere touches ``chip``, else None.
+
+    ``assembled(contact, sphere)`` gives the matrices of ``body``, and its hats of pressure if the
+    contact has them.
+    """
     scene = build.scene
     found = players(chip, scene)
     if found is None:
         return None
     contact, sphere = found
-    system, hats = assembled(), None
-    if contact.keys.shape == "pressure":
-        from kc2spice.parts.piezo_stack import with_pressure
-
-        system, hats = with_pressure(chip, scene, system, sphere.keys.radius)
-    problem = _Problem(build, chip, contact, sphere, system, whole, clock, hats)
+    system, hats = assembled(contact, sphere)
+    problem = _Problem(build, chip, contact, sphere, body, system, hats, whole, clock)
     pusher = contacts.moved_by(sphere.name, scene)
     if pusher != sphere.name:
         return _imprint(problem, scene.parts[pusher])

@@ -301,11 +301,16 @@ class PiezoStack(MeshedBody):
     ) -> FullSolution | None:
         from kc2spice.parts._chip_full import solve
 
-        def assembled() -> PiezoSystem:
-            with clock.stage("assemble", "piezoelectric matrices"):
-                return _assembled(chip_of(part.keys))
+        chip = chip_of(part.keys)
 
-        return solve(part, build, assembled, clock, whole)
+        def assembled(contact: Part, sphere: Part) -> tuple[PiezoSystem, ContactSurface | None]:
+            with clock.stage("assemble", "piezoelectric matrices"):
+                system = _assembled(chip)
+            if contact.keys.shape == "pressure":
+                return _with_pressure(part, build.scene, system, sphere.keys.radius)
+            return system, None
+
+        return solve(part, build, chip, assembled, clock, whole)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -681,7 +686,7 @@ def _dents(part: Part, shape: Hats) -> Dents:
     return Dents(found.compliance, found.patch, part.keys.damping.beta)
 
 
-def with_pressure(
+def _with_pressure(
     part: Part, scene: Scene, system: PiezoSystem, radius: float
 ) -> tuple[PiezoSystem, ContactSurface]:
     """One sector with hats :data:`FINER` than the contact's under a sphere of this radius [m], each
