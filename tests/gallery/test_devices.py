@@ -397,14 +397,8 @@ def test_frequency_of_a_tone_is_counted_in_the_last_half():
 QUICK = ("harvester", "buzzer_7bb_20_3")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        n if n in QUICK else pytest.param(n, marks=pytest.mark.slow)
-        for n in (*PUBLISHED, "harvester_bridge", "buzzer_square")
-    ],
-)
-def test_every_device_is_verified(name, tmp_path):
+@pytest.mark.parametrize("name", QUICK)  # all: test_scenes.py
+def test_a_device_is_verified(name, tmp_path):
     record = verify([load_scene(name)], tmp_path / "out")[name]
     assert record["passed"], [check for check in record["checks"] if not check["passed"]]
     assert record["errors"]["rom_vs_fom"] <= 1e-3  # what ac scenes reduce to if not told

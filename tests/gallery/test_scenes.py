@@ -125,10 +125,16 @@ ROUNDING = 1e-9  # smaller differences change with processor and libraries
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(gallery()))
-def test_scene_meets_its_gates_which_are_near(name, tmp_path):
+def test_scene_meets_its_gates(name, tmp_path):
+    kc2spice("verify", name, "-o", str(tmp_path), "--json")  # exit code 4 where one is missed
+
+
+@pytest.mark.slow
+@pytest.mark.campaign  # another processor may find less than the one that the gates were set on
+@pytest.mark.parametrize("name", sorted(gallery()))
+def test_gates_are_near(name, tmp_path):
     """Within ten times of what is found; two of three that cancel are judged by the third."""
     found = json.loads(kc2spice("verify", name, "-o", str(tmp_path), "--json").stdout)
-    assert found["passed"] is True
     near = {}
     for check in found["checks"]:
         if not NO_GATE.search(check["name"]):

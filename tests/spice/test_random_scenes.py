@@ -302,6 +302,7 @@ def word_for(outcome, found, said):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("number", range(1000, 1008))
 def test_a_result_is_right_or_says_that_it_is_not(number):
     assert word_for(*compared(number)) != "OFF, SILENT"
