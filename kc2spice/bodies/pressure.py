@@ -326,6 +326,11 @@ class Dented:
     depth: float
     coefficients: tuple[float, ...]
 
+    def force(self, x: np.ndarray) -> np.ndarray:
+        """Force [N] at depths [m], none of them negative."""
+        s = np.sqrt(x / self.depth)
+        return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
+
 
 def dented(shape: Hats, compliance: np.ndarray, gap: np.ndarray) -> Dented:
     """The law of a sphere over hats of the ``compliance`` (n, n), each the ``gap`` (n,) [m] below

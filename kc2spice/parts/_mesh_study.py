@@ -197,8 +197,7 @@ def _under_pressure(rom: LinearModel, shape: Hats, own: Pressed, load: Load) -> 
     T = rom.transfer(np.zeros(1))[0].real
     give = T[0, 0] - T[0, 1] * T[1, 0] / T[1, 1]
     law = dented(shape, own.compliance + give, sphere_gap(load.radius, shape.distances))
-    s = np.sqrt(load.depth / law.depth)
-    return float(sum(c * s ** (3 + k) for k, c in enumerate(law.coefficients)))
+    return float(law.force(np.array(load.depth)))
 
 
 def _mesh_point(label: str, chip: Chip, load: Load, step: float) -> MeshPoint:

@@ -473,9 +473,7 @@ def spacing_error(part: Part, scene: Scene) -> float:
         found = _dents(part, scene, shape)
         law = _dented(shape.nodes.tobytes(), (found.compliance + found.patch).tobytes(), b.radius)
         depth = np.linspace(0.5, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
-        powers = 3 + np.arange(len(law.coefficients))
-        s = np.sqrt(depth / law.depth)[:, None]
-        forces.append((s**powers) @ np.array(law.coefficients))
+        forces.append(law.force(depth))
     return float(np.abs(forces[1] / forces[0] - 1).max())
 
 
