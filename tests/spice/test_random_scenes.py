@@ -173,17 +173,21 @@ def drawn_scene(rng):
     return "".join(lines), tuple(overrides)
 
 
+def simulated(text, overrides, folder):
+    """The models of a scene and what became of its deck in ``folder``."""
+    path = folder / "drawn.toml"
+    path.write_text(text)
+    build = build_models(load_scene(path, overrides), Clock(silent))
+    deck = make_deck(build)
+    lint(deck)
+    return build, simulate(build, deck, folder, timeout=TIME)
+
+
 def outcome(text, overrides):
     """What became of a scene, in one word; anything but our own errors is raised."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "drawn.toml"
-        path.write_text(text)
         try:
-            scene = load_scene(path, overrides)
-            build = build_models(scene, Clock(silent))
-            deck = make_deck(build)
-            lint(deck)
-            done = simulate(build, deck, Path(folder), timeout=TIME)
+            build, done = simulated(text, overrides, Path(folder))
         except UsageError as error:
             assert error.where or error.hint or error.expected, error
             return "refused"
@@ -200,7 +204,7 @@ def outcome(text, overrides):
         assert not any(check.fatal for check in done.verdict.checks)
         pictures = draw_all(Path(folder), run_figures(build, done.waves))
         record = {"metrics": metrics(done.waves, build)}
-        write_run(Path(folder) / "report.html", record, scene, pictures)
+        write_run(Path(folder) / "report.html", record, build.scene, pictures)
     return "result" if len(done.attempts) == 1 else "result after retries"
 
 
@@ -278,12 +282,8 @@ def compared(number):
     """Outcome of a scene, its deviations, and what was said of it."""
     text, overrides = drawn_scene(random.Random(f"scene {number}"))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "drawn.toml"
-        path.write_text(text)
         try:
-            scene = load_scene(path, overrides)
-            build = build_models(scene, Clock(silent))
-            done = simulate(build, make_deck(build), Path(folder), timeout=TIME)
+            build, done = simulated(text, overrides, Path(folder))
         except (UsageError, SimulationError) as error:
             return f"refused: {error.message}", {}, []
         said = [check.name for check in done.verdict.checks if not check.passed]
