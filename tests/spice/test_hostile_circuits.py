@@ -41,14 +41,19 @@ def traced(command, log, **options):
 
 
 def acts(calls, program):
-    """What is touched beside the system and the deck's own files, and programs but ``program``."""
+    """What is touched beside the system and the deck's own files, and programs but ``program``.
+
+    The product may read what a circuit includes: how else could it refuse it? Nobody writes there.
+    """
     simulators = {pid for pid, call, path, _ in calls if call == "execve" and path == program}
     found = []
     for pid, call, path, rest in calls:
         if call == "execve":
             if path not in (program, sys.executable) and "ENOENT" not in rest:
                 found.append(f"runs {path}")
-        elif "outside/payload" in path or "pwned" in path.lower() or "home/payload" in path:
+        elif "pwned" in path.lower() or (
+            "/payload" in path and (pid in simulators or "O_RDONLY" not in rest)
+        ):
             found.append(f"opens {path}")
         elif pid in simulators and not path.startswith(SYSTEM) and "O_TMPFILE" not in rest:
             file = Path(path).name

@@ -16,12 +16,11 @@ from kc2spice.workflow.models import build_models
 
 
 def main(root: str) -> None:
-    models, said = None, {}
+    said = {}
     for path in sorted(Path(root).glob("v*/hostile.toml")):
         try:
             scene = load_scene(path)
-            models = models or build_models(scene, Clock())
-            deck = make_deck(scene, models)
+            deck = make_deck(build_models(scene, Clock()))
             run_deck(deck, path.parent / "deck", timeout=60)
             said[path.parent.name] = "ran"
         except Kc2spiceError as error:
