@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh, lapack, schur
 
-from kc2spice.rom.convert import state_space
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.operators import largest
 
@@ -55,7 +54,7 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     ------
     UsageError : the model has no state-space form.
     """
-    A, B, C, D = state_space(model)
+    A, B, C, D = model.state_space()
     if dense:
         return BlockModel((A,), B, C, D)
     blocks, X, inverse = _diagonalised(A)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import MissingToolError, UsageError
 from kc2spice.core.lazy import lazy
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.statespace import ABCD, state_space
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
@@ -225,17 +226,34 @@ class LinearModel:
         """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns."""
         return self.pencil.poles()
 
-    def to_statespace(self) -> StateSpace:
-        """First-order form without E; see :func:`kc2spice.rom.convert.to_statespace`."""
-        from kc2spice.rom.convert import to_statespace
+    def state_space(self) -> ABCD:
+        """Arrays A, B, C, D without E; see :func:`kc2spice.rom.statespace.state_space`."""
+        band = self.certificate.band_hz if self.certificate else (0.0, None)
+        return state_space(self.pencil, band[1])
 
-        return to_statespace(self)
+    def to_statespace(self) -> StateSpace:
+        """scipy's ``x' = A x + B u``, ``y = C x + D u``; see :meth:`state_space`."""
+        from scipy.signal import StateSpace  # a second to import
+
+        return StateSpace(*self.state_space())
 
     def to_pymor(self) -> Any:
-        """pyMOR's second-order or LTI model; see :func:`kc2spice.rom.convert.to_pymor`."""
-        from kc2spice.rom.convert import to_pymor
+        """pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
 
-        return to_pymor(self)
+        Raises
+        ------
+        MissingToolError : pyMOR is not installed.
+        """
+        try:
+            from pymor.models.iosys import LTIModel, SecondOrderModel
+        except ImportError:
+            raise MissingToolError(
+                "pyMOR is not installed", where="to_pymor", hint="pip install 'kc2spice[pymor]'"
+            ) from None
+        if self.first_order:
+            return LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)
+        letters = (self.M, self.E, self.K, self.B)
+        return SecondOrderModel.from_matrices(*letters, Cp=self.C, D=self.D)
 
     def select(self, names: Sequence[str]) -> LinearModel:
         """The same model with only the ports ``names``; the others are left open.

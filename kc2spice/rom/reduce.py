@@ -233,9 +233,7 @@ def _certified(
         **letters, B=reduced.B, C=reduced.C, D=reduced.D, ports=model.ports,
         certificate=certificate, facts=model.facts, name=model.name, band=band,
     )  # fmt: skip
-    from kc2spice.rom.convert import state_space  # one level up: it reads models
-
-    state_space(result)  # refuses what no netlist can hold before it is certified
+    result.state_space()  # refuses what no netlist can hold before it is certified
     return result
 
 

@@ -1,19 +1,16 @@
-"""Reduced models as state-space matrices, and as models of other libraries."""
+"""A pencil as state-space matrices: what circuits are built from, and what other libraries read."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, eigh, solve, solve_triangular, svd
 
-from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.operators import dense, largest
+from kc2spice.core.errors import UsageError
+from kc2spice.core.lazy import lazy
+from kc2spice.rom.operators import largest
+from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.structure import semidefinite
 
-if TYPE_CHECKING:
-    from scipy.signal import StateSpace
+linalg = lazy("scipy.linalg")
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 # Masses and algebraic parts this far below the largest are zero.
@@ -22,50 +19,25 @@ MASSLESS = 1e-13
 COUPLING = 1e-10
 
 
-def to_statespace(model: LinearModel) -> StateSpace:
-    """``x' = A x + B u``, ``y = C x + D u``; see :func:`state_space`."""
-    from scipy.signal import StateSpace  # a second to import
-
-    return StateSpace(*state_space(model))
-
-
-def to_pymor(model: LinearModel) -> Any:
-    """pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
-
-    Raises
-    ------
-    MissingToolError : pyMOR is not installed.
-    """
-    try:
-        from pymor.models.iosys import LTIModel, SecondOrderModel
-    except ImportError:
-        raise MissingToolError(
-            "pyMOR is not installed", where="to_pymor", hint="pip install 'kc2spice[pymor]'"
-        ) from None
-    if model.first_order:
-        return LTIModel.from_matrices(model.A, model.B, model.C, D=model.D, E=model.E)
-    return SecondOrderModel.from_matrices(
-        model.M, model.E, model.K, model.B, Cp=model.C, D=model.D
-    )  # fmt: skip
-
-
-def state_space(model: LinearModel) -> ABCD:
+def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
 
     States are energy coordinates where there is an energy, so ``A + A' <= 0`` for a dissipative
     model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A decoupled
-    second-order model has one 2 x 2 block per mode.
+    second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``, the end of
+    the band; without one by the ratio of stiffness to mass.
 
     Raises
     ------
     UsageError : the model answers to derivatives of its input, or its massless part is singular.
     """
-    if model.first_order:
-        return _first_order(dense(model.E), dense(model.A), model.B, model.C, model.D)
-    K, E, M = model.pencil.dense().coefficients
-    B, C, D = model.B, model.C, model.D
+    B, C, D = pencil.B, pencil.C, pencil.D
+    if pencil.degree == 1:
+        minus_a, E = pencil.dense().coefficients
+        return _first_order(E, -minus_a, B, C, D)
+    K, E, M = pencil.dense().coefficients
     top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
-    omega = 2 * np.pi * model.certificate.band_hz[1] if model.certificate else float(np.sqrt(top))
+    omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if semidefinite(M):
         mass = np.linalg.eigvalsh(M)
         if mass[0] <= MASSLESS * mass[-1]:
@@ -77,7 +49,7 @@ def state_space(model: LinearModel) -> ABCD:
             "the mass matrix is singular and not symmetric", where="state space",
             expected="a regular or a symmetric positive semi-definite M",
         )  # fmt: skip
-    inner = solve(M, np.hstack([K, E, B]))
+    inner = linalg.solve(M, np.hstack([K, E, B]))
     zero = np.zeros((q, q))
     A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
     drive = np.vstack([0 * B, inner[:, 2 * q :]])
@@ -115,11 +87,11 @@ def _mass_normal(
     A definite K takes the part of the better conditioned matrix, so that low modes are exact.
     """
     if largest(K - K.T) > COUPLING * largest(K):
-        return solve_triangular(cholesky(M), np.eye(len(M))), None
+        return linalg.solve_triangular(linalg.cholesky(M), np.eye(len(M))), None
     try:
-        inverse, T = eigh(M, K)
-    except LinAlgError:
-        stiffness, T = eigh(K, M)
+        inverse, T = linalg.eigh(M, K)
+    except np.linalg.LinAlgError:
+        stiffness, T = linalg.eigh(K, M)
         return T, stiffness
     return T / np.sqrt(inverse), 1 / inverse
 
@@ -129,10 +101,10 @@ def _massless(
     omega: float,
 ) -> ABCD:  # fmt: skip
     """Coordinates without mass: damped ones are first order, the others are eliminated."""
-    mass, V = eigh(M)
+    mass, V = linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
-    size, U = eigh(0.5 * (damping + damping.T))
+    size, U = linalg.eigh(0.5 * (damping + damping.T))
     free = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
     heavy, light, rigid = V[:, ~none], V[:, none] @ U[:, ~free], V[:, none] @ U[:, free]
     if rigid.size:
@@ -141,7 +113,7 @@ def _massless(
         inner = rigid.T @ K @ rigid
         if _singular(inner, K):
             raise _improper("massless, undamped coordinates without stiffness")
-        held = solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
+        held = linalg.solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
         n = len(M)
         D = D + (C @ rigid) @ held[:, n:]
         B = B - (K @ rigid) @ held[:, n:]
@@ -170,22 +142,22 @@ def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: 
     """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
     if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
         try:
-            upper = cholesky(E)
-        except LinAlgError:
+            upper = linalg.cholesky(E)
+        except np.linalg.LinAlgError:
             raise _improper("E is singular") from None
-        T = solve_triangular(upper, np.eye(len(E)))
+        T = linalg.solve_triangular(upper, np.eye(len(E)))
         inner = T.T @ A @ T
         if largest(A - A.T) <= COUPLING * largest(A):
             inner = 0.5 * (inner + inner.T)
         return inner, T.T @ B, C @ T, D
-    U, size, Vt = svd(E)
+    U, size, Vt = linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
     A, B, C, E = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T, size[:r, None]
     if r < len(A):
         inner = A[r:, r:]
         if _singular(inner, A):
             raise _improper("algebraic equations that do not determine their unknowns")
-        held = solve(inner, np.hstack([A[r:, :r], B[r:]]))
+        held = linalg.solve(inner, np.hstack([A[r:, :r], B[r:]]))
         D = D - C[:, r:] @ held[:, r:]
         C = C[:, :r] - C[:, r:] @ held[:, :r]
         B = B[:r] - A[:r, r:] @ held[:, r:]
