@@ -133,18 +133,18 @@ def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> 
 
     ``s H`` maps forces and voltages to velocities and currents; a network is passive if its
     Hermitian part has no negative eigenvalue at any frequency, relative to the largest entry of the
-    balanced response. Reciprocity is that of each pair by its own size.
+    balanced response. Reciprocity is that of each pair by its own size; one port has no pair.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
     Y = 2j * np.pi * frequency[:, None, None] * H
     hermitian = (Y + Y.conj().transpose(0, 2, 1)) / 2
     lowest = np.linalg.eigvalsh(hermitian)[:, 0] / np.abs(Y).max(axis=(1, 2))
-    asymmetry = relative_error(H.transpose(0, 2, 1), H)
-    return [
-        Limit(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit),
-        Limit(f"{name}, reciprocity", asymmetry, limit),
-    ]
+    found = [Limit(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
+    if len(balance) > 1:
+        asymmetry = relative_error(H.transpose(0, 2, 1), H)
+        found.append(Limit(f"{name}, reciprocity", asymmetry, limit))
+    return found
 
 
 def electrical_checks(

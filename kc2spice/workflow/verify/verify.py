@@ -47,7 +47,7 @@ from kc2spice.workflow.verify.compare import (
 )
 
 METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
-STEADY_METRICS, STEADY_WAVES = 5e-9, 5e-8  # the same for analyses without time steps
+STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
 # What was recorded on a net is as good as its samples: its slope, thus the current into a
 # capacitance, is right to some 1e-3 (2.5e-3 at the edges of a half-bridge), its work to 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
