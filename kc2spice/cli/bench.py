@@ -1,7 +1,5 @@
 """The command ``bench``: its options and its tables."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

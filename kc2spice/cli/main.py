@@ -1,9 +1,8 @@
 """The command line: options, progress and exit codes; the work is done by :mod:`kc2spice.workflow`.
 
-Imports that take time stand inside the commands, so that ``--help`` answers at once.
+Imports that take time stand inside the commands, so that ``--help`` answers at once. For the same
+reason no module of a command postpones its annotations: typer evaluates each such text three times.
 """
-
-from __future__ import annotations
 
 import gc
 import json
@@ -91,6 +90,7 @@ def main() -> None:
     # It must be said before numpy is loaded; whoever set a number of threads keeps it.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
     # Imports make objects that stay; to look through them again and again is a tenth of a start.
     gc.set_threshold(50_000)
     os.environ["MPLBACKEND"] = "agg"  # ours; one inherited from a notebook may not be installed
@@ -154,15 +154,11 @@ def run(
     All files appear in DIR at the end.
     """
     with reported_errors():
-        from kc2spice.report.plotworker import PlotWorker
+        study_scene, directory = _load(scene, set_, out)
+        from kc2spice.workflow import run as study
 
-        with PlotWorker() as plots:  # which loads what draws meanwhile
-            study_scene, directory = _load(scene, set_, out)
-            from kc2spice.workflow import run as study
-
-            with shown_progress(quiet) as progress:
-                result = study.run(study_scene, directory, progress, plots=plots, trust=trust,
-                                   deck=deck, keep=keep)  # fmt: skip
+        with shown_progress(quiet) as progress:
+            result = study.run(study_scene, directory, progress, trust=trust, deck=deck, keep=keep)
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
@@ -367,7 +363,7 @@ app.command()(bench)
 app.command()(sweep)
 
 
-def _load(name: str, overrides: list[str] | None, out: Path | None) -> tuple[Scene, Path]:
+def _load(name: str, overrides: list[str] | None, out: Path | None) -> tuple["Scene", Path]:
     from kc2spice.scene.load import load_scene
 
     loaded = load_scene(name, overrides or [])

@@ -1,7 +1,5 @@
 """The command ``reduce``, and what ``export --rom`` does."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """The command ``sweep``: its options, its progress, its exit codes."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -178,7 +176,7 @@ def _goals(metrics: list[str] | None, minimise: str | None, require: list[str] |
 def _request(
     scene: str | None, sets: list[str] | None, zipped: bool, latin: bool, seed: int,
     metrics: list[str] | None, timeout: float, table_format: str,
-) -> Request:  # fmt: skip
+) -> "Request":  # fmt: skip
     from kc2spice.workflow.sweep.study import request_of
 
     return request_of(
@@ -202,7 +200,7 @@ def _shard(text: str) -> Any:
     return Shard(int(number), int(count))
 
 
-def _engine(dask: str | None, workers: int | None) -> Engine:
+def _engine(dask: str | None, workers: int | None) -> "Engine":
     from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine, cores
 
     count = workers or cores()
@@ -210,7 +208,7 @@ def _engine(dask: str | None, workers: int | None) -> Engine:
 
 
 def _interruptible(
-    study: Study, out: Path, engine: Engine, progress: ProgressCallback,
+    study: "Study", out: Path, engine: "Engine", progress: ProgressCallback,
     search: tuple[list[str], str, int, list[str]] | None = None, *, retry_failed: bool = False,
 ) -> Any:  # fmt: skip
     from kc2spice.workflow.sweep import run, tune

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import base64
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment
 
 from kc2spice import __version__
 from kc2spice.core.figure import Curve, Figure
 from kc2spice.report.plots import Picture
-from kc2spice.spice.render import template_directory
+from kc2spice.spice.render import loading
 
 SHOWN = 4000  # points of a curve in a page
 
@@ -36,13 +35,7 @@ class Section:
 
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
     """Render ``sections`` to ``path``; images are embedded, nothing is loaded from elsewhere."""
-    environment = Environment(
-        loader=FileSystemLoader(template_directory()),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = Environment(**loading(), autoescape=True)
     environment.filters |= {"embed": _embed, "curves": _curves}
     text = environment.get_template("report.html.j2").render(
         title=title, lead=lead, sections=sections, footer=f"kc2spice {__version__}",
@@ -54,7 +47,8 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def _embed(picture: Picture) -> str:
     data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-    return f"data:image/png;base64,{data}"
+    kind = {".svg": "svg+xml"}.get(picture.path.suffix, "png")
+    return f"data:image/{kind};base64,{data}"
 
 
 def _curves(figure: Figure) -> dict[str, Any]:
@@ -79,11 +73,11 @@ def _thinned(curve: Curve) -> dict[str, str]:
     so that neither peaks nor corners are lost."""
     x, y = (np.asarray(v, dtype=float) for v in (curve.x, curve.y))
     if x.size > SHOWN and np.isfinite(y).all():
-        jumps = np.argsort(np.abs(np.diff(y)))[-SHOWN // 4 :]
-        kept = {0, x.size - 1, *jumps.tolist(), *(jumps + 1).tolist()}
-        for a, b in itertools.pairwise(np.linspace(0, x.size, SHOWN // 5).astype(int).tolist()):
-            kept |= {a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))}
-        chosen = sorted(kept)
+        jumps = np.argpartition(np.abs(np.diff(y)), -SHOWN // 4)[-SHOWN // 4 :]
+        ends = np.linspace(0, x.size, SHOWN // 5).astype(int)
+        rising = np.lexsort((y, np.repeat(np.arange(ends.size - 1), np.diff(ends))))
+        extremes = rising[ends[:-1]], rising[ends[1:] - 1]
+        chosen = np.unique(np.concatenate(([0, x.size - 1], jumps, jumps + 1, *extremes)))
         x, y = x[chosen], y[chosen]
     code = [base64.b64encode(v.astype("<f4").tobytes()).decode("ascii") for v in (x, y)]
     return {"label": curve.label, "style": curve.style, "x": code[0], "y": code[1]}
