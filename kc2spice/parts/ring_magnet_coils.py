@@ -219,23 +219,44 @@ def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
     differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
     parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
     slope jumps at every height. One more cubic value on either side keeps that up to both ends;
-    beyond, the function runs level.
+    beyond, the function runs level. Of ``b``, smooth itself, only those points stay that move
+    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
+    ngspice reads a table in the square of its length.
     """
     first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
     f = np.concatenate([[first], values, [last]])
     bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    return lookup(f), lookup(bends)
+    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
+    largest, second = (float(np.abs(v).max()) for v in (values, 2 * bends[2:-2]))
+    return lookup(f), lookup(bends, second**2 / 4 / (largest or 1.0))
 
 
-def lookup(values: np.ndarray) -> list[str]:
+def lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
 
     ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
-    points share a line: ngspice reads fewer lines faster.
+    points share a line: ngspice reads fewer lines faster. Points that lie within ``tolerance`` of
+    the lines between others are left out.
     """
     f = np.concatenate([values[:1], values, values[-1:]])
-    points = [f"{k - 2}, {number(value)}" for k, value in enumerate(f)]
+    # ngspice keeps 11 digits of a literal in an expression
+    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in _corners(f, tolerance)]
     return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
+
+
+def _corners(f: np.ndarray, tolerance: float) -> list[int]:
+    """Places whose polyline is within ``tolerance`` of all values ``f`` (n,); flat ends stay."""
+    kept, last = [0, 1], f.size - 2
+    while kept[-1] < last:
+        a = kept[-1]
+        reach = a + 1
+        for b in range(a + 2, last + 1):
+            line = np.linspace(f[a], f[b], b - a + 1)
+            if np.abs(line - f[a : b + 1]).max() > tolerance:
+                break
+            reach = b
+        kept.append(reach)
+    return [*kept, f.size - 1]
 
 
 _MEANING = {
