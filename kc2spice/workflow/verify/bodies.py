@@ -315,7 +315,8 @@ def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
     if at.size <= count:
         return np.sort(at)
     size = np.abs(rom.transfer(at))
-    peak = (size / size.max(axis=0)).max(axis=(1, 2))
+    top = size.max(axis=0)
+    peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))  # a pair that answers nothing is 0
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = np.sort(at)[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
     return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))
