@@ -22,6 +22,8 @@ of one depth (:func:`dented`), which a circuit evaluates at the cost of one spri
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +32,7 @@ from scipy.sparse.linalg import splu
 from skfem import BoundaryFacetBasis
 from skfem.mesh import MeshQuad
 
+from kc2spice.bodies.convergence import MeshError, bound
 from kc2spice.bodies.fields import principal, stress
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.materials import Material
@@ -137,6 +140,18 @@ def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
     loads = stack.loads[stack.free]
     S = loads.T @ _static(*stack.blocks, loads)[: len(loads)]
     return (S + S.T) / 2
+
+
+def mesh_error(dents: Callable[[int], np.ndarray], shape: Hats) -> MeshError:
+    """Of the compliance of a flat punch half as wide as the patch; ``dents(k)`` (n, n) is that of
+    the hats on cells divided by k."""
+    began = time.process_time()
+    inner = shape.nodes[:-1] < WIDEST * shape.nodes[-1]
+    flat = np.ones(np.count_nonzero(inner))
+    coarse, fine = (
+        float(1 / np.linalg.solve(dents(k)[np.ix_(inner, inner)], flat).sum()) for k in (1, 2)
+    )
+    return MeshError("static_compliance_si", bound(coarse, fine, 2), time.process_time() - began)
 
 
 @dataclass(frozen=True)
@@ -277,12 +292,12 @@ def _patch_compliance(chip: Chip, shape: Hats, shares: np.ndarray) -> float:
     """Static compliance [m/N] of the patch on the chip's own mesh, whole device."""
     mesh = kick_mesh(chip)
     system = assemble_kick(chip, mesh)
-    load = patch_load(chip, mesh, shape, shares)
+    load = _patch_load(chip, mesh, shape, shares)
     found = _static(system.K_uu, system.K_up, system.K_pp, load[:, None])
     return float(load @ found[: load.size, 0]) / system.sectors
 
 
-def patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> np.ndarray:
+def _patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> np.ndarray:
     """(n,) unit force on the sector, as the shares of the hats spread it."""
     pressure = np.append(shares / shape.areas, 0.0)
     return patch_shape(mesh, shape.nodes, pressure)[free_displacements(mesh, chip)]
@@ -307,8 +322,11 @@ def _static(
     return np.asarray(scale[:, None] * factor.solve(right))
 
 
-def with_patch(system: PiezoSystem, load: np.ndarray) -> PiezoSystem:
-    """The same sector with the patch as its one mechanical port."""
+def with_patch(
+    system: PiezoSystem, chip: Chip, mesh: KickMesh, shape: Hats, own: Pressed
+) -> PiezoSystem:
+    """The same sector with the patch of the hats as its one mechanical port."""
+    load = _patch_load(chip, mesh, shape, own.shares)
     electrical = [port for port in system.ports if port.kind == "electrical"]
     ports = (Port(PATCH, "mechanical"), *electrical)
     return replace(system, B=load[:, None], ports=ports)
@@ -364,17 +382,16 @@ def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.n
 
 
 def with_hats(
-    system: PiezoSystem, load: np.ndarray, compliance: np.ndarray, gap: np.ndarray
+    system: PiezoSystem, own: Pressed, gap: np.ndarray
 ) -> tuple[PiezoSystem, ContactSurface]:
-    """``system`` with the hats as unknowns without inertia behind the patch ``load`` (n,), and the
-    contact of each of them: what :func:`dented` makes one law of, hat by hat.
-
-    ``compliance`` (n, n) [m/N] is that of the whole device; damped as stiffness is.
+    """``system``, whose mechanical port is the patch, with the hats as unknowns without inertia
+    behind it, damped as stiffness is, and the contact of each of them: what :func:`dented` makes
+    one law of, hat by hat.
     """
-    n, count = system.sectors * compliance, len(gap)
+    n, count = system.sectors * own.compliance, len(gap)
     size, shapes = np.linalg.eigh(n)
     stiff = 1.0 / size.max()
-    own = np.sqrt(stiff * size)[:, None] * shapes.T
+    modes = np.sqrt(stiff * size)[:, None] * shapes.T
     more = replace(
         system,
         M=sparse.block_diag([system.M, sparse.csc_array((count, count))], format="csc"),
@@ -383,6 +400,6 @@ def with_hats(
                            format="csc"),
         k_uV=np.append(system.k_uV, np.zeros(count)),
     )  # fmt: skip
-    B = np.vstack([np.repeat(load[:, None], count, axis=1), own])
+    B = np.vstack([np.repeat(system.B, count, axis=1), modes])
     rigid = np.full(count, RIGID / n.diagonal().max())
     return replace(more, B=B), ContactSurface(B, gap, rigid, np.arange(count))

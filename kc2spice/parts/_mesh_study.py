@@ -24,7 +24,6 @@ from kc2spice.bodies.pressure import (
     Pressed,
     dented,
     hats,
-    patch_load,
     pressed,
     with_hats,
     with_patch,
@@ -188,8 +187,7 @@ def _pressed(chip: Chip, load: Load) -> tuple[PiezoSystem, Hats, Pressed]:
     mesh = kick_mesh(chip)
     shape = hats(load.spacing or 0.0, chip.mesh.ring_spacing * chip.mesh.rings)
     own = pressed(chip, shape)
-    sector = with_patch(assemble_kick(chip, mesh), patch_load(chip, mesh, shape, own.shares))
-    return sector, shape, own
+    return with_patch(assemble_kick(chip, mesh), chip, mesh, shape, own), shape, own
 
 
 def _under_pressure(rom: LinearModel, shape: Hats, own: Pressed, load: Load) -> float:
@@ -214,8 +212,7 @@ def _mesh_point(label: str, chip: Chip, load: Load, step: float) -> MeshPoint:
         model = from_sector(sector)
         rom = reduce(model, order=ORDER, band=BAND)
         gap = sphere_gap(load.radius, shape.distances)
-        system = as_system(rom, sector)
-        system, surface = with_hats(system, system.B[:, 0], own.compliance, gap)
+        system, surface = with_hats(as_system(rom, sector), own, gap)
         force = _under_pressure(rom, shape, own, load) / sector.sectors
     ball = Ball(load.mass / sector.sectors, load.gap, load.velocity)
     bounced = transient(system, surface, ball, step=step, stop=STOP, voltage=None)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from kc2spice.bodies.convergence import MeshError, bound
+from kc2spice.bodies.convergence import MeshError
 from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
@@ -114,22 +111,14 @@ elastic = true
         yield LeftOut(f"free ringing of {part.keys.of}", why, "none of the path")
 
     def mesh_error(self, part: Part, scene: Scene) -> MeshError:
-        """Of the compliance of a contact half as wide as its patch, against cells half the size."""
+        """Of what touches, against cells half the size."""
         body, shape, refine = _body(part, scene), _hats(part, scene), part.keys.mesh.refine
 
         def estimate() -> MeshError:
+            from kc2spice.bodies.pressure import mesh_error
             from kc2spice.bodies.sphere import compliance
 
-            began = time.process_time()
-            inner = shape.nodes[:-1] < shape.nodes[-1] / 2
-            flat = np.ones(np.count_nonzero(inner))
-            coarse, fine = (
-                1 / np.linalg.solve(compliance(body, shape, k * refine)[np.ix_(inner, inner)], flat)
-                .sum() for k in (1, 2)
-            )  # fmt: skip
-            return MeshError(
-                "static_compliance_m_n", bound(coarse, fine, 2), time.process_time() - began
-            )
+            return mesh_error(lambda k: compliance(body, shape, k * refine), shape)
 
         key = {"type": self.name, "full": self.full_key(part, scene)}
         found, _ = cached("mesh_error", key, estimate, classes=(MeshError,), sources=self.sources())

@@ -305,10 +305,9 @@ class PiezoStack(MeshedBody):
 
         def assembled(contact: Part, sphere: Part) -> tuple[PiezoSystem, ContactSurface | None]:
             with clock.stage("assemble", "piezoelectric matrices"):
-                system = _assembled(chip)
-            if contact.keys.shape == "pressure":
-                return _with_pressure(part, build.scene, system, sphere.keys.radius)
-            return system, None
+                if contact.keys.shape == "pressure":
+                    return _with_pressure(part, build.scene, sphere.keys.radius)
+                return _assembled(chip), None
 
         return solve(part, build, chip, assembled, clock, whole)
 
@@ -393,8 +392,12 @@ class PiezoStack(MeshedBody):
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
 
     def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
-        """Of a launch it is known from a mesh study, where it is known at all (:meth:`errors`)."""
-        return None if scene.of("contact") else super().mesh_error(part, scene)
+        """Of the graded mesh under a pressure. Of a launch from rings a mesh study knows it, where
+        it is known at all (:meth:`errors`)."""
+        shape = pressure_hats(part, scene)
+        if shape is None:
+            return None if scene.of("contact") else super().mesh_error(part, scene)
+        return _graded_error(chip_of(part.keys), shape)
 
     def measured(self, part: Part, scene: Scene) -> bool:
         """The paper's chip and sphere, damped as there or more; one kick upwards that outlasts the
@@ -675,10 +678,9 @@ def _patched(chip: Chip, shape: Hats) -> LinearModel:
 
 
 def _on_patch(chip: Chip, shape: Hats) -> PiezoSystem:
-    from kc2spice.bodies.pressure import patch_load, with_patch
+    from kc2spice.bodies.pressure import with_patch
 
-    load = patch_load(chip, _mesh(chip), shape, _pressed(chip, shape).shares)
-    return with_patch(_assembled(chip), load)
+    return with_patch(_assembled(chip), chip, _mesh(chip), shape, _pressed(chip, shape))
 
 
 def _dents(part: Part, shape: Hats) -> Dents:
@@ -686,30 +688,44 @@ def _dents(part: Part, shape: Hats) -> Dents:
     return Dents(found.compliance, found.patch, part.keys.damping.beta)
 
 
-def _with_pressure(
-    part: Part, scene: Scene, system: PiezoSystem, radius: float
-) -> tuple[PiezoSystem, ContactSurface]:
+def _with_pressure(part: Part, scene: Scene, radius: float) -> tuple[PiezoSystem, ContactSurface]:
     """One sector with hats :data:`FINER` than the contact's under a sphere of this radius [m], each
     of which closes by itself: their force swings by the square of their spacing."""
-    from kc2spice.bodies.pressure import patch_load, with_hats
+    from kc2spice.bodies.pressure import with_hats
     from kc2spice.fem.piezo.contact import sphere_gap
 
     chip, shape = chip_of(part.keys), pressure_hats(part, scene, FINER)
     assert shape is not None
-    own = _pressed(chip, shape)
-    load = patch_load(chip, _mesh(chip), shape, own.shares)
-    return with_hats(system, load, own.compliance, sphere_gap(radius, shape.distances))
+    gap = sphere_gap(radius, shape.distances)
+    return with_hats(_on_patch(chip, shape), _pressed(chip, shape), gap)
 
 
 def _pressed(chip: Chip, shape: Hats) -> Pressed:
     from kc2spice.bodies.pressure import Pressed, pressed
 
-    own = chip.model_dump(mode="json", exclude={"damping"})
-    key = {"chip": own, "hats": shape.nodes.tolist()}
     found, _ = cached(
-        "pressed", key, lambda: pressed(chip, shape), classes=(Pressed,), sources=SOURCES
-    )
+        "pressed", _hatted(chip, shape), lambda: pressed(chip, shape), classes=(Pressed,),
+        sources=SOURCES,
+    )  # fmt: skip
     return found
+
+
+def _graded_error(chip: Chip, shape: Hats) -> MeshError:
+    from kc2spice.bodies.convergence import MeshError
+    from kc2spice.bodies.pressure import CELLS, dents, mesh_error
+
+    found, _ = cached(
+        "graded_error", _hatted(chip, shape),
+        lambda: mesh_error(lambda k: dents(chip, shape, k * CELLS), shape),
+        classes=(MeshError,), sources=SOURCES,
+    )  # fmt: skip
+    return found
+
+
+def _hatted(chip: Chip, shape: Hats) -> dict[str, Any]:
+    """What the statics of a chip under hats depend on."""
+    own = chip.model_dump(mode="json", exclude={"damping"})
+    return {"chip": own, "hats": shape.nodes.tolist()}
 
 
 register(PiezoStack())
