@@ -60,7 +60,7 @@ class Checks(Section):
     energy: Action = Field("fail", description="books of sphere, contact and chip")
     touches: Action = Field("fail", description="of a kick before it throws, against solver.reltol")
     range: Action = Field("fail", description="sphere in the field table, contact within the rings")
-    penetration: Action = Field("warn", description="of sphere and chip, against the ring gaps")
+    penetration: Action = Field("warn", description="of a contact: soft springs, too few hats")
     saturation: Action = Field("warn", description="share of the time at the current limit")
     plausible: Action = Field("fail", description="keys against what exists or can be made")
     reduction: Action | None = Field(
