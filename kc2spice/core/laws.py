@@ -504,6 +504,11 @@ class Device(ABC):
         """Power that it turns into heat [W]; negative for what it brings in from outside."""
         return 0.0
 
+    def stores(self, first: np.ndarray, last: np.ndarray, mode: Any) -> float | None:
+        """Energy [J] that is stored between two instants of a mode where :meth:`loss` is all power
+        that comes in; None where it is that of heat."""
+        return None
+
     @property
     def extra(self) -> tuple[str, ...]:
         """Names of further quantities to record as ``NAME.EXTRA``."""
@@ -665,15 +670,18 @@ class Contact(Device):
         return np.maximum(e[: len(self.ports)] - self.gaps, 0.0)
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
-        """What closes the springs less what they store, and friction times speed."""
+        """What closes damped springs, and friction times speed."""
         n = len(self.ports)
         if self.affine:
             return 0.0
         through = self.evaluate(t, e, mode)[0]
         lost = float(through[-1] * e[-1]) if self.friction else 0.0
-        if self._rated:
-            lost += float((through[:n] - self._static(self._depth(e))[0]) @ e[n : 2 * n])
-        return lost
+        return lost + float(through[:n] @ e[n : 2 * n]) if self._rated else lost
+
+    def stores(self, first: np.ndarray, last: np.ndarray, mode: Any) -> float | None:
+        """What the springs hold; where a dent begins or ends is no event, and no quadrature of its
+        power would see the kink there."""
+        return self.energy(last, mode) - self.energy(first, mode) if self._rated else None
 
 
 @dataclass(frozen=True)

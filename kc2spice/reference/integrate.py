@@ -444,7 +444,7 @@ def _balance(result: Result) -> Balance:
         k for k, d in enumerate(system.devices) if type(d.law).loss is not Device.loss
     ]  # fmt: skip
     for part in result.stretches:
-        piece = part.piece
+        piece, step = part.piece, part.steps[0]
         t = np.concatenate([s.start + s.length * NODES for s in part.steps])
         w = np.concatenate([s.length * WEIGHTS for s in part.steps])
         nodes = [s.nodes() for s in part.steps]
@@ -466,15 +466,20 @@ def _balance(result: Result) -> Balance:
                 lost[term.law] = lost.get(term.law, 0.0) + value
         for k in losing:
             device, mode = system.devices[k], piece.modes[k]
+            name = device.law.name
             e = device.inputs.at(z, s, d).T
             gained = np.array([device.law.loss(a, x, mode) for a, x in zip(t, e, strict=True)])
-            name = device.law.name
-            if gained.size:
+            first = piece.inputs_of(step.start, step.first)[k]
+            last = piece.inputs_of(part.end, part.steps[-1].last)[k]
+            kept = device.law.stores(first, last, mode)
+            if kept is not None:
+                lost[name] = lost.get(name, 0.0) + float(gained @ w) - kept
+            elif gained.size:
                 lost[name] = lost.get(name, 0.0) + float(np.maximum(gained, 0.0) @ w)
                 supplied[name] = supplied.get(name, 0.0) - float(np.minimum(gained, 0.0) @ w)
-    first, last = result.stretches[0], result.stretches[-1]
-    before = _energies(first.piece, first.steps[0].start, first.steps[0].first)
-    after = _energies(last.piece, last.end, last.steps[-1].last)
+    begin, end = result.stretches[0], result.stretches[-1]
+    before = _energies(begin.piece, begin.steps[0].start, begin.steps[0].first)
+    after = _energies(end.piece, end.end, end.steps[-1].last)
     names = dict.fromkeys((*supplied, *lost, *before))
     return Balance({
         n: Share(supplied.get(n, 0.0), lost.get(n, 0.0), before.get(n, 0.0), after.get(n, 0.0))
