@@ -29,7 +29,7 @@ from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, FOLLOWED, UNRATED, reference, subcircuit
+from kc2spice.spice.realize import COARSE, FOLLOWED, UNRATED, Watch, reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -164,6 +164,10 @@ class LinearBody(PartType):
         """Whether time steps need not follow its ringing once nothing presses on it."""
         return scene.solver.ringing == "coarse"
 
+    def watch(self, part: Part, scene: Scene) -> Watch:
+        """What step control sees of it."""
+        return COARSE if self.coarse(part, scene) else FOLLOWED
+
     def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         """What ``solver.ringing = "coarse"`` gives up."""
         if self.coarse(part, scene):
@@ -236,8 +240,7 @@ class LinearBody(PartType):
         if not volts and any(port.kind == "electrical" for port in build.model(part).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         title = self.headline(part)
-        watch = COARSE if self.coarse(part, build.scene) else FOLLOWED
-        model = build.model(part)
+        model, watch = build.model(part), self.watch(part, build.scene)
         return (subcircuit(model, name, header, title=title, rating=rating, watch=watch),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
