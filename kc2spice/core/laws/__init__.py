@@ -1,0 +1,49 @@
+"""Laws of parts: what each type of part says of itself to the independent integrator.
+
+A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind
+says which *across* quantity all pins of a net share and which *through* ones sum to zero there:
+
+================  ===================  ==========================
+kind              across               through
+================  ===================  ==========================
+``electrical``    voltage [V]          current into the part [A]
+``displacement``  displacement [m]     force on the part [N]
+``velocity``      velocity [m/s]       force on the part [N]
+``rotation``      angle [rad]          torque on the part [N m]
+``signal``        value                none; one pin of a net sets it
+================  ===================  ==========================
+
+Linear laws are stamped into matrices by the assembler (:mod:`kc2spice.reference.assemble`). Every
+nonlinear or switched law is a :class:`Device`: smooth expressions within a *mode*, and guards whose
+zeros end the mode.
+"""
+
+from kc2spice.core.laws.contact import Contact
+from kc2spice.core.laws.control import Pid, Sampled
+from kc2spice.core.laws.device import Device, Flow, Tap
+from kc2spice.core.laws.electronics import Amplifier, Diode, Switch
+from kc2spice.core.laws.equations import Equations, Reading, difference, reading
+from kc2spice.core.laws.linear import (
+    Capacitor,
+    Damper,
+    Inductor,
+    LinearBody,
+    Mass,
+    Port,
+    Resistor,
+    Sensor,
+    SignalBlock,
+    Source,
+    Spring,
+)
+from kc2spice.core.laws.magnets import CoilForce, ForceTable, PositionForce
+from kc2spice.core.laws.pin import GROUND, KINDS, MECHANICAL, Law, Pin
+from kc2spice.core.laws.wave import Line, Recorded, Sine, Waveform
+
+__all__ = [
+    "GROUND", "KINDS", "MECHANICAL", "Amplifier", "Capacitor", "CoilForce", "Contact", "Damper",
+    "Device", "Diode", "Equations", "Flow", "ForceTable", "Inductor", "Law", "Line", "LinearBody",
+    "Mass", "Pid", "Pin", "Port", "PositionForce", "Reading", "Recorded", "Resistor", "Sampled",
+    "Sensor", "SignalBlock", "Sine", "Source", "Spring", "Switch", "Tap", "Waveform",
+    "difference", "reading",
+]  # fmt: skip

@@ -1,0 +1,200 @@
+"""Linear laws, which the assembler stamps into matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.core.laws.pin import Pin
+from kc2spice.core.laws.wave import Waveform
+
+
+@dataclass(frozen=True)
+class Port:
+    """A port of a :class:`LinearBody`: one column of B, one row of C.
+
+    Electrical: voltage in, charge out; ``ret`` names the pin of its return. Mechanical: force in,
+    displacement out. ``acceleration``: acceleration of the base in [m/s^2] (a signal pin), reaction
+    force out [N], seen in the wave ``NAME.PORT.reaction``.
+    """
+
+    name: str
+    kind: str
+    ret: str = ""
+
+
+@dataclass(frozen=True)
+class LinearBody:
+    """``M x'' + E x' + K x = B in``, ``out = C x + D in``.
+
+    ``M``, ``E``, ``K`` (n, n) or, for diagonal ones, (n,); ``B`` (n, p), ``C`` (p, n), ``D`` (p, p)
+    or None.
+    A port with ``D`` must be electrical or have an own positive compliance.
+    """
+
+    name: str
+    M: np.ndarray
+    E: np.ndarray
+    K: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """One pin a port, and the returns."""
+        found: list[Pin] = []
+        for port in self.ports:
+            kind = "signal" if port.kind == "acceleration" else port.kind
+            found.append(Pin(port.name, kind))
+            if port.ret and port.ret not in {p.name for p in found}:
+                found.append(Pin(port.ret, kind, grounded=True))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class SignalBlock:
+    """``E x' = A x + B u``, ``y = C x + D u`` from signals to signals."""
+
+    name: str
+    E: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """Inputs, then outputs."""
+        return tuple(Pin(n, "signal") for n in (*self.inputs, *self.outputs))
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A rigid mass [kg] on pin ``a``, or a moment of inertia on a rotation net.
+
+    ``position`` and ``velocity`` start it there; None starts it where the rest of the system holds
+    it in equilibrium. ``gravity`` [m/s^2] pulls towards smaller displacements. ``offset`` is added
+    to the displacement in the wave ``NAME.y``.
+    """
+
+    name: str
+    mass: float
+    gravity: float = 0.0
+    position: float | None = None
+    velocity: float = 0.0
+    offset: float = 0.0
+    kind: str = "displacement"
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """The one pin ``a``."""
+        return (Pin("a", self.kind),)
+
+
+@dataclass(frozen=True)
+class Spring:
+    """Force ``stiffness (u_a - u_b - free)`` pulls ``a`` and ``b`` together [N/m]."""
+
+    name: str
+    stiffness: float
+    free: float = 0.0
+    kind: str = "displacement"
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """``a``, and ``b``, which lies on the base by default."""
+        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
+
+
+@dataclass(frozen=True)
+class Damper:
+    """Force ``damping d(u_a - u_b)/dt`` between ``a`` and ``b`` [N s/m]."""
+
+    name: str
+    damping: float
+    kind: str = "displacement"
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """``a``, and ``b``, which lies on the base by default."""
+        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
+
+
+@dataclass(frozen=True)
+class _TwoPole:
+    name: str
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """``a``, and ``b``, which is grounded by default."""
+        return (Pin("a", "electrical"), Pin("b", "electrical", grounded=True))
+
+
+@dataclass(frozen=True)
+class Resistor(_TwoPole):
+    """``i = v / resistance`` [Ohm]."""
+
+    resistance: float
+
+
+@dataclass(frozen=True)
+class Capacitor(_TwoPole):
+    """``i = capacitance dv/dt`` [F]; ``voltage`` at the start, None for that in equilibrium."""
+
+    capacitance: float
+    voltage: float | None = None
+
+
+@dataclass(frozen=True)
+class Inductor(_TwoPole):
+    """``v = inductance di/dt`` [H]; ``current`` at the start, None for that in equilibrium."""
+
+    inductance: float
+    current: float | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A prescribed quantity between ``out`` and ``ret``.
+
+    ``kind``: ``voltage`` [V], ``current`` [A] out of ``out``, ``force`` [N] on what is joined to
+    ``out``, ``displacement`` [m], ``acceleration``
+    [m/s^2] (a signal pin), ``signal``. ``ac`` is the complex amplitude of an ac analysis.
+    """
+
+    name: str
+    kind: str
+    wave: Waveform
+    ac: complex = 0.0
+    pin_kind: str = ""
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """``out``, and ``ret``, which is grounded by default."""
+        kinds = {"voltage": "electrical", "current": "electrical", "signal": "signal"} | {
+            "acceleration": "signal"
+        }
+        kind = self.pin_kind or kinds.get(self.kind, "displacement")
+        out = Pin("out", kind)
+        return (out,) if kind == "signal" else (out, Pin("ret", kind, grounded=True))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Signal ``out = gain (across(a) - across(b)) + offset``, with a pole at ``bandwidth`` [Hz]."""
+
+    name: str
+    gain: float = 1.0
+    offset: float = 0.0
+    bandwidth: float = np.inf
+    kind: str = "displacement"
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """``a``, ``b`` (grounded by default) and the signal ``out``."""
+        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True), Pin("out", "signal"))
