@@ -1,4 +1,7 @@
-"""Contact, 100 bounces each: ``python tests/spice/hard_cases/contact_table.py``."""
+"""Contact, 100 bounces each: ``python tests/spice/hard_cases/contact_table.py``.
+
+Writes the table into docs/contact.md.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,13 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from hard_cases.kit import HEADER, Bench, bench_deck
+from hard_cases.kit import HEADER, Bench, bench_deck, write_table
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 
 MASS, STIFFNESS, SPEED, HEIGHT, LANDINGS = SphereKeys().mass, 4e8, 0.01, 1e-7, 100
-TABLE = re.compile(r"(?s)<!-- table -->\n.*<!-- end -->")
-PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
 OPTIONS = {
     "trap, 1e-3": "reltol=1e-3 trtol=1 chgtol=1e-08",
     "trap, 1e-4": "reltol=1e-4 trtol=1 chgtol=1e-08",
@@ -76,23 +77,19 @@ Xcontact ring0 v bottom 0 contact
     return Bounced(last / start - 1, LANDINGS - landings, int(stats["accepted"]), stats["cpu_s"])
 
 
+def row(law: str, name: str) -> tuple[str, ...]:
+    """A row of the table."""
+    try:
+        b = bounce(law, OPTIONS[name])
+    except SimulationError as error:
+        return law, name, error.message, "", "", ""
+    return law, name, f"{b.energy:+.1e}", f"{b.missed}", f"{b.points}", f"{b.seconds:.2f}"
+
+
 def main() -> None:
     """Write the table into the page."""
-    lines = [
-        "| force over depth x | options | energy gained | landings missed | points | CPU [s] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for law in LAWS:
-        for name, options in OPTIONS.items():
-            try:
-                b = bounce(law, options)
-                cells = f"{b.energy:+.1e} | {b.missed} | {b.points} | {b.seconds:.2f}"
-            except SimulationError as error:
-                cells = f"{error.message} | | |"
-            lines.append(f"| {law} | {name} | {cells} |")
-            print(lines[-1], flush=True)
-    table = "\n".join(["<!-- table -->", *lines, "<!-- end -->"])
-    PAGE.write_text(TABLE.sub(lambda _: table, PAGE.read_text()))
+    head = "force over depth x", "options", "energy gained", "landings missed", "points", "CPU [s]"
+    write_table("bounces", head, (row(law, name) for law in LAWS for name in OPTIONS))
 
 
 if __name__ == "__main__":

@@ -9,19 +9,17 @@ of the full model on rings of 50 and 25 um, by Newmark's method with two steps (
 from __future__ import annotations
 
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from kc2spice.core.progress import Clock, silent
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hard_cases.kit import simulated, write_table
+
 from kc2spice.core.waveform import pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 STOP = 6.2e-6  # s; the sphere has left
@@ -30,17 +28,15 @@ MESHES = {"50 um": {}, "25 um": {"ring_spacing": 25e-6, "rings": 10, "outer_ring
 STEPS = {1e-2: (20e-9, 10e-9), 1e-4: (10e-9, 5e-9)}  # of the full model, by damping
 
 
-def reduced(ratio: float, inertia: str) -> str:
+def reduced(ratio: float, inertia: str) -> tuple[str, ...]:
     """A row of the table."""
     scene = load_scene(
         {"name": "kick", "kick": {"drive": {"start": 0.0}, "damping": {"ratio": ratio}},
          "contact": {"rings": 2, "inertia": inertia}, "sphere": {}, "gravity": 9.81,
          "solver": {"stop": STOP, "max_step": 1e-6}},
     )  # fmt: skip
-    build = build_models(scene, Clock(silent))
+    build, waves = simulated(scene)
     model = resonators(build.model("kick"))
-    with tempfile.TemporaryDirectory() as directory:
-        waves = run_deck(make_deck(build), Path(directory))
     force = np.array([waves[f"contact.force.ring{k}"] for k in range(2)]) > 0
     events = int((force[:, 1:] & ~force[:, :-1]).sum())
     ends = Waveforms({"time": np.array([0.0, STOP])}, {})
@@ -48,9 +44,9 @@ def reduced(ratio: float, inertia: str) -> str:
     error = waves["sphere.v"][-1] / exact - 1
     states = 2 * model.order - model.massless
     return (
-        f"| {100 * ratio:g} % | {inertia} | {states} | {events} | {waves['time'].size} | "
-        f"{waves.stats['cpu_s']:.2f} | {error:+.1e} | {exact:.5f} |"
-    )
+        f"{100 * ratio:g} %", inertia, f"{states}", f"{events}", f"{waves['time'].size}",
+        f"{waves.stats['cpu_s']:.2f}", f"{error:+.1e}", f"{exact:.5f}",
+    )  # fmt: skip
 
 
 def full(ratio: float, mesh: str) -> list[float]:
@@ -72,12 +68,12 @@ def full(ratio: float, mesh: str) -> list[float]:
 
 
 def main() -> None:
-    """Print the table, then the full model's launches."""
-    print("| damping | contact ports | states | contact events | points | CPU [s] | error of "
-          "ngspice | launch [m/s] |\n|---|---|---|---|---|---|---|---|")  # fmt: skip
-    for ratio in DAMPING:
-        for inertia in ("lumped", "massless"):
-            print(reduced(ratio, inertia), flush=True)
+    """Write the table into the page, print the full model's launches."""
+    forms = ((ratio, inertia) for ratio in DAMPING for inertia in ("lumped", "massless"))
+    write_table("inertia", (
+        "damping", "contact ports", "states", "contact events", "points", "CPU [s]",
+        "error of ngspice", "launch [m/s]",
+    ), (reduced(*form) for form in forms))  # fmt: skip
     if "--full" in sys.argv:
         for ratio, steps in STEPS.items():
             for mesh in MESHES:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from device import bench as bench_deck  # noqa: F401
 from device import built, chip, edited, magnets
 
 from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.parts.contact import separation
@@ -21,15 +23,18 @@ from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
+PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
 
 
 @dataclass(frozen=True)
@@ -91,10 +96,18 @@ class Bench:
         table: EMTable | None = None,
     ) -> Waveforms:
         """What ``kc2spice run`` does with a scene: the deck, ngspice, then the physics checks."""
-        build = built(scene, model or chip(), table or magnets())
+        return self.judged(built(scene, model or chip(), table or magnets()))
+
+    def own(self, scene: Scene) -> tuple[Build, Waveforms]:
+        """The same with the scene's own bodies."""
+        build = build_models(scene, Clock(silent))
+        return build, self.judged(build)
+
+    def judged(self, build: Build) -> Waveforms:
+        """The deck's waveforms, which keep the physics checks."""
         waves = self.run(make_deck(build))
         if not self.plain:
-            require(verdict(waves, build).checks, scene.name)
+            require(verdict(waves, build).checks, build.scene.name)
         return waves
 
 
@@ -180,3 +193,38 @@ def relative(found: float | None, expected: float | None) -> float:
     if found is None or expected is None:
         return np.inf
     return abs(found / expected - 1.0)
+
+
+def simulated(study: Scene) -> tuple[Build, Waveforms]:
+    """The scene with its own bodies by ngspice, one attempt at the settings of its deck."""
+    build = build_models(study, Clock(silent))
+    with tempfile.TemporaryDirectory() as directory:
+        return build, run_deck(make_deck(build), Path(directory))
+
+
+def metrics(study: Scene) -> tuple[Build, Waveforms, dict[str, Any]]:
+    """The same with what the parts say of it."""
+    build, waves = simulated(study)
+    found: dict[str, Any] = {}
+    for part in study.parts.values():
+        found |= part.type.metrics(part, build, waves)
+    return build, waves, found
+
+
+def cells(row: Iterable[str]) -> str:
+    """A line of a table."""
+    return f"| {' | '.join(row)} |"
+
+
+def write_table(name: str, head: Sequence[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print a table as its rows come, then put it between its marks in docs/contact.md."""
+    lines = [cells(head), "|---" * len(head) + "|"]
+    for row in rows:
+        lines.append(cells(row))
+        print(lines[-1], flush=True)
+    first, last = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+    before, _, rest = PAGE.read_text().partition(first)
+    _, mark, after = rest.partition(last)
+    if not mark:
+        raise ValueError(f"{PAGE} has no marks of the table {name}")
+    PAGE.write_text(before + first + "\n".join(lines) + mark + after)

@@ -9,24 +9,20 @@ relative to the finest hats. Writes the table into docs/contact.md.
 
 from __future__ import annotations
 
-import re
-import tempfile
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from kc2spice.core.progress import Clock, silent
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hard_cases.kit import metrics, simulated, write_table
+
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
 
-PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
-TABLE = re.compile(r"(?s)<!-- shapes -->\n.*<!-- end of shapes -->")
 FINE = ("kick.mesh.ring_spacing=25 um", "kick.mesh.rings=10", "kick.mesh.outer_rings=16")
 PRESSURE = "contact.shape=pressure"
 FORMS = {
@@ -43,36 +39,17 @@ FORMS = {
 CLOSE = "solver.reltol=1e-6"
 
 
-def built(scene: Scene) -> Build:
-    return build_models(scene, Clock(silent))
-
-
-def waves(build: Build) -> Waveforms:
-    with tempfile.TemporaryDirectory() as directory:
-        return run_deck(make_deck(build), Path(directory))
-
-
-def metric(name: str, *keys: str) -> dict[str, float]:
-    build = built(load_scene(name, keys))
-    found: dict[str, float] = {}
-    results = waves(build)
-    for part in build.scene.parts.values():
-        found |= dict(part.type.metrics(part, build, results))
-    return found
-
-
 def kick(*keys: str) -> tuple[Build, Waveforms]:
-    build = built(load_scene(
+    return simulated(load_scene(
         {"name": "kick", "kick": {"drive": {"start": 0.0}}, "contact": {}, "sphere": {},
          "gravity": 9.81, "solver": {"stop": 12e-6, "max_step": 1e-6}}, keys,
     ))  # fmt: skip
-    return build, waves(build)
 
 
 def numbers(keys: tuple[str, ...]) -> np.ndarray:
     """Static force [N], depth [m], rebound and launch [m/s]."""
-    static = metric("imprint", "imprint.depth=5 um", *keys)
-    impact = metric("impact", CLOSE, *keys)
+    _, _, static = metrics(load_scene("imprint", ["imprint.depth=5 um", *keys]))
+    _, _, impact = metrics(load_scene("impact", [CLOSE, *keys]))
     _, fine = kick(CLOSE, *keys)
     return np.array([static["force_n"][-1], impact["min_position_m"],
                      impact["rebound_velocity_m_s"], fine["sphere.v"][-1]])  # fmt: skip
@@ -85,26 +62,23 @@ def cost(keys: tuple[str, ...]) -> tuple[int, int, float]:
     return 2 * model.order - model.massless, results["time"].size, results.stats["cpu_s"]
 
 
-def main() -> None:
-    """Write the table into the page."""
+def rows() -> Iterator[tuple[str, ...]]:
+    """Of the table."""
     found = {name: (numbers(keys), cost(keys)) for name, keys in FORMS.items()}
     best = list(found.values())[-1][0]
-    lines = [
-        "| contact ports | static force [N] | impact depth [um] | rebound [m/s] | launch [m/s] | "
-        "largest error | states | points | CPU [s] |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
     for name, (values, (states, points, seconds)) in found.items():
         error = np.abs(values / best - 1)
-        cells = [f"{value:.5g} ({off:.1e})" for value, off in
-                 zip(values * [1, 1e6, 1, 1], error, strict=True)]  # fmt: skip
-        lines.append(
-            f"| {name} | {' | '.join(cells)} | {error.max():.1e} | {states} | {points} | "
-            f"{seconds:.2f} |"
-        )
-        print(lines[-1], flush=True)
-    table = "\n".join(["<!-- shapes -->", *lines, "<!-- end of shapes -->"])
-    PAGE.write_text(TABLE.sub(lambda _: table, PAGE.read_text()))
+        each = zip(values * [1, 1e6, 1, 1], error, strict=True)
+        yield (name, *(f"{value:.5g} ({off:.1e})" for value, off in each), f"{error.max():.1e}",
+               f"{states}", f"{points}", f"{seconds:.2f}")  # fmt: skip
+
+
+def main() -> None:
+    """Write the table into the page."""
+    write_table("shapes", (
+        "contact ports", "static force [N]", "impact depth [um]", "rebound [m/s]", "launch [m/s]",
+        "largest error", "states", "points", "CPU [s]",
+    ), rows())  # fmt: skip
 
 
 if __name__ == "__main__":
