@@ -1,14 +1,16 @@
 """Mutation testing by cosmic-ray: does a test fail when one operator or number is changed?
 
-    python tools/mutants.py record [TESTS …]        which test executes which line: 20 minutes
-    python tools/mutants.py run [--sample N] [--seed S] [--only PACKAGE …] [--out FILE]
+    python tools/mutants.py record [FILE …]         which test executes which line
+    python tools/mutants.py run [--sample N] [--seed S] [--only PACKAGE …] [--again]
 
-``record`` runs the tests (all that are not slow, or those named, on top of what is known) under
-coverage. ``run`` draws N places of the packages below, one mutant each, and runs those tests that
-execute its lines, the most specific and the cheapest first, until one fails or about 80 recorded
-seconds are spent. What is no behaviour is not drawn: annotations, messages of errors, plots,
-sketches and words, and whole constants of a module above two (one sample more is as good a choice).
-Both work on a copy in ``build/mutants``, made by the first ``record``.
+``record`` runs the test files that are not slow (or those named, anew) under coverage, one after the
+other in a process each, the program's own processes included; killed, it goes on where it was.
+``run`` draws N places of the packages below, one mutant each, and runs those tests that execute its
+lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds are
+spent. Killed, it goes on too; ``--again`` gives the survivors another try. What is no behaviour is
+not drawn: annotations, messages of errors, plots, sketches and words, and whole constants of a
+module above two (one sample more is as good a choice). Both work on a copy in ``build/mutants``, made
+by the first ``record``; remove that folder to begin with another source.
 """
 
 from __future__ import annotations
@@ -25,10 +27,10 @@ import subprocess
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from shutil import copytree, ignore_patterns
+from shutil import copyfile, copytree, ignore_patterns
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -36,15 +38,16 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 HOME = ROOT / "build" / "mutants"
-COPY, DATA, TIMES = HOME / "copy", HOME / "coverage", HOME / "times.json"
+COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
+FOLDERS = ("unit", "physics", "spice", "gallery")
 PACKAGES = ("rom", "spice", "parts", "sim", "workflow/verify")
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip
 SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|Panel|Curve|Line2D")
 WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
 DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
-FORMAL = {"dataclass", "lru_cache", "cache", "Field"}
+FORMAL = {"dataclass", "lru_cache", "cache"}
 ROUNDS = (15.0, 80.0)  # recorded seconds of tests: first, then for survivors
 MOST = 200  # tests of a round
 ALIKE = 3  # cases of one test before those of others
@@ -52,6 +55,8 @@ START_UP = 0.5  # s; tests that take less are equally cheap
 SLOWER, START = 3.0, 30.0  # times the CPU time, and seconds more, that a mutant may take
 WAITED = 8.0  # times that of wall time: other programs may run beside
 MEMORY = 6 << 30  # bytes
+LONGEST = 1800.0  # s of CPU for a file of tests
+Place = tuple[str, str, int]
 
 
 @dataclass(frozen=True)
@@ -67,56 +72,111 @@ class Mutant:
     by: str
     seconds: float
 
+    @property
+    def place(self) -> Place:
+        """What it is known by."""
+        return self.path, self.operator, self.occurrence
+
 
 def main() -> int:
     """Record, or draw and run."""
     plain = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=plain)
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("record").add_argument("tests", nargs="*")
+    commands.add_parser("record").add_argument("files", nargs="*")
     run = commands.add_parser("run")
     run.add_argument("--sample", type=int, default=100, help="mutants of all packages together")
     run.add_argument("--seed", type=int, default=1)
     run.add_argument(
         "--only", nargs="*", default=list(PACKAGES), help="packages, or modules like rom/pencil.py"
     )
-    run.add_argument("--again", type=Path, help="run the survivors of this earlier --out")
-    run.add_argument("--out", type=Path, default=HOME / "mutants.json")
+    run.add_argument("--again", action="store_true", help="try those anew that survived")
+    run.add_argument("--out", type=Path, help="JSON file; it is gone on with")
     asked = parser.parse_args()
-    if asked.command == "record":
-        return record(asked.tests)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # puts the mutated source back
+    if asked.command == "record":
+        return record(asked.files)
+    out = asked.out or HOME / f"mutants_{asked.seed}.json"
     drawn = draw(asked.only, asked.sample, asked.seed)
-    if asked.again:
-        alive = {(m["path"], m["operator"], m["occurrence"])
-                 for m in json.loads(asked.again.read_text()) if not m["killed"]}  # fmt: skip
-        drawn = [item for item in drawn if (item.path, item.operator, item.occurrence) in alive]
-    done = []
-    for mutant in map(judged(), drawn):
-        done.append(mutant)
-        asked.out.write_text(json.dumps([asdict(each) for each in done], indent=1))
-        print("killed  " if mutant.killed else "SURVIVED", mutant.path, mutant.line, mutant.change,
-              mutant.by, f"{mutant.seconds:.0f} s", flush=True)  # fmt: skip
-    print(*page(done, asked.seed), sep="\n")
+    known = [Mutant(**each) for each in json.loads(out.read_text())] if out.exists() else []
+    done = {m.place: m for m in known if m.killed or not asked.again}
+    judge = judged()
+    for k, item in enumerate(drawn):
+        if item.place in done:
+            continue
+        mutant = done[item.place] = judge(item)
+        out.write_text(json.dumps([asdict(each) for each in done.values()], indent=1))
+        print(f"{k + 1}/{len(drawn)}", "killed  " if mutant.killed else "SURVIVED", mutant.path,
+              mutant.line, mutant.change, mutant.by, f"{mutant.seconds:.0f} s", flush=True)  # fmt: skip
+    print(*page([done[item.place] for item in drawn], asked.seed), sep="\n")
     return 0
 
 
-def record(tests: list[str]) -> int:
-    """Run ``tests`` under coverage; with none named, all, from the beginning."""
-    HOME.mkdir(parents=True, exist_ok=True)
-    for known in (ALL, *(() if tests else (DATA, TIMES))):
-        known.unlink(missing_ok=True)
-    skip = ignore_patterns(".git", ".venv", "build", "out", "__pycache__", ".*_cache")
-    copytree(ROOT, COPY, ignore=skip, dirs_exist_ok=True)
-    hashed = ["-m", "compileall", "-q", "--invalidation-mode", "checked-hash", "kc2spice"]
-    subprocess.run([sys.executable, *hashed], cwd=COPY, check=True)
-    command = [sys.executable, "-m", "coverage", "run", "--source=kc2spice"]
-    command += ["--append"] if tests else []
-    command += ["-m", "pytest", "-q", "-m", "not slow", "-p", "which_tests"]
-    command += ["-p", "no:cacheprovider", *(f"--ignore={each}" for each in LEFT_OUT), *tests]
-    path = os.pathsep.join([str(COPY), str(COPY / "tools")])
-    environment = {"PYTHONPATH": path, "COVERAGE_FILE": str(DATA), "TIMES": str(TIMES)}
-    return subprocess.run(command, cwd=COPY, env=os.environ | environment, check=False).returncode
+# --------------------------------------------------------------------------------- recording
+
+
+def record(files: list[str]) -> int:
+    """Run the test ``files`` under coverage; with none named, all that are not yet recorded."""
+    DATA.mkdir(parents=True, exist_ok=True)
+    if not COPY.exists():
+        skip = ignore_patterns(".git", ".venv", "build", "out", "__pycache__", ".*_cache")
+        copytree(ROOT, part := COPY.with_suffix(".part"), ignore=skip, dirs_exist_ok=True)
+        hashed = ["-m", "compileall", "-q", "--invalidation-mode", "checked-hash", "kc2spice"]
+        subprocess.run([sys.executable, *hashed], cwd=part, check=True)
+        part.rename(COPY)
+    for name in files:
+        copyfile(ROOT / name, COPY / name)
+        _recorded_in(name).unlink(missing_ok=True)
+    every = [str(path.relative_to(COPY)) for folder in FOLDERS
+             for path in sorted((COPY / "tests" / folder).glob("test_*.py"))]  # fmt: skip
+    ahead = [name for name in every if name not in LEFT_OUT and not _recorded_in(name).exists()]
+    _preload()
+    for k, name in enumerate(ahead):
+        started = time.perf_counter()
+        code = _forked(lambda name=name: _under_coverage(name), LONGEST, HOME / "record.log")
+        known = json.loads(_recorded_in(name).read_text()) if code is not None else {}
+        print(f"{k + 1}/{len(ahead)} {name}: {len(known)} tests, "
+              f"{time.perf_counter() - started:.0f} s", flush=True)  # fmt: skip
+    return 0
+
+
+def _recorded_in(file: str) -> Path:
+    """Seconds and number of lines of each test of a file; beside it lies the data of coverage."""
+    return DATA / (file.removeprefix("tests/").removesuffix(".py").replace("/", ".") + ".json")
+
+
+def _under_coverage(file: str) -> int:
+    import coverage
+    import pytest
+    import which_tests
+
+    data = _recorded_in(file).with_suffix(".coverage")
+    for old in data.parent.glob(data.name + "*"):
+        old.unlink()
+    start = HOME / "start"  # every process that the test starts measures itself
+    start.mkdir(exist_ok=True)
+    (start / "sitecustomize.py").write_text("import coverage\ncoverage.process_startup()\n")
+    sources = ",".join(str(COPY / "kc2spice" / each) for each in PACKAGES)
+    settings = start / "coverage.ini"
+    settings.write_text(f"[run]\nsource = {sources}\ndata_file = {data}\nparallel = true\n"
+                        "core = ctrace\ncontext = ${WHICH_TEST-}\n")  # fmt: skip
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(start), str(COPY)])
+    os.environ |= {"COVERAGE_PROCESS_START": str(settings), "WHICH_TEST": ""}
+    measuring = coverage.Coverage(config_file=str(settings))
+    measuring.start()
+    code = pytest.main(["-q", "-m", "not slow", "-p", "no:cacheprovider", file], [which_tests])
+    measuring.stop()
+    measuring.save()
+    whole = coverage.Coverage(data_file=str(data), config_file=False)
+    whole.combine([str(part) for part in data.parent.glob(data.name + ".*")])
+    whole.save()
+    own: Counter[str] = Counter()
+    for path in whole.get_data().measured_files():
+        for contexts in whole.get_data().contexts_by_lineno(path).values():
+            own.update({context.rpartition("|")[0] for context in contexts if context})
+    known = {test: [spent, own[test]] for test, spent in which_tests.seconds().items()}
+    _recorded_in(file).write_text(json.dumps(known))
+    return int(code)
 
 
 # ----------------------------------------------------------------------------------- drawing
@@ -131,6 +191,11 @@ class Item:
     last: int
     operator: str
     occurrence: int
+
+    @property
+    def place(self) -> Place:
+        """What a mutant is known by."""
+        return self.path, self.operator, self.occurrence
 
 
 def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
@@ -155,12 +220,11 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
                 places[Path(one.module_path), one.start_pos, one.end_pos].append(one)
     quiet = {path: list(_no_behaviour(text)) for path, text in texts.items()}
     real = sorted(key for key in places if not any(a <= key[1] < b for a, b in quiet[key[0]]))
-    rng = random.Random(seed)
     print(f"{len(real)} places of {len(places)}", flush=True)
     found = []
-    for place in rng.sample(real, min(sample, len(real))):
+    for k, place in enumerate(random.Random(seed).sample(real, min(sample, len(real)))):
         several = sorted(places[place], key=lambda m: (m.operator_name, m.occurrence))
-        one = rng.choice(several)
+        one = random.Random(f"{seed} {k}").choice(several)  # a larger sample goes on with a smaller
         path, (line, _), (last, _) = place
         name = str(path.relative_to(COPY))
         found.append(Item(name, line, last, one.operator_name, one.occurrence))
@@ -224,20 +288,15 @@ def _difference(before: str, after: str) -> str:
 
 def judged():
     """``Item -> Mutant``, by the tests that were recorded."""
-    import coverage
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
-    data = coverage.CoverageData(basename=str(DATA))
-    data.read()
-    measured = {f"kc2spice/{n.rpartition('/kc2spice/')[2]}": n for n in data.measured_files()}
-    known = recorded(data)
+    known = recorded()
     _preload()
 
     def judge(item: Item) -> Mutant:
         started = time.perf_counter()
-        lines = data.contexts_by_lineno(measured.get(item.path, item.path))
-        tests = chosen(lines, item, known)
+        tests = chosen(known.contexts(item.path), item, known)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
         with use_mutation(COPY / item.path, operator, item.occurrence) as texts:
@@ -292,10 +351,19 @@ def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator
 
 @dataclass(frozen=True)
 class Recorded:
-    """Seconds of each test, and of ``FILE|setup``; how many lines of the package each executes."""
+    """Seconds of each test, and of ``FILE|setup``; how many lines of the packages each executes."""
 
     seconds: dict[str, float]
-    lines: Counter[str]
+    lines: dict[str, int]
+    data: list[coverage.CoverageData]
+
+    def contexts(self, module: str) -> dict[int, list[str]]:
+        """Which tests, with their stage, execute each line of a module."""
+        found = defaultdict(list)
+        for file in self.data:
+            for line, contexts in file.contexts_by_lineno(str(COPY / module)).items():
+                found[line] += contexts
+        return found
 
     def fixtures(self, file: str) -> float:
         """Seconds until the fixtures of a test file are set up."""
@@ -313,13 +381,18 @@ class Recorded:
         return SLOWER * spent + START
 
 
-def recorded(data: coverage.CoverageData) -> Recorded:
+def recorded() -> Recorded:
     """What ``record`` found; what fixtures execute counts for each test of the file."""
-    own: Counter[str] = Counter()
-    for file in data.measured_files():
-        for contexts in data.contexts_by_lineno(file).values():
-            own.update({context.rpartition("|")[0] for context in contexts if context})
-    return Recorded(json.loads(TIMES.read_text()), own)
+    import coverage
+
+    files = sorted(DATA.glob("*.json"))
+    known: dict[str, tuple[float, int]] = {}
+    for file in files:
+        known |= json.loads(file.read_text())
+    data = [coverage.CoverageData(basename=str(file.with_suffix(".coverage"))) for file in files]
+    for each in data:
+        each.read()
+    return Recorded({k: s for k, (s, _) in known.items()}, {k: n for k, (_, n) in known.items()}, data)
 
 
 def _preload() -> None:
@@ -343,38 +416,49 @@ def _preload() -> None:
 def _fails(tests: list[str], limit: float) -> tuple[bool, str]:
     """Whether one of ``tests`` fails, and which; a mutant that hangs fails too."""
     log = HOME / "mutant.log"
+
+    def run() -> int:
+        import pytest
+
+        os.environ |= {"PYTHONPATH": str(COPY), "KC2SPICE_CACHE": str(HOME / "cache")}
+        return int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
+
+    code = _forked(run, limit, log)
+    found = re.search(r"(?m)^(?:FAILED|ERROR) (\S+)", log.read_text(errors="replace"))
+    if code is None:
+        return True, "time"
+    return code != 0, found[1] if found else f"exit code {code}" if code else ""
+
+
+def _forked(job: Callable[[], int], limit: float, log: Path) -> int | None:
+    """Exit code of ``job`` in a process of its own, in the copy; None if it had to be ended."""
     child = os.fork()
     if child == 0:
-        _child(tests, log, int(limit))
+        os.setsid()
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit)))
+        with log.open("w") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
+        os.chdir(COPY)
+        sys.dont_write_bytecode = True
+        sys.path.insert(0, str(COPY))
+        code = job()
+        sys.stdout.flush()
+        os._exit(code)
     deadline = time.monotonic() + WAITED * limit
-    while time.monotonic() < deadline:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            found = re.search(r"(?m)^(?:FAILED|ERROR) (\S+)", log.read_text(errors="replace"))
-            code = os.waitstatus_to_exitcode(status)
-            return code != 0, found[1] if found else f"exit code {code}" if code else ""
-        time.sleep(0.05)
+    try:
+        while time.monotonic() < deadline:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.05)
+    except SystemExit:
+        os.killpg(child, signal.SIGKILL)
+        raise
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return True, "time"
-
-
-def _child(tests: list[str], log: Path, limit: int) -> None:
-    import pytest
-
-    os.setsid()
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-    with log.open("w") as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
-    os.chdir(COPY)
-    sys.dont_write_bytecode = True
-    sys.path.insert(0, str(COPY))
-    os.environ |= {"PYTHONPATH": str(COPY), "KC2SPICE_CACHE": str(HOME / "cache")}
-    code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests])
-    sys.stdout.flush()
-    os._exit(int(code))
+    return None
 
 
 def page(done: list[Mutant], seed: int) -> Iterator[str]:

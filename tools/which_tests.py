@@ -1,15 +1,15 @@
 """A plugin of pytest: notes which test executes which line, and how long each takes.
 
-Run under coverage, it names the context after the test and its stage; ``TIMES`` in the environment
-is the JSON file for the durations [s]. A test that fails without a mutant tells nothing and is left
-out. Each test file begins with an empty cache, so that what an earlier one has built does not hide
-who executes the building.
+Under coverage it names the context after the test and its stage; processes that the test starts find
+the name in the environment. A test that fails without a mutant, or takes too long for one, tells
+nothing and is left out. Each test file begins with an empty cache, so that what an earlier one has
+built does not hide who executes the building.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import signal
 import tempfile
 from collections import Counter
 from collections.abc import Generator
@@ -20,10 +20,18 @@ import pytest
 
 _spent: Counter[str] = Counter()
 _failed: set[str] = set()
+LIMIT = 90.0  # s of a stage of a test
 _folder = tempfile.TemporaryDirectory()
 
 
+def _too_long(*_: object) -> None:
+    pytest.fail(f"takes more than {LIMIT} s")
+
+
 def _switch(context: str) -> None:
+    os.environ["WHICH_TEST"] = context
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
     measuring = coverage.Coverage.current()
     if measuring is not None:
         measuring.switch_context(context)
@@ -53,6 +61,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_sessionfinish() -> None:
-    file = Path(os.environ["TIMES"])
-    known = json.loads(file.read_text()) if file.exists() else {}
-    file.write_text(json.dumps({k: v for k, v in (known | _spent).items() if k not in _failed}))
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def seconds() -> dict[str, float]:
+    """Of each test that passed, and of ``FILE|setup``."""
+    return {test: spent for test, spent in _spent.items() if test not in _failed}

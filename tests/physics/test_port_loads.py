@@ -1,0 +1,65 @@
+"""A unit load on each port in turn, solved with the full model."""
+
+import numpy as np
+import pytest
+
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.models import build_models
+
+SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
+         "rom.order=8", "harmonic.steps=5")  # fmt: skip
+
+
+def solution(*change, whole):
+    scene = load_scene("harmonic", [*SMALL, *change])
+    build = build_models(scene, Clock(silent))
+    study, body = scene.parts["harmonic"], scene.parts["kick"]
+    full = body.type.full_model(body, build, Clock(silent))
+    return study.type.full_solution(study, build, Clock(silent), whole), full
+
+
+@pytest.fixture(scope="module")
+def short():
+    return solution("kick.electrical=short", whole=True)
+
+
+def test_frequencies_are_those_of_the_circuits_analysis_without_rest(short):
+    found, _ = short
+    np.testing.assert_allclose(found.waves["frequency"], [1e5, 2e5, 3e5, 4e5, 5e5], rtol=1e-14)
+
+
+def test_each_response_is_that_of_the_output_to_its_load(short):
+    found, full = short
+    alpha, beta = full.rayleigh
+    names = list(full.inputs)
+    tops = {}
+    for k, f in enumerate(found.waves["frequency"]):
+        s = 2j * np.pi * f
+        P = s**2 * full.M.toarray() + s * alpha * full.M.toarray() + (1 + s * beta) * full.K.toarray()
+        H = full.C @ np.linalg.solve(P, full.B) + full.D
+        tops[f] = abs(H[0, 0])
+        for o, output in enumerate(names):
+            for i, load in enumerate(names):
+                got = found.waves[f"{load}>{output}"][k]
+                assert abs(got - H[o, i]) < 1e-8 * abs(H).max(), (load, output)
+    assert found.metrics["peak_hz"] == max(tops, key=tops.get)
+    assert found.baselines["refactor"] == found.wall_s == found.metrics["full_wall_s"] > 0
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_an_open_anode_is_loaded_by_charge(short, whole):
+    """Terminals solved for the charge: ``v = (q - H_qf f) / H_qv``."""
+    found, _ = solution("kick.electrical=open", whole=whole)
+    H, G = short[0].waves, found.waves
+    charge = H["anode>anode"]
+    expected = {
+        "anode>anode": 1 / charge,
+        "anode>ring1": H["anode>ring1"] / charge,
+        "ring0>anode": -H["ring0>anode"] / charge,
+        "ring0>ring1": H["ring0>ring1"] - H["anode>ring1"] * H["ring0>anode"] / charge,
+    }
+    for name, exact in expected.items():
+        np.testing.assert_allclose(G[name], exact, rtol=1e-7, err_msg=name)
+    if not whole:
+        assert "direct solutions" in found.notes[0]
