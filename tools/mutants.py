@@ -42,6 +42,7 @@ COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
 PACKAGES = ("rom", "spice", "parts", "sim", "workflow/verify")
+NO_PYTHON = "no Python"  # such a mutant is not counted
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip
 SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|Panel|Curve|Line2D")
@@ -301,10 +302,13 @@ def judged():
         killed, by = False, "no test executes it"
         with use_mutation(COPY / item.path, operator, item.occurrence) as texts:
             change = _difference(*texts)
-            for each in tests:
-                killed, by = _fails(each, known.limit(each))
-                if killed:
-                    break
+            if _is_python(texts[1]):
+                for each in tests:
+                    killed, by = _fails(each, known.limit(each))
+                    if killed:
+                        break
+            else:
+                killed, by = True, NO_PYTHON
         spent = time.perf_counter() - started
         return Mutant(
             item.path, item.line, item.operator, item.occurrence, change, killed, by, spent
@@ -313,14 +317,23 @@ def judged():
     return judge
 
 
+def _is_python(text: str) -> bool:
+    try:
+        compile(text, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
 def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator[list[str]]:
-    """Tests of each round. What a test's fixtures execute concerns its whole file; what an import
-    executes concerns all tests of the module.
+    """Tests of each round. What a test's fixtures execute concerns its whole file.
 
     First come those that execute little else and are cheap: a test of few lines looks at them. Of
     the cases of one test a few come first; the rest follows while the time allows.
     """
-    own = {c for k in range(item.line, item.last + 1) for c in lines.get(k, []) if c}
+    text = (COPY / item.path).read_text(encoding="utf-8")
+    at = _concerned(text, item.line, item.last)
+    own = {c for k in at for c in lines.get(k, []) if c}
     own = own or {context for each in lines.values() for context in each if context}
     files = {c.partition("::")[0] for c in own if c.endswith("|setup")}
     exact = {context.rpartition("|")[0] for context in own}
@@ -347,6 +360,27 @@ def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator
         if round_:
             yield round_
         ready.clear()
+
+
+def _concerned(text: str, first: int, last: int) -> set[int]:
+    """Lines whose execution shows a change of the lines ``first`` to ``last``: of a signature the
+    function's body, of an assignment that an import executes those that name its target."""
+    at = set(range(first, last + 1))
+    named: list[str] = []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.stmt) or not node.lineno <= first <= (node.end_lineno or 0):
+            continue
+        if isinstance(node, ast.FunctionDef):
+            if first >= node.body[0].lineno:
+                return at
+            return at | set(range(node.body[0].lineno, (node.end_lineno or 0) + 1))
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            named += [n.id for each in targets for n in ast.walk(each) if isinstance(n, ast.Name)]
+    if named:
+        word = re.compile(rf"\b({'|'.join(named)})\b")
+        at |= {k for k, line in enumerate(text.splitlines(), 1) if word.search(line)}
+    return at
 
 
 @dataclass(frozen=True)
@@ -463,6 +497,7 @@ def _forked(job: Callable[[], int], limit: float, log: Path) -> int | None:
 
 def page(done: list[Mutant], seed: int) -> Iterator[str]:
     """Tables of the scores and of the survivors."""
+    done = [m for m in done if m.by != NO_PYTHON]
     yield from (f"Seed {seed}:", "", "| package | mutants | killed |", "|---|---|---|")
     for package in PACKAGES:
         own = [m.killed for m in done if m.path.startswith(f"kc2spice/{package}/")]

@@ -230,3 +230,18 @@ def test_chain_of_600_lightly_damped_masses_takes_seconds():
     exact = 2 * np.sqrt(k / m) * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
     low = exact[exact < 2 * np.pi * 1e5]
     np.testing.assert_allclose(poles[: low.size], low, rtol=1e-6)
+
+
+def test_a_free_chain_stays_free_when_it_is_reduced():
+    """Far below the band a chain of masses under a force is their sum: ``x = -F / (n m w^2)``."""
+    n, k, m = 310, 4e6, 1e-6
+    links = sparse.diags_array([-np.ones(n - 1), np.ones(n)], offsets=(1, 0), shape=(n - 1, n))
+    one = sparse.csc_array(([1.0], ([n // 3], [n // 3])), shape=(n - 1, n - 1))
+    full = LinearModel(
+        M=m * sparse.eye_array(n, format="csc"), K=(k * links.T @ links).tocsc(),
+        E=(0.02 * links.T @ one @ links).tocsc(), B=np.eye(n)[:, [0]],
+    )  # fmt: skip
+    rom = reduce(full, tolerance=1e-3, band=(0.0, 8e3))
+    frequency = np.array([1e-5, 1e-3, 1e-1])
+    found = rom.transfer(frequency)[:, 0, 0] * n * m * (2 * np.pi * frequency) ** 2
+    np.testing.assert_allclose(found, -1.0, rtol=1e-3)
