@@ -3,14 +3,14 @@
     python tools/mutants.py record [FILE …]         which test executes which line
     python tools/mutants.py run [--sample N] [--seed S] [--only PACKAGE …] [--again]
 
-``record`` runs the test files that are not slow (or those named, anew) under coverage, one after the
-other in a process each, the program's own processes included; killed, it goes on where it was.
-``run`` draws N places of the packages below, one mutant each, and runs those tests that execute its
-lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds are
-spent. Killed, it goes on too; ``--again`` gives the survivors another try. What is no behaviour is
-not drawn: annotations, messages of errors, plots, sketches and words, and whole constants of a
-module above two (one sample more is as good a choice). Both work on a copy in ``build/mutants``, made
-by the first ``record``; remove that folder to begin with another source.
+``record`` runs the test files that are not slow (or those named, anew) under coverage, one after
+the other in a process each, the program's own processes included; killed, it goes on where it was.
+``run`` draws N places of the packages below, one mutant each, and runs those tests that execute
+its lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds
+are spent. Killed, it goes on too; ``--again`` gives the survivors another try. What is no
+behaviour is not drawn: annotations, messages of errors, plots, sketches and words, and whole
+constants of a module above two (one sample more is as good a choice). Both work on a copy in
+``build/mutants``, made by the first ``record``; remove that folder to begin with another source.
 """
 
 from __future__ import annotations
@@ -107,8 +107,9 @@ def main() -> int:
             continue
         mutant = done[item.place] = judge(item)
         out.write_text(json.dumps([asdict(each) for each in done.values()], indent=1))
-        print(f"{k + 1}/{len(drawn)}", "killed  " if mutant.killed else "SURVIVED", mutant.path,
-              mutant.line, mutant.change, mutant.by, f"{mutant.seconds:.0f} s", flush=True)  # fmt: skip
+        found = "killed  " if mutant.killed else "SURVIVED"
+        print(f"{k + 1}/{len(drawn)} {found} {mutant.path}:{mutant.line} {mutant.change} "
+              f"{mutant.by} {mutant.seconds:.0f} s", flush=True)  # fmt: skip
     print(*page([done[item.place] for item in drawn], asked.seed), sep="\n")
     return 0
 
@@ -287,7 +288,7 @@ def _difference(before: str, after: str) -> str:
 # ----------------------------------------------------------------------------------- running
 
 
-def judged():
+def judged() -> Callable[[Item], Mutant]:
     """``Item -> Mutant``, by the tests that were recorded."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
@@ -426,7 +427,8 @@ def recorded() -> Recorded:
     data = [coverage.CoverageData(basename=str(file.with_suffix(".coverage"))) for file in files]
     for each in data:
         each.read()
-    return Recorded({k: s for k, (s, _) in known.items()}, {k: n for k, (_, n) in known.items()}, data)
+    seconds = {test: spent for test, (spent, _) in known.items()}
+    return Recorded(seconds, {test: count for test, (_, count) in known.items()}, data)
 
 
 def _preload() -> None:
