@@ -2,8 +2,8 @@
 
 Under coverage it names the context after the test and its stage; processes that the test starts
 find the name in the environment. A test that fails without a mutant, or takes too long for one,
-tells nothing and is left out. Each test file begins with an empty cache, so that what an earlier one has
-built does not hide who executes the building.
+tells nothing and is left out. Each test file begins with an empty cache, so that what an earlier
+one has built does not hide who executes the building.
 """
 
 from __future__ import annotations
