@@ -9,7 +9,7 @@ the other in a process each, the program's own processes included; killed, it go
 its lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds
 are spent. Killed, it goes on too; ``--again`` gives the survivors another try. What is no
 behaviour is not drawn: annotations, messages of errors, plots, sketches and words, and whole
-constants of a module above two (one sample more is as good a choice). Both work on a copy in
+constants of a module above two (one sample more is as good a choice). Both work on copies in
 ``build/mutants``, made by the first ``record``; remove that folder to begin with another source.
 """
 
@@ -30,7 +30,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from shutil import copyfile, copytree, ignore_patterns
+from shutil import copyfile, copytree, ignore_patterns, rmtree
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 HOME = ROOT / "build" / "mutants"
-COPY, DATA = HOME / "copy", HOME / "recorded"
+COPY, MUTATED, DATA = HOME / "copy", HOME / "mutated", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
 PACKAGES = ("rom", "spice", "parts", "sim", "workflow/verify")
@@ -135,7 +135,7 @@ def record(files: list[str]) -> int:
     _preload()
     for k, name in enumerate(ahead):
         started = time.perf_counter()
-        code = _forked(lambda name=name: _under_coverage(name), LONGEST, HOME / "record.log")
+        code = _forked(lambda name=name: _under_coverage(name), COPY, LONGEST, HOME / "record.log")
         known = json.loads(_recorded_in(name).read_text()) if code is not None else {}
         print(f"{k + 1}/{len(ahead)} {name}: {len(known)} tests, "
               f"{time.perf_counter() - started:.0f} s", flush=True)  # fmt: skip
@@ -294,6 +294,8 @@ def judged() -> Callable[[Item], Mutant]:
     from cosmic_ray.plugins import get_operator
 
     known = recorded()
+    rmtree(MUTATED, ignore_errors=True)
+    copytree(COPY, MUTATED)
     _preload()
 
     def judge(item: Item) -> Mutant:
@@ -301,7 +303,7 @@ def judged() -> Callable[[Item], Mutant]:
         tests = chosen(known.contexts(item.path), item, known)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
-        with use_mutation(COPY / item.path, operator, item.occurrence) as texts:
+        with use_mutation(MUTATED / item.path, operator, item.occurrence) as texts:
             change = _difference(*texts)
             if _is_python(texts[1]):
                 for each in tests:
@@ -456,18 +458,18 @@ def _fails(tests: list[str], limit: float) -> tuple[bool, str]:
     def run() -> int:
         import pytest
 
-        os.environ |= {"PYTHONPATH": str(COPY), "KC2SPICE_CACHE": str(HOME / "cache")}
+        os.environ |= {"PYTHONPATH": str(MUTATED), "KC2SPICE_CACHE": str(HOME / "cache")}
         return int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
 
-    code = _forked(run, limit, log)
+    code = _forked(run, MUTATED, limit, log)
     found = re.search(r"(?m)^(?:FAILED|ERROR) (\S+)", log.read_text(errors="replace"))
     if code is None:
         return True, "time"
     return code != 0, found[1] if found else f"exit code {code}" if code else ""
 
 
-def _forked(job: Callable[[], int], limit: float, log: Path) -> int | None:
-    """Exit code of ``job`` in a process of its own, in the copy; None if it had to be ended."""
+def _forked(job: Callable[[], int], folder: Path, limit: float, log: Path) -> int | None:
+    """Exit code of ``job`` in a process of its own, in ``folder``; None if it had to be ended."""
     child = os.fork()
     if child == 0:
         os.setsid()
@@ -476,9 +478,9 @@ def _forked(job: Callable[[], int], limit: float, log: Path) -> int | None:
         with log.open("w") as file:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
-        os.chdir(COPY)
+        os.chdir(folder)
         sys.dont_write_bytecode = True
-        sys.path.insert(0, str(COPY))
+        sys.path.insert(0, str(folder))
         code = job()
         sys.stdout.flush()
         os._exit(code)
