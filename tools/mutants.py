@@ -49,7 +49,7 @@ SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|P
 WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
 DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
 FORMAL = {"dataclass", "lru_cache", "cache"}
-ROUNDS = (15.0, 80.0)  # recorded seconds of tests: first, then for survivors
+FIRST, MORE = 15.0, 80.0  # recorded seconds of tests: first, then for survivors
 MOST = 200  # tests of a round
 ALIKE = 3  # cases of one test before those of others
 START_UP = 0.5  # s; tests that take less are equally cheap
@@ -91,6 +91,7 @@ def main() -> int:
     run.add_argument(
         "--only", nargs="*", default=list(PACKAGES), help="packages, or modules like rom/pencil.py"
     )
+    run.add_argument("--more", type=float, default=MORE, help="recorded s of tests for survivors")
     run.add_argument("--again", action="store_true", help="try those anew that survived")
     run.add_argument("--out", type=Path, help="JSON file; it is gone on with")
     asked = parser.parse_args()
@@ -101,7 +102,7 @@ def main() -> int:
     drawn = draw(asked.only, asked.sample, asked.seed)
     known = [Mutant(**each) for each in json.loads(out.read_text())] if out.exists() else []
     done = {m.place: m for m in known if m.killed or not asked.again}
-    judge = judged()
+    judge = judged((FIRST, asked.more))
     for k, item in enumerate(drawn):
         if item.place in done:
             continue
@@ -288,7 +289,7 @@ def _difference(before: str, after: str) -> str:
 # ----------------------------------------------------------------------------------- running
 
 
-def judged() -> Callable[[Item], Mutant]:
+def judged(rounds: tuple[float, ...]) -> Callable[[Item], Mutant]:
     """``Item -> Mutant``, by the tests that were recorded."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
@@ -300,7 +301,7 @@ def judged() -> Callable[[Item], Mutant]:
 
     def judge(item: Item) -> Mutant:
         started = time.perf_counter()
-        tests = chosen(known.contexts(item.path), item, known)
+        tests = chosen(known.contexts(item.path), item, known, rounds)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
         with use_mutation(MUTATED / item.path, operator, item.occurrence) as texts:
@@ -328,7 +329,9 @@ def _is_python(text: str) -> bool:
     return True
 
 
-def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator[list[str]]:
+def chosen(
+    lines: dict[int, list[str]], item: Item, known: Recorded, rounds: tuple[float, ...]
+) -> Iterator[list[str]]:
     """Tests of each round. What a test's fixtures execute concerns its whole file.
 
     First come those that execute little else and are cheap: a test of few lines looks at them. Of
@@ -348,7 +351,7 @@ def chosen(lines: dict[int, list[str]], item: Item, known: Recorded) -> Iterator
         ranked.append(((counts[name] > ALIKE, test not in exact), test))
     queue = [test for _, test in sorted(ranked, key=lambda pair: pair[0])]
     ready: set[str] = set()  # files whose fixtures are paid for
-    for limit in ROUNDS:
+    for limit in rounds:
         round_: list[str] = []
         spent = 0.0
         for test in list(queue):
