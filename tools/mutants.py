@@ -338,17 +338,22 @@ def chosen(
     the cases of one test a few come first; the rest follows while the time allows.
     """
     text = (COPY / item.path).read_text(encoding="utf-8")
-    at = _concerned(text, item.line, item.last)
+    at, names = _concerned(text, item.line, item.last)
+    names |= {Path(item.path).stem} if names else set()
     own = {c for k in at for c in lines.get(k, []) if c}
-    own = own or {context for each in lines.values() for context in each if context}
+    own = own or {context for each in lines.values() for context in each}
     files = {c.partition("::")[0] for c in own if c.endswith("|setup")}
+    files = {file.removesuffix("|setup") for file in files}
     exact = {context.rpartition("|")[0] for context in own}
     tests = {t for t in known.seconds if t in exact or t.partition("::")[0] in files}
+    said = {file: sum(name in (COPY / file).read_text(encoding="utf-8") for name in names)
+            for file in {test.partition("::")[0] for test in tests}}  # fmt: skip
     counts: Counter[str] = Counter()
     ranked = []
     for test in sorted(tests, key=lambda each: (known.rank(each), each)):
         counts[name := test.partition("[")[0]] += 1
-        ranked.append(((counts[name] > ALIKE, test not in exact), test))
+        first = -said[test.partition("::")[0]]
+        ranked.append(((counts[name] > ALIKE, first, test not in exact), test))
     queue = [test for _, test in sorted(ranked, key=lambda pair: pair[0])]
     ready: set[str] = set()  # files whose fixtures are paid for
     for limit in rounds:
@@ -368,25 +373,29 @@ def chosen(
         ready.clear()
 
 
-def _concerned(text: str, first: int, last: int) -> set[int]:
+def _concerned(text: str, first: int, last: int) -> tuple[set[int], set[str]]:
     """Lines whose execution shows a change of the lines ``first`` to ``last``: of a signature the
-    function's body, of an assignment that an import executes those that name its target."""
+    function's body, of an assignment that an import executes those that name its target. For
+    what an import executes also the words by which a test file speaks of it."""
     at = set(range(first, last + 1))
-    named: list[str] = []
+    names: set[str] = set()
+    targets: set[str] = set()
     for node in ast.walk(ast.parse(text)):
         if not isinstance(node, ast.stmt) or not node.lineno <= first <= (node.end_lineno or 0):
             continue
         if isinstance(node, ast.FunctionDef):
             if first >= node.body[0].lineno:
-                return at
-            return at | set(range(node.body[0].lineno, (node.end_lineno or 0) + 1))
+                return at, set()
+            at |= set(range(node.body[0].lineno, (node.end_lineno or 0) + 1))
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
         if isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            named += [n.id for each in targets for n in ast.walk(each) if isinstance(n, ast.Name)]
-    if named:
-        word = re.compile(rf"\b({'|'.join(named)})\b")
+            several = node.targets if isinstance(node, ast.Assign) else [node.target]
+            targets |= {n.id for each in several for n in ast.walk(each) if isinstance(n, ast.Name)}
+    if targets:
+        word = re.compile(rf"\b({'|'.join(targets)})\b")
         at |= {k for k, line in enumerate(text.splitlines(), 1) if word.search(line)}
-    return at
+    return at, names | targets
 
 
 @dataclass(frozen=True)
@@ -395,14 +404,14 @@ class Recorded:
 
     seconds: dict[str, float]
     lines: dict[str, int]
-    data: list[coverage.CoverageData]
+    data: dict[str, coverage.CoverageData]
 
     def contexts(self, module: str) -> dict[int, list[str]]:
         """Which tests, with their stage, execute each line of a module."""
         found = defaultdict(list)
-        for file in self.data:
-            for line, contexts in file.contexts_by_lineno(str(COPY / module)).items():
-                found[line] += contexts
+        for file, data in self.data.items():  # without a test it is the file's import
+            for line, contexts in data.contexts_by_lineno(str(COPY / module)).items():
+                found[line] += [context or f"{file}|setup" for context in contexts]
         return found
 
     def fixtures(self, file: str) -> float:
@@ -427,11 +436,12 @@ def recorded() -> Recorded:
 
     files = sorted(DATA.glob("*.json"))
     known: dict[str, tuple[float, int]] = {}
+    data = {}
     for file in files:
         known |= json.loads(file.read_text())
-    data = [coverage.CoverageData(basename=str(file.with_suffix(".coverage"))) for file in files]
-    for each in data:
-        each.read()
+        name = "tests/" + file.stem.replace(".", "/") + ".py"
+        data[name] = coverage.CoverageData(basename=str(file.with_suffix(".coverage")))
+        data[name].read()
     seconds = {test: spent for test, (spent, _) in known.items()}
     return Recorded(seconds, {test: count for test, (_, count) in known.items()}, data)
 
