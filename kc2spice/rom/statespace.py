@@ -88,12 +88,12 @@ def _mass_normal(
     """
     if largest(K - K.T) > COUPLING * largest(K):
         return linalg.solve_triangular(linalg.cholesky(M), np.eye(len(M))), None
-    try:
+    values = np.linalg.eigvalsh(K)
+    if values[0] > MASSLESS * values[-1]:
         inverse, T = linalg.eigh(M, K)
-    except np.linalg.LinAlgError:
-        stiffness, T = linalg.eigh(K, M)
-        return T, stiffness
-    return T / np.sqrt(inverse), 1 / inverse
+        return T / np.sqrt(inverse), 1 / inverse
+    stiffness, T = linalg.eigh(K, M)
+    return T, stiffness
 
 
 def _massless(

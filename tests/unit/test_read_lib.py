@@ -53,3 +53,13 @@ def test_a_head_that_does_not_fit_is_refused(tmp_path):
     assert caught.value.expected == "a b"
     with pytest.raises(UsageError, match="cannot read"):
         read_lib(tmp_path / "none.lib")
+
+
+@pytest.mark.parametrize(
+    ("power", "unit", "says"), [(1.0, "N/m", "penalty"), (1.5, "N/m^1.5", "Hertz")]
+)
+def test_the_head_of_a_contact_names_its_law(power, unit, says):
+    text = contact_subcircuit(HEADER, ("tip",), np.zeros(1), Normal(4e8, power)).text
+    (line,) = (line for line in text.splitlines() if line.startswith("* @param eps="))
+    assert f"unit={unit} " in line
+    assert says in line

@@ -559,6 +559,7 @@ MARKET = "%%MatrixMarket matrix coordinate real general\n"
     [
         ("", ("K",)),
         (MARKET, ("sizes",)),
+        (MARKET.replace("\n", " more\n") + "6 6 1\n1 1 1.0\n", ("first line",)),
         (MARKET + "6 6 2\n1 1 1.0\n", ("m.K",)),
         (MARKET + "6 6 999999999999\n1 1 1.0\n", ("entries",)),
         (MARKET + "999999999 999999999 1\n1 1 1.0\n", ("rows",)),
