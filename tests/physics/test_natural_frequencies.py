@@ -1,0 +1,80 @@
+"""Natural frequencies that reduction looks for, against closed forms and dense eigenvalues."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import eigvals, eigvalsh
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.band import natural_band
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.pencil import proportional
+from kc2spice.rom.response import Response
+
+STIFFNESS, MASS = 4e6, 1e-6
+
+
+def links(n):
+    K = sparse.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=(-1, 0, 1))
+    return STIFFNESS * K.tocsc()
+
+
+@pytest.mark.parametrize("n", [3, 150, 400])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_band_ends_a_tenth_above_the_fifth_frequency(n, order):
+    """Of a chain between walls ``2 sqrt(k/m) sin(j pi / (2 (n + 1)))``; its square for heat."""
+    one, K, B = MASS * sparse.eye_array(n, format="csc"), links(n), np.eye(n)[:, [0]]
+    if order == 1:
+        model = LinearModel(E=one, A=-K, B=B, C=B.T)
+    else:
+        model = LinearModel(M=one, E=1e-3 * one + 1e-4 * sparse.diags_array(B.ravel()), K=K, B=B)
+    rate = 2 * np.sqrt(STIFFNESS / MASS) * np.sin(min(n, 5) * np.pi / (2 * (n + 1)))
+    low, high = natural_band(model.pencil)
+    assert low == 0.0
+    assert high == pytest.approx(1.1 * (rate**2 if order == 1 else rate) / (2 * np.pi), rel=1e-3)
+
+
+def test_a_model_without_stiffness_suggests_no_band():
+    one = np.eye(2)
+    with pytest.raises(UsageError, match="no natural frequency"):
+        natural_band(LinearModel(M=one, K=np.zeros((2, 2)), B=one).pencil)
+
+
+def test_proportional_damping_is_found_with_its_factors():
+    n = 5
+    M, K = np.diag(np.arange(1.0, n + 1)) * MASS, links(n).toarray()
+    for alpha, beta in ((3.0, 0.0), (0.0, 2e-9), (3.0, 2e-9)):
+        model = LinearModel(M=M, E=alpha * M + beta * K, K=K, B=np.eye(n)[:, [0]])
+        found = proportional(model.pencil).rayleigh
+        assert found == pytest.approx((alpha, beta), rel=1e-9, abs=0.0)
+    other = LinearModel(M=M, E=3.0 * M + np.diag([1e-5, 0, 0, 0, 0]), K=K, B=np.eye(n)[:, [0]])
+    assert proportional(other.pencil).rayleigh is None
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("dashpot", [0.0, 0.3])
+def test_resonances_are_those_of_the_matrices(free, dashpot):
+    """Of sixty models of six unknowns; rounding makes the stiffness of some free ones definite."""
+    n = 6
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        root, spread = rng.standard_normal((n, n)), rng.standard_normal((n, n - free))
+        M, K = root @ root.T + np.eye(n), 10 ** rng.uniform(-3, 6) * spread @ spread.T
+        first = np.zeros((n, n))
+        first[0, 0] = dashpot * np.sqrt(K[0, 0] * M[0, 0])
+        model = LinearModel(M=M, E=1e-9 * K + first, K=K, B=np.eye(n)[:, [0]])
+        frequency, ratio = Response(model.pencil).resonances
+        if dashpot:
+            inner = np.linalg.solve(M, np.hstack([K, model.E]))
+            A = np.block([[np.zeros((n, n)), np.eye(n)], [-inner[:, :n], -inner[:, n:]]])
+            poles = eigvals(A)
+            top = abs(poles).max()
+            exact = np.sort(poles.imag[poles.imag > 1e-7 * top])
+            sharp = frequency * 2 * np.pi > 1e-7 * top
+            frequency, ratio = frequency[sharp], ratio[sharp]
+            assert ratio.max() > 1e-3
+        else:
+            exact = np.sqrt(eigvalsh(K, M)[free:])
+            moving = frequency * 2 * np.pi > 1e-6 * exact[-1]
+            frequency = frequency[moving]
+        np.testing.assert_allclose(2 * np.pi * np.sort(frequency), exact, rtol=1e-5, err_msg=seed)
