@@ -9,8 +9,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from kc2spice.rom.linear import LinearModel
 
-RESIDUAL = 1e-9  # of a mode; its frequency is off by the square of that
-MODES = (8, 40)
+RESIDUAL = 1e-5  # of a mode; its frequency is off by the square of that
+MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more than four rigid ones
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
 REFINEMENTS = 3
@@ -68,10 +68,11 @@ def _resonance(
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
-    for count in (min(count, n - 1) for count in MODES):
+    for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
         values, modes = eigsh(
-            inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start, tol=RESIDUAL
-        )
+            inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start, tol=RESIDUAL,
+            ncv=min(2 * count + 1, n),
+        )  # fmt: skip
         rigid = modes[:, values <= 10 * shift]
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))

@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
@@ -151,6 +150,8 @@ def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
     if not pins or not known or len(known) < len(limits):
         return None
     places = solid.basis(1).doflocs.T
+    from scipy.spatial import cKDTree  # late: few bodies need it
+
     near = cKDTree(places[setup.electrodes[setup.reference]])
     return float(min(known) * min(near.query(places[nodes])[0].min() for nodes in pins))
 

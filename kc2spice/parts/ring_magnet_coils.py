@@ -7,7 +7,6 @@ itself, in numpy, is :func:`kc2spice.fem.magnetics.table.force`.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -22,6 +21,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics.cubics import cubic_spline
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import (
     EMTable,
@@ -710,19 +710,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
     order, 11 measured on the paper's magnets with 9 positions, more with more.
     """
     values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
-    digest = hashlib.sha256(table.y.tobytes() + values.tobytes()).hexdigest()
-    key = {"table": digest, "current": current}
-    # loading scipy's splines takes longer than ngspice
-    found, _ = cached(
-        "field_interpolation", key, lambda: _missed(table.y, values, current), sources=(__name__,)
-    )
-    return found
-
-
-def _missed(y: np.ndarray, values: np.ndarray, current: float) -> float:
-    from scipy.interpolate import CubicSpline
-
-    half = CubicSpline(y[::2], values[::2])(y)
+    half = cubic_spline(table.y[::2], values[::2])(table.y)
     term = {t.name: t for t in SERIES}
 
     def pull(v: np.ndarray) -> np.ndarray:

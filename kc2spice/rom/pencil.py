@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +31,7 @@ linalg = lazy("scipy.linalg")
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
 BATCH_BYTES = 8e6  # of matrices solved at once
+_FACTORS: dict[int, dict[str, Inverse]] = {}  # of matrices K that live, by their identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +161,11 @@ class Pencil:
 
     @cached_property
     def _at_rest(self) -> dict[str, Inverse]:
-        """Factors of K: several stages of a reduction, and further reductions, need them."""
-        return {}
+        """Factors of K by solver: models that share it, with other ports or facts, share them."""
+        K = self.coefficients[0]
+        if id(K) not in _FACTORS:
+            weakref.finalize(K, _FACTORS.pop, id(K), None)
+        return _FACTORS.setdefault(id(K), {})
 
     def _rest_solver(self, solver: Solver) -> Inverse:
         K = self.coefficients[0]

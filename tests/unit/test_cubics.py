@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from kc2spice.fem.magnetics.cubics import cubic_spline
 
 
-@pytest.fixture(params=[4, 5, 41])
+@pytest.fixture(params=[2, 3, 4, 5, 41])
 def case(request):
     """Uneven nodes, two functions of different size."""
     rng = np.random.default_rng(request.param)

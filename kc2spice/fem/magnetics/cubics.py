@@ -45,7 +45,8 @@ class Piecewise:
 
 
 def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
-    """Not-a-knot cubic spline through ``values`` (n, m) at ascending ``x`` (n,), n at least 4.
+    """Not-a-knot cubic spline through ``values`` (n, m) at ascending ``x`` (n,), n at least 2; of
+    two or three the line or the parabola.
 
     Unknown are the second derivatives s at the nodes; equal slopes from both sides, with
     ``h = diff(x)`` and ``d = diff(values) / h``, ask for ::
@@ -57,13 +58,15 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
     """
     n, h = x.size, np.diff(x)
     d = np.diff(values, axis=0) / h[:, None]
-    matrix, right = np.zeros((n, n)), np.zeros_like(values)
+    matrix, right = np.eye(n), np.zeros_like(values)
     inner = np.arange(1, n - 1)
     matrix[inner, inner - 1] = h[:-1]
     matrix[inner, inner] = 2 * (h[:-1] + h[1:])
     matrix[inner, inner + 1] = h[1:]
     right[1:-1] = 6 * np.diff(d, axis=0)
-    for row, first in ((0, 0), (n - 1, n - 3)):
+    if n == 3:
+        matrix[[0, 2], 1] = -1.0
+    for row, first in ((0, 0), (n - 1, n - 3)) if n > 3 else ():
         a, b = h[first : first + 2]
         matrix[row, first : first + 3] = b, -(a + b), a
     s = np.linalg.solve(matrix, right)
