@@ -379,9 +379,10 @@ class Result:
         with staged(out) as work:
             write_deck(self.deck, work)
             if self._done is not None:
+                from kc2spice.report.figures import draw_all
                 from kc2spice.workflow.run import write_run_files
 
-                write_run_files(self._done, work)
+                write_run_files(self._done, work, lambda found: lambda: draw_all(work, found))
             else:
                 files = [*self.deck.files, *write_waveforms(self._waveforms, self.units, work)]
                 write_record({**self.record, "files": [*files, "result.json"]}, work)

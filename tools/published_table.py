@@ -40,14 +40,14 @@ UNITS = {
     "sub_impacts": ("contacts in one blow", 1.0, ""),
 }
 PICTURES = {
-    "buzzer_ft_20t_6_5a1": "disc_impedance.svg",
-    "stack_p882": "stack_impedance.svg",
-    "buzzer_square": "disc_ports.svg",
-    "buzzer_self": "disc_ports.svg",
-    "harvester": "beam_response.svg",
-    "harvester_bridge": "beam_deformed.svg",
-    "sphere_on_beam": "contact_force.svg",
-    "kick_slew": "sphere_trajectory.svg",
+    "buzzer_ft_20t_6_5a1": "disc_impedance.png",
+    "stack_p882": "stack_impedance.png",
+    "buzzer_square": "disc_ports.png",
+    "buzzer_self": "disc_ports.png",
+    "harvester": "beam_response.png",
+    "harvester_bridge": "beam_deformed.png",
+    "sphere_on_beam": "contact_force.png",
+    "kick_slew": "sphere_trajectory.png",
 }
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 SHORT, OPEN = 1.0, 1e9  # Ohm, loads that are a short circuit and none
@@ -288,8 +288,8 @@ def page(published: Mapping[str, Any]) -> str:
 def _picture(name: str, title: str, out: Path, figures: Path) -> list[str]:
     if name not in PICTURES:
         return []
-    shutil.copy(out / PICTURES[name], figures / f"{name}.svg")
-    return [f"`{name}`: {title}\n\n![{title}](figures/devices/{name}.svg)"]
+    shutil.copy(out / PICTURES[name], figures / f"{name}.png")
+    return [f"`{name}`: {title}\n\n![{title}](figures/devices/{name}.png)"]
 
 
 def main(names: list[str]) -> None:

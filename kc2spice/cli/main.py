@@ -154,11 +154,15 @@ def run(
     All files appear in DIR at the end.
     """
     with reported_errors():
-        study_scene, directory = _load(scene, set_, out)
-        from kc2spice.workflow import run as study
+        from kc2spice.report.plotworker import PlotWorker
 
-        with shown_progress(quiet) as progress:
-            result = study.run(study_scene, directory, progress, trust=trust, deck=deck, keep=keep)
+        with PlotWorker() as plots:  # which loads what draws meanwhile
+            study_scene, directory = _load(scene, set_, out)
+            from kc2spice.workflow import run as study
+
+            with shown_progress(quiet) as progress:
+                result = study.run(study_scene, directory, progress, plots=plots, trust=trust,
+                                   deck=deck, keep=keep)  # fmt: skip
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:

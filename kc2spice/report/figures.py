@@ -1,7 +1,9 @@
-"""Figures that are data as figures of matplotlib, for notebooks."""
+"""Draws figures that are data: one sheet of panels each."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from kc2spice.core.figure import Figure, Panel
@@ -9,15 +11,23 @@ from kc2spice.report.plots import (
     BLACK,
     GREEN,
     GREY,
-    MANY,
     PALETTE,
+    Picture,
     legend_above,
     legend_beside,
     name_axes,
     open_sheet,
     plain_log,
+    sheet,
     style,
 )
+
+MANY = 4  # labels above the axes; more stand beside them
+
+
+def draw_all(directory: Path, figures: Sequence[Figure]) -> list[Picture]:
+    """Draw every figure into ``directory``."""
+    return [draw(directory, figure) for figure in figures]
 
 
 def notebook_figure(figure: Figure) -> Any:
@@ -29,6 +39,16 @@ def notebook_figure(figure: Figure) -> Any:
         for (axes,), panel in zip(rows, figure.panels, strict=True):
             _fill(axes, panel)
     return sheet
+
+
+def draw(directory: Path, figure: Figure) -> Picture:
+    """Draw one figure as ``NAME.png``."""
+    path, count = directory / f"{figure.name}.png", len(figure.panels)
+    height = 4.0 if count == 1 else 2.6 * count
+    with sheet(path, count, 1, size=(7.0, height), sharex=True, squeeze=False) as rows:
+        for (axes,), panel in zip(rows, figure.panels, strict=True):
+            _fill(axes, panel)
+    return Picture(path, figure.title, figure.caption)
 
 
 def _fill(axes: Any, panel: Panel) -> None:

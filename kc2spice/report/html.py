@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kc2spice import __version__
 from kc2spice.core.figure import Curve, Figure
 from kc2spice.report.plots import Picture
-from kc2spice.spice.render import loading
+from kc2spice.spice.render import template_directory
 
 SHOWN = 4000  # points of a curve in a page
 
@@ -35,7 +35,13 @@ class Section:
 
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
     """Render ``sections`` to ``path``; images are embedded, nothing is loaded from elsewhere."""
-    environment = Environment(**loading(), autoescape=True)
+    environment = Environment(
+        loader=FileSystemLoader(template_directory()),
+        undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters |= {"embed": _embed, "curves": _curves}
     text = environment.get_template("report.html.j2").render(
         title=title, lead=lead, sections=sections, footer=f"kc2spice {__version__}",
@@ -47,8 +53,7 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def _embed(picture: Picture) -> str:
     data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-    kind = {".svg": "svg+xml"}.get(picture.path.suffix, "png")
-    return f"data:image/{kind};base64,{data}"
+    return f"data:image/png;base64,{data}"
 
 
 def _curves(figure: Figure) -> dict[str, Any]:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
-from jinja2.bccache import Bucket
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kc2spice.core.errors import MissingToolError
 from kc2spice.spice.cards import comment, name, number
@@ -26,32 +22,13 @@ def template_directory() -> Path:
     )
 
 
-class _Compiled(FileSystemBytecodeCache):
-    """Compiled templates beside their text, as Python keeps its own bytecode, where that may be."""
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        if not sys.dont_write_bytecode:
-            with suppress(OSError):  # an installation that others own
-                Path(self.directory).mkdir(exist_ok=True)
-                super().dump_bytecode(bucket)
-
-
-def loading() -> dict[str, Any]:
-    """Options of an environment that reads our templates."""
-    where = template_directory()
-    return {
-        "loader": FileSystemLoader(where),
-        "bytecode_cache": _Compiled(str(where / "__pycache__"), "%s.jinja"),
-        "undefined": StrictUndefined,  # a missing value is an error, never an empty field
-        "trim_blocks": True,
-        "lstrip_blocks": True,
-    }
-
-
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        **loading(),
+        loader=FileSystemLoader(template_directory()),
+        undefined=StrictUndefined,  # a missing value is an error, never an empty field
+        trim_blocks=True,
+        lstrip_blocks=True,
         keep_trailing_newline=True,
         line_comment_prefix="##",
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -17,8 +18,10 @@ from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.figures import draw_all
+from kc2spice.report.plots import Picture
+from kc2spice.report.plotworker import PlotWorker, share
 from kc2spice.report.run_page import write_run
-from kc2spice.report.svg import draw_all
 from kc2spice.scene.judge import Check, require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -60,14 +63,16 @@ def run(
     out: Path,
     progress: Progress = silent,
     *,
+    plots: PlotWorker | None = None,
     trust: bool = False,
     deck: Path | None = None,
     keep: bool = False,
 ) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
 
-    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
-    somebody edited, to be run instead of the scene's own; ``keep`` keeps raw file and log.
+    ``plots`` draws if it has been started already. ``trust`` lets included netlists act on the
+    machine; ``deck`` is a netlist of this scene that somebody edited, to be run instead of the
+    scene's own; ``keep`` keeps raw file and log.
 
     Raises
     ------
@@ -76,10 +81,14 @@ def run(
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed``.
     """
-    with staged(out) as work:
+    # Loading what draws need not wait for the simulator, nor it for that.
+    worker = PlotWorker() if plots is None else nullcontext(plots)
+    with worker as pens, staged(out) as work:
         with kept_on_failure(work, out, scene.name):
             done = complete(scene, work, progress, trust=trust, deck=deck, ahead=True)
-        return write_run_files(done, work, keep=keep)
+        return write_run_files(
+            done, work, lambda figures: pens.draw(share, draw_all, work, figures).result, keep=keep
+        )
 
 
 def complete(
@@ -147,16 +156,28 @@ def _judged(build: Build, outcome: Outcome, clock: Clock, work: Path) -> tuple[B
     return build, replace(outcome, verdict=verdict)
 
 
-def write_run_files(done: Completed, work: Path, *, keep: bool = False) -> dict[str, Any]:
-    """Write all files of a run into ``work``, where the deck is already; return ``result.json``."""
+def write_run_files(
+    done: Completed,
+    work: Path,
+    draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]],
+    *,
+    keep: bool = False,
+) -> dict[str, Any]:
+    """Write all files of a run into ``work``, where the deck is already; return ``result.json``.
+
+    ``draw`` begins to draw figures and returns what waits for the pictures.
+    """
     scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
     with done.clock.stage("report", "metrics, plots and page"):
+        shown = done.figures
+        drawn = draw(shown)
         record = run_record(done)
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
-        pictures = draw_all(work, done.figures)
+        figures = {figure.name: figure for figure in shown}
+        pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
         files += [picture.path.name for picture in pictures]
     record["wall_s"] = done.clock.wall_s
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
@@ -173,6 +194,16 @@ def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
     """What the parts of a scene show of a run."""
     parts = build.scene.parts.values()
     return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
+
+
+def _pictures(drawn: Callable[[], list[Picture]]) -> list[Picture]:
+    """The pictures, or none and a warning: what was computed is worth more than its plots."""
+    try:
+        return drawn()
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        warnings.warn(f"no plots: {reason}", stacklevel=2)
+        return []
 
 
 def _arrays(build: Build, directory: Path) -> list[str]:

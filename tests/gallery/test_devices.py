@@ -156,7 +156,7 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
     assert 0 < opposing[0] < opposing[1] == 0.7e6
     names = {check["name"] for check in record["checks"]}
     assert "principal stress in layers[0] (PZT-5A) of beam" in names
-    assert {"beam_fields.vtu", "beam_deformed.svg", "beam_stress.svg"} <= set(record["files"])
+    assert {"beam_fields.vtu", "beam_deformed.png", "beam_stress.png"} <= set(record["files"])
     found = meshio.read(out / "beam_fields.vtu")
     # at the nodes of the clamp rather than at Gauss points beside it
     assert stress < found.point_data["principal_stress"].max() < 2 * stress
@@ -173,7 +173,7 @@ def test_fields_at_chosen_instants_are_written_and_drawn(results):
         sample = np.argmin(np.abs(waves["time"] - instant))
         tip = abs(waves["beam.u.tip"][sample])
         assert np.abs(found["displacement"][:, 2]).max() == pytest.approx(tip, rel=0.03)
-        assert f"beam_deformed_{k}.svg" in record["files"]
+        assert f"beam_deformed_{k}.png" in record["files"]
     with pytest.raises(UsageError, match="outside the run"):
         load_scene("harvester_bridge", [short[0], short[1], 'beam.fields=["40 ms"]'])
 
@@ -206,7 +206,7 @@ def test_ceramic_of_the_driven_buzzer_neither_cracks_nor_depolarises(results):
     swing = metrics["swing_m"] / 2
     bending = 2 * 66e9 / (1 - 0.3) * 0.21e-3 * swing / (6.5e-3) ** 2
     assert metrics["stress_layers_1_pzt_5a_pa"] == pytest.approx(bending, rel=0.6)
-    assert {"disc_fields.vtu", "disc_deformed.svg", "disc_stress.svg"} <= set(record["files"])
+    assert {"disc_fields.vtu", "disc_deformed.png", "disc_stress.png"} <= set(record["files"])
     found = meshio.read(out / "disc_fields.vtu")
     assert [block.type for block in found.cells] == ["quad9"]
 

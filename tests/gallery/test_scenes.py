@@ -53,7 +53,7 @@ def test_scene_runs_and_leaves_what_it_promises(name, results):
     assert result["wall_s"].keys() >= STAGES
     assert {path.name for path in out.iterdir() if path.is_file()} >= set(result["files"])
     assert {"result.json", "report.html", "waveforms.npz", "waveforms.csv"} <= set(result["files"])
-    assert any(file.endswith(".svg") for file in result["files"])
+    assert any(file.endswith(".png") for file in result["files"])
     assert (out / result["netlist"]).read_text().rstrip().endswith(".end")
     assert json.loads((out / "result.json").read_text())["metrics"] == result["metrics"]
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:

@@ -18,8 +18,8 @@ import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
+from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import write_run
-from kc2spice.report.svg import draw_all
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.keys import scene_keys, submodel
 from kc2spice.scene.load import load_scene

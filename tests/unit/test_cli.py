@@ -32,7 +32,7 @@ def study(monkeypatch):
     """Replaces the study, whose own tests are elsewhere, by one that does as told."""
     fake = types.SimpleNamespace(calls=[], error=None)
 
-    def run(scene, out, progress, *, trust, deck=None, keep=False):
+    def run(scene, out, progress, *, plots, trust, deck=None, keep=False):
         fake.calls.append((scene, out))
         progress("mesh", None, "building")
         progress("mesh", 0.5, "half [way]")
@@ -81,9 +81,10 @@ LATE = {"numpy", "pydantic", "jinja2"}
     ("module", "heavy"),
     [
         ("cli", BUILDERS | LATE),
+        ("report.plotworker", BUILDERS | LATE),
         ("workflow.run", BUILDERS),
     ],
-    ids=["help", "run with cached models"],
+    ids=["help", "what draws, before it is forked", "run with cached models"],
 )
 def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
     """What keeps --help and a run with another gain quick, without timing them."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.report.figures import draw_all
 from kc2spice.report.paper import paper_section
-from kc2spice.report.svg import draw_all
 from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import write_verify
@@ -41,7 +40,7 @@ def test_solutions_and_their_differences_are_drawn(tmp_path: Path) -> None:
     worst = max(curve.y.max() for curve in figures[1].panels[0].curves)
     assert worst == pytest.approx(1e-4, rel=1e-6)
     for picture in draw_all(tmp_path, figures):
-        assert len(fromstring(picture.path.read_text()).findall(".//{*}path")) >= 2  # curves, axes
+        assert picture.path.stat().st_size > 10_000
 
 
 def test_responses_show_each_port_to_itself() -> None:

@@ -12,7 +12,7 @@ from typing import Any, cast
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.report.svg import draw_all
+from kc2spice.report.figures import draw_all
 from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import table_section, write_verify
