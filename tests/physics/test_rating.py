@@ -51,6 +51,17 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
 
 
+def test_small_signals_and_bodies_without_a_rating_are_not_judged(monkeypatch):
+    chip, scene = part_of("kick_and_catch", "kick")
+    build = Build(scene, {"kick": SimpleNamespace(certificate=None, facts={})})
+    high = np.full(2, 1e4)
+    small = Waveforms({"frequency": high, "kick.voltage": high}, {})
+    assert not list(chip.type.checks(chip, build, small))
+    monkeypatch.setattr(type(chip.type), "limit", lambda *_: None)
+    large = Waveforms({"time": high, "kick.voltage": high}, {})
+    assert not list(chip.type.checks(chip, build, large))
+
+
 def test_the_head_states_the_rating():
     from kc2spice.spice.read import read_lib
 
