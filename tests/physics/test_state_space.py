@@ -1,10 +1,13 @@
 """State space of models of every form: the same transfer function, in coordinates of the energy."""
 
+import re
+
 import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel
+from kc2spice.spice.realize import subcircuit
 
 N = 6
 RNG = np.random.default_rng(5)
@@ -74,3 +77,15 @@ def test_energy_shows_in_the_form():
 def test_what_has_no_state_space_is_refused(parts, says):
     with pytest.raises(UsageError, match=says):
         LinearModel(**parts, B=B, C=C).state_space()
+
+
+@pytest.mark.parametrize("omega", [0.1, 1e6])
+def test_a_turning_pair_of_a_netlist_is_balanced_however_slow(omega):
+    """``z1' = a z1 + w z2``, ``z2' = -w z1 + a z2``, each over the same capacitance."""
+    A = omega * np.array([[-0.1, 4.0], [-0.25, -0.1]])
+    slow = LinearModel(E=np.eye(2), A=A, B=np.ones((2, 1)), C=np.ones((1, 2)))
+    values = dict(re.findall(r"(?m)^([GC][az]\S+) .* (\S+)$", subcircuit(slow, "slow").text))
+    over, back, farad = (float(values[card]) for card in ("Ga1_2", "Ga2_1", "Cz1"))
+    assert farad == float(values["Cz2"])
+    assert over / farad == pytest.approx(omega, rel=1e-9)
+    assert back == pytest.approx(-over, rel=1e-9)
