@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts._opamp import Level, opamp_subcircuit
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
 from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
@@ -103,10 +108,43 @@ def rendered_driver(
     return self_contained(Subcircuit(name, pins, params, text), helpers)
 
 
+def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
+    """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 where it has no such pin."""
+    base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
+    found = {}
+    for pin in pins:
+        net = build.net(part, pin)
+        ends = "".join(f"{sign}v({n})" for sign, n in (("", net), ("-", base)) if n != "0")
+        if ends and net != base:
+            found[f"{part.name}.{pin}"] = Vector(ends, 1.0, "V")
+    return found
+
+
 class Driver(PartType):
     """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``."""
 
     terminals: tuple[str, ...] = ("out",)
+
+    @abstractmethod
+    def limits(
+        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
+    ) -> Iterable[Check]:
+        """What its output obeys by its keys: ``wave`` has ``i``, the current [A] out of the first
+        terminal, and the voltages [V] of its pins over ``ref``."""
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        if build.scene.analysis.type != "transient":
+            return {}
+        through = Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
+        return potentials(part, build, ("command", *self.terminals)) | {f"{part.name}.i": through}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check]:
+        if "time" not in waves or f"{part.name}.i" not in waves:
+            return ()
+        still = np.zeros_like(waves["time"])  # a pin on ref
+        pins = ("i", "command", *self.terminals)
+        wave = {pin: waves.data.get(f"{part.name}.{pin}", still) for pin in pins}
+        return self.limits(part, build, waves["time"], wave)
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         ends = (Terminal(name, *_VOLT, required=True) for name in self.terminals)

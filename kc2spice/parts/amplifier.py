@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import (
@@ -14,15 +16,20 @@ from kc2spice.core.quantities import (
     Slew,
     Voltage,
 )
+from kc2spice.parts._driver_checks import Stage
 from kc2spice.parts._drivers import (
     AMPLIFIER,
     Driver,
     driver_part,
 )
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build, register
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.header import Header
+
+DIVIDER, FEEDBACK = 20.0, 20e3  # of the command; Ohm, of what returns the output
+SINK = -10.0  # V, the lower rail
 
 
 class AmplifierKeys(Section):
@@ -42,6 +49,16 @@ class Amplifier(Driver):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name = build.libraries[part.name]
         return (amplifier_subcircuit(header, part.keys, name),)
+
+    def limits(
+        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
+    ) -> Iterable[Check]:
+        keys = part.keys
+        volts = wave["out"] + keys.resistance * wave["i"]
+        return Stage(
+            time, (wave["command"] - volts) / DIVIDER, volts, wave["i"] + volts / FEEDBACK,
+            SINK, keys.rail, keys.slew, keys.current_limit, DIVIDER * keys.bandwidth, 1 / DIVIDER,
+        ).checks(part.name)  # fmt: skip
 
 
 def amplifier_subcircuit(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import (
@@ -15,11 +17,13 @@ from kc2spice.core.quantities import (
     Slew,
     Voltage,
 )
+from kc2spice.parts._driver_checks import Stage
 from kc2spice.parts._drivers import (
     AMPLIFIER,
     Driver,
     driver_part,
 )
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
 from kc2spice.spice.circuit import Subcircuit
@@ -49,6 +53,17 @@ class ChargeDrive(Driver):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name = build.libraries[part.name]
         return (charge_drive_subcircuit(header, part.keys, name),)
+
+    def limits(
+        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
+    ) -> Iterable[Check]:
+        keys = part.keys
+        share = keys.capacitance / (keys.sense + keys.capacitance)
+        error = wave["command"] * keys.capacitance / keys.sense - wave["cathode"]
+        return Stage(
+            time, error, wave["anode"] + keys.resistance * wave["i"], wave["i"],
+            -keys.rail, keys.rail, keys.slew, keys.current_limit, keys.bandwidth / share, share,
+        ).checks(part.name)  # fmt: skip
 
 
 def charge_drive_subcircuit(header: Header, drive: ChargeKeys, name: str = "charge") -> Subcircuit:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import (
@@ -13,14 +15,20 @@ from kc2spice.core.quantities import (
     Section,
     Voltage,
 )
+from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import (
     Driver,
     driver_part,
 )
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build, register
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.header import Header
+
+GATE, THRESHOLD, GATES = 12.0, 3.0, 5.2e-10  # V, V, F: of each transistor
+DIODE, SATURATED = 0.03, 1e-14  # V for a factor e of current (75 C), A: of its diode
+SETTLED, OHMIC = 10.0, 0.9  # time constants of a gate; of the current that saturates
 
 
 class HalfBridgeKeys(Section):
@@ -40,6 +48,43 @@ class HalfBridge(Driver):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         return (half_bridge_subcircuit(header, part.keys, build.libraries[part.name]),)
+
+    def limits(
+        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
+    ) -> Iterable[Check]:
+        """Between the rails but for the diodes and for charge that returns to the reservoir; the
+        gates' currents come on top of a transistor's."""
+        keys, i, command = part.keys, wave["i"], wave["command"]
+        bridge = wave["out"] + keys.resistance * i
+        drop = DIODE * np.log1p(np.abs(i).max() / SATURATED)
+        charge = np.r_[0.0, np.cumsum(np.diff(time) * (i[1:] + i[:-1]) / 2)]
+        back = float((np.maximum.accumulate(charge) - charge).max()) / keys.reservoir
+        slack = driver.SLACK * keys.rail
+        yield driver.within(part.name, bridge, -drop, keys.rail + drop + back, slack)
+        inside = (bridge > 0) & (bridge < keys.rail)
+        gates = GATE / keys.gate_resistance
+        yield driver.bounded(part.name, i[inside], keys.current_limit + gates)
+        high, low = (_since(time, on) for on in (command >= keys.rail, command <= 0))
+        settled = SETTLED * keys.gate_resistance * GATES
+        tank = driver.relaxed(
+            time, keys.rail - keys.supply_resistance * i * (command > keys.rail / 2),
+            keys.supply_resistance * keys.reservoir,
+        )  # fmt: skip
+        share = i / keys.current_limit
+        across = (GATE - THRESHOLD) * (1 - np.sqrt(1 - np.clip(np.abs(share), 0, 1)))
+        off = np.abs(bridge - np.where(high > 0, tank, 0.0) + np.sign(i) * across)
+        judged = (np.maximum(high, low) > settled) & (np.abs(share) < OHMIC)
+        judged &= np.where(high > 0, bridge < tank, bridge > 0) | (across < driver.LAG * keys.rail)
+        value = float(off[judged].max(initial=0.0)) / keys.rail
+        yield driver.check(
+            part.name, "follows its command", value, driver.LAG, "of its rail", driver.MEANING
+        )
+
+
+def _since(time: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """How long [s] it is on, at every time."""
+    last = np.maximum.accumulate(np.where(on, time[0], time))
+    return np.where(on, time - last, 0.0)
 
 
 def half_bridge_subcircuit(

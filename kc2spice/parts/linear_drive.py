@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import (
@@ -13,6 +15,7 @@ from kc2spice.core.quantities import (
     Slew,
     Voltage,
 )
+from kc2spice.parts._driver_checks import Stage, relaxed
 from kc2spice.parts._drivers import (
     CoilDriver,
     Load,
@@ -20,6 +23,7 @@ from kc2spice.parts._drivers import (
     rendered_driver,
 )
 from kc2spice.parts.pid import SENSE
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
 from kc2spice.spice.circuit import Subcircuit, positive
@@ -42,11 +46,30 @@ class LinearDrive(CoilDriver):
         return "linear" if len(scene.of(self.name)) == 1 else part.name
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        control = neighbour(part, "command", build.scene, "pid")
-        limit = control.keys.current_limit if control else 1.0
-        name = build.libraries[part.name]
-        load = self.load(part, build)
-        return (linear_subcircuit(header, part.keys, load, limit, name),)
+        name, load = build.libraries[part.name], self.load(part, build)
+        return (linear_subcircuit(header, part.keys, load, _most(part, build.scene), name),)
+
+    def limits(
+        self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
+    ) -> Iterable[Check]:
+        """``drive = command + (command - V(ret)) k (1 + 1 / (s L / R))``, ``k = 2 pi f L / 100
+        Ohm``, through an amplifier of five times the bandwidth ``f``."""
+        keys, load = part.keys, self.load(part, build)
+        ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE
+        lasting = (1 + 1 / ratio) * load.inductance / (load.resistance + SENSE)
+        held = relaxed(time, wave["ret"] - wave["drive"], lasting)  # by the integral's capacitor
+        returned = (ratio * wave["ret"] + wave["drive"] + held) / (1 + ratio)
+        return Stage(
+            time, wave["command"] - returned, wave["drive"] + wave["i"], wave["i"],
+            -keys.rail, keys.rail, keys.slew, 2 * _most(part, build.scene),
+            5 * keys.bandwidth * (1 + ratio), 1 / (1 + ratio),
+        ).checks(part.name)  # fmt: skip
+
+
+def _most(part: Part, scene: Scene) -> float:
+    """Largest current [A] that its controller asks for."""
+    control = neighbour(part, "command", scene, "pid")
+    return float(control.keys.current_limit) if control else 1.0
 
 
 def linear_subcircuit(

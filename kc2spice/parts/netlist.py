@@ -7,19 +7,35 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section
+from kc2spice.core.quantities import Section, Slew, Voltage
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.core.words import did_you_mean
+from kc2spice.parts import _driver_checks as driver
+from kc2spice.parts._drivers import potentials
+from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import name as checked
 from kc2spice.spice.circuit import Pin, Subcircuit
 from kc2spice.spice.included import included_netlists
 from kc2spice.spice.statements import statements
 
 KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
+
+
+RATED = "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
+
+
+class Rating(Section):
+    """What a pin keeps, over ``ref`` if the circuit has it: voltages and fastest change."""
+
+    low: Voltage | None = None
+    high: Voltage | None = None
+    slew: Slew | None = Field(None, gt=0)
 
 
 class NetlistKeys(Section):
@@ -29,6 +45,9 @@ class NetlistKeys(Section):
     subckt: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")
     units: dict[str, str] = Field(
         default_factory=dict, description="kind of a pin, V/A unless told: um/N, m/s/N, V"
+    )
+    ratings: dict[str, Rating] = Field(
+        default_factory=dict, description="{ PIN = { low, high, slew } }, checked after the run"
     )
 
 
@@ -59,6 +78,11 @@ class Netlist(PartType):
                     "not a kind of a pin", where=f"{part.name}.units.{name}", got=repr(kind),
                     expected=f"one of {', '.join(KINDS)} for one of {', '.join(pins)}",
                 )  # fmt: skip
+        for name in part.keys.ratings:
+            if name not in pins:
+                yield UsageError(
+                    "no such pin", where=f"{part.name}.ratings", got=name, expected=", ".join(pins)
+                )
 
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)
@@ -68,6 +92,22 @@ class Netlist(PartType):
         (name, text), *_ = found.items()
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
         return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        rated = part.keys.ratings if build.scene.analysis.type == "transient" else ()
+        return potentials(part, build, rated)
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        for pin, rating in part.keys.ratings.items():
+            name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
+            if volts is None or "time" not in waves:
+                continue
+            slack = driver.SLACK * float(np.abs(volts).max())
+            low = -np.inf if rating.low is None else rating.low
+            high = np.inf if rating.high is None else rating.high
+            yield driver.within(name, volts, low, high, slack, RATED)
+            if rating.slew is not None:
+                yield driver.slewing(name, waves["time"], volts, rating.slew, slack, RATED)
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         detail = f".subckt {part.keys.subckt} of {part.keys.file}"
