@@ -39,7 +39,7 @@ START, FLIGHT, CATCH = 5e-6, 35e-6, 200e-6  # s: the kick, and what follows it
 LATEST = 20e-6  # s after its start a kick upwards has thrown
 EXACT_BAND = 0.0, 2e6  # Hz
 RINGS = 6
-ORACLES = (480, 0.25e-9), (480, 0.5e-9), (320, 0.5e-9)  # modes, s; the first is the judge
+ORACLES = (480, 0.5e-9), (320, 0.25e-9)  # modes, steps [s]; the first is the judge
 # volts, damping ratio, width and edge [s], radius [m], density, penalty, budget: log-uniform
 LOW = np.log([20.0, 1e-4, 5e-6, 1e-8, 0.5e-3, 3e3, 1e7, 1e-5])
 HIGH = np.log([120.0, 3e-2, 5e-5, 2e-6, 1.5e-3, 15e3, 1e9, 1e-3])
@@ -137,7 +137,7 @@ def judged(number: int) -> Budgeted:
 
 def compared(done: run.Completed) -> tuple[float, float]:
     """Error of the speed after the last contact, or of the height over the travel, whichever is
-    larger; and how far two oracles of other modes or steps are apart."""
+    larger; and how far an oracle of fewer modes and finer steps is from it."""
     errors = [_error(done, order, step) for order, step in ORACLES]
     return errors[0], float(np.ptp(errors))
 

@@ -3,8 +3,8 @@
 Every mode moves by its closed form within a step; the contact's force is constant over it and
 follows from the mean penetration, which keeps the energy of a spring that opens and closes. It
 shares no code with the product: the modes are those of a model with ten times the states, all
-with their inertia. On lightly damped chips models of 39 to 160 states scatter by 1e-3 of the launch,
-those of 240, 320 and 480 differ by 5e-4 and 1e-4.
+with their inertia. On lightly damped chips models of 39 to 160 states scatter by 1e-3 of the
+launch, those of 240, 320 and 480 differ by 5e-4 and 1e-4.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Kick:
         return times, heights, speeds, touched
 
     def _poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``z = Re sum r p`` with ``p' = s p + f``: one pole of a pair, both of overdamped modes."""
+        """``z = Re sum r p``, ``p' = s p + f``: one pole of a pair, both of overdamped modes."""
         root = np.sqrt(self.omega**2 - (self.damp / 2) ** 2 + 0j)
         rings = root.real > 0
         first = -self.damp / 2 + 1j * root
