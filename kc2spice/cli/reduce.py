@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from kc2spice.cli.console import print_table, reported_errors, shown_progress
+from kc2spice.cli.tables import above_band
 
 
 def reduce(
@@ -73,6 +74,7 @@ def reduce(
                 ("states", str(found["order"])),
                 ("band", f"{low:g} … {high:g} Hz"),
                 ("error estimate", f"{found['error_estimate']:.3g}"),
+                *above_band(found),
                 ("stable", "yes" if found["stable"] else "NO"),
                 ("passive", "yes" if found["passive"] else "not shown"),
                 ("method", found["method"]),

@@ -27,9 +27,7 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
-        errors = rom.get("above_band_compliance_error", ())
-        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True):
-            rows.append((f"compliance at {f:g} Hz", f"{error:.2g} off, which contact sees"))
+        rows += above_band(rom)
         if "contact_error" in rom:
             rows.append(("error of the launch", contact_error(rom["contact_error"])))
         print_table("reduced model", rows)
@@ -42,6 +40,15 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
         rows = [("ngspice", f"load {raw}, then plot VECTOR"),
                 ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')")]  # fmt: skip
         print_table("viewers of the raw file", rows)
+
+
+def above_band(rom: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Rows of what a certificate says of the compliance above its band."""
+    errors = rom.get("above_band_compliance_error", ())
+    return [
+        (f"compliance at {f:g} Hz", f"{error:.2g} off, which contact sees")
+        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True)
+    ]
 
 
 def contact_error(value: float | None) -> str:

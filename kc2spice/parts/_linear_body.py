@@ -330,16 +330,7 @@ class LinearBody(PartType):
             "massless": 0 if model.M is None else int((model.M.diagonal() == 0).sum()),
         }
         if certificate is not None:
-            found |= {
-                "band_hz": list(certificate.band_hz),
-                "error_estimate": certificate.error_estimate,
-                "method": certificate.method,
-                "stable": certificate.stable,
-                "passive": certificate.passive,
-            }
-            if certificate.above:
-                frequency, error = map(list, zip(*certificate.above, strict=True))
-                found |= {"above_band_hz": frequency, "above_band_compliance_error": error}
+            found |= certificate.record()
         return found
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:

@@ -100,6 +100,20 @@ class Certificate:
     passive: bool
     above: tuple[tuple[float, float], ...] = ()
 
+    def record(self) -> dict[str, Any]:
+        """Its entries of ``result.json`` and of ``reduce --json``."""
+        found: dict[str, Any] = {
+            "band_hz": list(self.band_hz),
+            "error_estimate": self.error_estimate,
+            "method": self.method,
+            "stable": self.stable,
+            "passive": self.passive,
+        }
+        if self.above:
+            frequency, error = map(list, zip(*self.above, strict=True))
+            found |= {"above_band_hz": frequency, "above_band_compliance_error": error}
+        return found
+
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
 class LinearModel:

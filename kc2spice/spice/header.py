@@ -63,12 +63,15 @@ def _upwards(value: float) -> float:
 
 
 def rom_line(order: int, certificate: Certificate) -> str:
-    """One comment line: order, band and certified error of a reduced model."""
+    """One comment line: order, band and certified error of a reduced model, and what contact sees
+    above the band."""
     low, high = certificate.band_hz
+    seen = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
+    beyond = f", compliance off by {', '.join(seen)}" if seen else ""
     return (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
         f"error={number(_upwards(certificate.error_estimate))} ({comment(certificate.method)}); "
-        "above the band not certified; contact excites it\n"
+        f"above the band not certified{beyond}; contact excites it\n"
     )
 
 

@@ -304,6 +304,25 @@ def test_conservative_ports_become_conservative_pins(tmp_path):
         reduce(other, tmp_path / "no")
 
 
+def test_head_and_table_show_what_contact_sees_above_the_band(tmp_path):
+    """The compliances of both models above the band, anew from their matrices."""
+    base = write_family(tmp_path, chain())
+    port = '[[port]]\nname = "{}"\ndirection = "both"\nkind = "mechanical"\n'
+    (tmp_path / "model.toml").write_text("band = [0, 0.1]\n" + port.format("a") + port.format("b"))
+    ran = CliRunner().invoke(app, ["reduce", str(base), "-o", str(tmp_path / "out")])
+    found = reduce(base, tmp_path / "json")
+    export_rom(found["rom"], tmp_path / "out")
+    head = (tmp_path / "out" / "model_rom.lib").read_text().partition(".subckt")[0]
+    assert len(found["above_band_hz"]) >= 2
+    full, rom = read_model(base), read_rom(found["rom"])
+    for f, said in zip(found["above_band_hz"], found["above_band_compliance_error"], strict=True):
+        exact, ours = (np.diagonal(m.transfer(np.array([f]))[0]) for m in (full, rom))
+        assert said == pytest.approx(np.abs(ours / exact - 1).max(), rel=1e-6)
+        assert f"{said:.2g} at {f:g} Hz" in head
+        assert f"compliance at {f:g} Hz" in ran.stdout
+        assert f"{said:.2g} off, which contact sees" in ran.stdout
+
+
 def test_command_line_writes_nothing_on_bad_input(tmp_path):
     base = write_family(tmp_path, edited("K", with_value(np.nan)))
     before = sorted(tmp_path.iterdir())
