@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-AWAY = 3.0  # free strokes above the chip: it does not come back before gravity brings it
+AWAY = 3.0  # free strokes above the chip, which never comes so far
+FALL = 20.0  # m/s2: nor does the sphere come back if this cannot stop it
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class Kick:
                 top = _flat(new) @ see
             state, up = new, top - y - gap
             heights[k + 1], speeds[k + 1] = y, v
-            if v > 0 and up.max() < -stroke and volts[k + 1] == volts[-1]:
+            if v > FALL * stop and up.max() < -stroke:
                 rest = np.arange(times.size - k - 1)
                 gained = np.cumsum(np.r_[0.0, pushed[k + 1 : -1]]) * step / self.mass
                 speeds[k + 1 :] = v + gained
