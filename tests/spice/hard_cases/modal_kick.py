@@ -54,9 +54,10 @@ class Kick:
         pushed = np.interp(times, *self.other.T)
         stroke = AWAY * float(np.abs((anode * residue / -poles).real @ rings[:, 0])) * np.ptp(volts)
         weight = -pushed[0]
-        y, v = -weight / self.penalty, 0.0
         state = (-(rings[:, 0] * weight) + anode * volts[0]) / -poles
-        up = _flat(state) @ see - y - gap
+        top = _flat(state) @ see
+        y, v = top[0] - weight / self.penalty, 0.0
+        up = top - y - gap
         heights, speeds = np.empty((2, times.size))
         heights[0], speeds[0] = y, v
         touched = 0.0
