@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hard_cases.modal_kick import Kick
-
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.parts.contact import kept_ports
@@ -33,6 +31,9 @@ from kc2spice.workflow import richer, run
 from kc2spice.workflow.decks import libraries
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hard_cases.modal_kick import Kick
 
 COUNT = 100
 START, FLIGHT, CATCH = 5e-6, 35e-6, 200e-6  # s: the kick, and what follows it
