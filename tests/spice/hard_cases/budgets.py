@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.parts.contact import kept_ports
