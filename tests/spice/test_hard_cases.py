@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from hard_cases import cases_catch, cases_contact, cases_kick, cases_laws, cases_models  # noqa: F401
+from hard_cases import (  # noqa: F401
+    cases_catch,
+    cases_contact,
+    cases_kick,
+    cases_laws,
+    cases_models,
+    cases_pressure,
+)
 from hard_cases.kit import CASES, judge
 
 MARKED = [

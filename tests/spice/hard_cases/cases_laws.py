@@ -8,32 +8,19 @@ from hard_cases.cases_contact import launch_error
 from hard_cases.kit import case, kick, relative
 from scipy.optimize import brentq
 
-from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import libraries, make_deck
-from kc2spice.workflow.judge import verdict
 
 ENTRY = "damped, curved and dry contact"
-
-
-def ran(bench, tables):
-    """What ``kc2spice run`` does with a scene of rigid parts alone."""
-    scene = load_scene(tables)
-    build = Build(scene, {}, libraries(scene))
-    waves = bench.run(make_deck(build))
-    if not bench.plain:
-        require(verdict(waves, build).checks, scene.name)
-    return waves
+BOUNCES = "100 elastic bounces"
 
 
 def rebound(bench, speed, reltol=1e-4, **keys):
     """Speed after a sphere has hit a rigid plane."""
-    waves = ran(bench, {
+    _, waves = bench.own(load_scene({
         "name": "bounce", "gravity": 0.0, "contact": {"part": "contact", "a": "gnd", **keys},
         "sphere": {"part": "sphere", "velocity": -speed, "height": 1e-7},
         "solver": {"stop": 60e-6, "max_step": 1e-6, "reltol": reltol},
-    })  # fmt: skip
+    }))  # fmt: skip
     return waves["sphere.v"][-1]
 
 
@@ -76,7 +63,7 @@ def rebound_from_a_groove(bench):
 
 def pushed(bench, force, stop):
     """How far a block of 10 g slides that a force pushes for 5 ms over a dry floor."""
-    waves = ran(bench, {
+    _, waves = bench.own(load_scene({
         "name": "block", "gravity": 9.81,
         "weight": {"part": "mass", "mass": 10e-3, "weight": True},
         "block": {"part": "mass", "mass": 10e-3, "pins": {"a": "push.out"}},
@@ -85,7 +72,7 @@ def pushed(bench, force, stop):
         "floor": {"part": "contact", "a": "gnd", "b": "weight", "penalty": 1e5, "friction": 0.3,
                   "pins": {"slide": "block.a"}},
         "solver": {"stop": stop, "max_step": 20e-6},
-    })  # fmt: skip
+    }))  # fmt: skip
     return waves["block.x"][-1]
 
 
@@ -103,11 +90,7 @@ def a_block_sticks(bench):
 
 @case(ENTRY, "momentum and energy of five spheres, relative", 1e-4)
 def newtons_cradle(bench):
-    scene = load_scene("newtons_cradle")
-    build = Build(scene, {}, libraries(scene))
-    waves = bench.run(make_deck(build))
-    if not bench.plain:
-        require(verdict(waves, build).checks, scene.name)
+    _, waves = bench.own(load_scene("newtons_cradle"))
     speed = np.array([waves[f"sphere{k}.v"][-1] for k in range(1, 6)])
     return max(abs(speed.sum() - 1), abs((speed**2).sum() - 1))
 
@@ -115,3 +98,68 @@ def newtons_cradle(bench):
 @case(ENTRY, "launch, relative", 2e-4)
 def damped_contact_on_an_elastic_chip(bench):
     return launch_error(bench, kick("contact.damping=0.3"), chip())
+
+
+def landings(bench, count, reltol=1e-4, **keys):
+    """Speeds [m/s] at which a sphere arrives with 10 mm/s, 0.1 um high, and leaves after so many
+    bounces on a rigid plane."""
+    speed, height, g = 0.01, 1e-7, 9.81
+    first = np.sqrt(speed**2 + 2 * g * height)
+    _, waves = bench.own(load_scene({
+        "name": "bounces", "contact": {"part": "contact", "a": "gnd", **keys}, "gravity": g,
+        "sphere": {"part": "sphere", "velocity": -speed, "height": height},
+        "solver": {"stop": 1.1 * count * 2 * first / g, "max_step": 1e-5, "reltol": reltol},
+    }))  # fmt: skip
+    force, bottom = waves["contact.force"] > 0, waves["sphere.y"] - waves["sphere.y"][0] + height
+    landed = np.flatnonzero(force[1:] & ~force[:-1]) + 1
+    if landed.size <= count:
+        return first, np.nan
+    speeds = np.sqrt(waves["sphere.v"] ** 2 + 2 * g * np.maximum(bottom, 0.0))
+    between = (landed[count - 1] + landed[count]) // 2  # in flight after that bounce
+    return first, speeds[between]
+
+
+@case(BOUNCES, "speed kept by Hertz, relative", 2e-3)
+def hundred_bounces_by_hertz(bench):
+    first, last = landings(bench, 100, law="hertz", modulus=110e9)
+    return relative(last, first)
+
+
+@case(BOUNCES, "speed kept in a groove, relative", 1e-3)
+def hundred_bounces_in_a_groove(bench):
+    first, last = landings(bench, 100, 1e-5, penalty=4e8, groove=60.0)
+    return relative(last, first)
+
+
+@case(BOUNCES, "speed left by a damped spring, relative", 1e-3)
+def hundred_damped_bounces(bench):
+    damping, count = 0.1, 100
+    first, last = landings(bench, count, penalty=4e8, damping=damping)
+    for _ in range(count):
+        first *= restitution(damping * first)
+    return relative(last, first)
+
+
+def resting(bench, **keys):
+    """How far the force that holds a sphere for 50 ms is from its weight, relative."""
+    build, waves = bench.own(load_scene({
+        "name": "rest", "contact": {"part": "contact", "a": "gnd", **keys}, "gravity": 9.81,
+        "sphere": {"part": "sphere"}, "solver": {"stop": 50e-3, "max_step": 1e-5},
+    }))  # fmt: skip
+    weight = build.scene.parts["sphere"].keys.mass * 9.81
+    return np.abs(waves["contact.force"] / weight - 1.0).max()
+
+
+@case("resting contact", "force over weight, relative", 1e-4)
+def rest_by_hertz(bench):
+    return resting(bench, law="hertz", modulus=110e9)
+
+
+@case("resting contact", "force over weight, relative", 1e-4)
+def rest_on_a_damped_spring(bench):
+    return resting(bench, penalty=4e8, damping=1.0)
+
+
+@case("resting contact", "force over weight, relative", 1e-4)
+def rest_in_a_groove(bench):
+    return resting(bench, penalty=4e8, groove=60.0)

@@ -1,7 +1,7 @@
 """Run the hard cases and write their table: ``python tests/spice/hard_cases/table.py [WORDS]``.
 
 With ``--slow`` also those that take minutes; with words only the cases that have one of them in
-their first column, while all others keep their rows.
+their first two columns, while all others keep their rows.
 """
 
 from __future__ import annotations
@@ -11,7 +11,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from hard_cases import cases_catch, cases_contact, cases_kick, cases_laws, cases_models  # noqa: F401
+from hard_cases import (  # noqa: F401
+    cases_catch,
+    cases_contact,
+    cases_kick,
+    cases_laws,
+    cases_models,
+    cases_pressure,
+)
 from hard_cases.kit import CASES, Outcome, judge
 
 PAGE = Path(__file__).parents[3] / "docs" / "hard_cases.md"
@@ -67,7 +74,7 @@ def main() -> None:
     words = [word for word in sys.argv[1:] if word != "--slow"]
     rows = written() if words else {}
     for number, case in enumerate(CASES):
-        asked = not words or any(word in case.entry for word in words)
+        asked = not words or any(word in f"{case.entry} {case.name}" for word in words)
         if not asked or (case.slow and "--slow" not in sys.argv):
             continue
         outcome, _ = judge(case)
