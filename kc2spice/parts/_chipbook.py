@@ -13,6 +13,7 @@ from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 
 STORED = 0.1  # of the stored energy: a chip rings on after a pulse at up to 30 MHz
+STILL = 1e-9  # of the energy stored, far above its rounding
 
 
 def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray] | None:
@@ -40,7 +41,8 @@ def balance(
     """Work of voltage and forces on the body against its exact response to the same loads.
 
     What the exact response takes in and does not store is damped. The electrical part needs the
-    body's current among the waveforms. The scale is the largest energy stored at any time.
+    body's current among the waveforms. The scale is the largest change of the energy stored, or of
+    what rounds it where nothing moves.
     ``pressed`` judges until nothing presses on the body any more: the ringing after that is coarse.
     """
     t, none = waves["time"], np.zeros(waves["time"].size)
@@ -71,5 +73,5 @@ def balance(
     if pressed:
         load = np.abs(list(forces.values())).max(axis=0, initial=0.0)
         gap = gap[: int(np.flatnonzero(load > 1e-9 * load.max()).max(initial=0)) + 1]
-    scale = float(np.ptp(response.stored))
+    scale = max(float(np.ptp(response.stored)), STILL * float(response.stored.max()))
     return Balance(entries, float(np.abs(gap).max()), scale, STORED)

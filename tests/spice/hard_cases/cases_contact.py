@@ -126,6 +126,13 @@ Xcontact ring0 v bottom 0 contact
     return np.abs(bottom / (-MASS * 9.81 / 4e8) - 1.0).max()
 
 
+@case("resting contact", "force over weight, relative", 1e-4)
+def rest_on_a_chip(bench):
+    """Nothing moves: the energy balances must not take rounding for work."""
+    waves = bench.scene(kick("kick.drive.voltage=0", "solver.stop=50 ms"))
+    return np.abs(waves["contact.force"] / (MASS * 9.81) - 1.0).max()
+
+
 @case("resting contact", "height over its travel", 1e-3)
 def chatter_after_a_kick_of_one_volt(bench):
     """The sphere hops by nanometres: steps must resolve them, or the run must notice."""
