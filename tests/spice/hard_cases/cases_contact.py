@@ -50,8 +50,7 @@ def _penalty(value, slow=False):
 
 for value in ("1e6", "1e7", "1e8", "1e9", "1e10"):
     _penalty(value)
-for value in ("1e11", "1e12"):
-    _penalty(value, slow=True)
+_penalty("1e11", slow=True)
 
 
 @case("all six rings at once", "rebound velocity, relative", 1e-4)

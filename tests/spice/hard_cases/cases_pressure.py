@@ -1,4 +1,4 @@
-"""Pressure under a sphere and elastic spheres, on the paper's own chip; oracles: the integrator of
+"""Pressure, elastic spheres and rigid springs on the paper's own chip; oracles: the integrator of
 the laws, the weight, energy."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def thrown(bench, *keys, stop=40e-6):
     build, waves = bench.own(load_scene({
         "name": "kick_and_catch", "kick": {"drive": {"start": 10e-6}}, "contact": {}, "sphere": {},
         "gravity": 9.81, "solver": {"stop": stop},
-    }, [PRESSURE, *keys]))  # fmt: skip
+    }, keys))  # fmt: skip
     ends = Waveforms({"time": np.array([0.0, stop])}, {})
     return relative(waves["sphere.v"][-1], solve(build, ends).results["sphere.v"][-1])
 
@@ -34,15 +34,17 @@ def _thrown(entry, name, *keys, **more):
 
 
 KICKED = "kick under pressure"
-_thrown(KICKED, "kick by 100 V under pressure")
-_thrown(KICKED, "kick by 10 V under pressure", "kick.drive.voltage=10 V")
-_thrown(KICKED, "pressure that draws back first", "kick.drive.voltage=-100 V", stop=60e-6)
-_thrown(KICKED, "pressure with edges of 1 ns", "kick.drive.edge=1 ns")
-_thrown(KICKED, "pressure damped by a ten thousandth", "kick.damping.ratio=1e-4")
-_thrown(KICKED, "hats of 2.5 um", "contact.spacing=2.5 um")
-_thrown(KICKED, "kick of an elastic sphere", "sphere.elastic=true")
-_thrown(KICKED, "elastic sphere damped by a ten thousandth",
+_thrown(KICKED, "kick by 100 V under pressure", PRESSURE)
+_thrown(KICKED, "kick by 10 V under pressure", PRESSURE, "kick.drive.voltage=10 V")
+_thrown(KICKED, "pressure that draws back first", PRESSURE, "kick.drive.voltage=-100 V", stop=60e-6)
+_thrown(KICKED, "pressure with edges of 1 ns", PRESSURE, "kick.drive.edge=1 ns")
+_thrown(KICKED, "pressure damped by a ten thousandth", PRESSURE, "kick.damping.ratio=1e-4")
+_thrown(KICKED, "hats of 2.5 um", PRESSURE, "contact.spacing=2.5 um")
+_thrown(KICKED, "kick of an elastic sphere", *ELASTIC)
+_thrown(KICKED, "elastic sphere damped by a ten thousandth", PRESSURE,
         "sphere.elastic.damping.ratio=1e-4")  # fmt: skip
+_thrown("penalty 1e6 to 1e12 N/m", "penalty 1e12 on ports without inertia",
+        "contact.penalty=1e12 N/m")  # fmt: skip
 
 
 def met(bench, *keys):
