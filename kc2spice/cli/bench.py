@@ -27,6 +27,14 @@ def bench(
             "scene, else every number that converges.",
         ),
     ] = None,
+    near: Annotated[
+        bool,
+        typer.Option(
+            "--near",
+            help="Only the settings next to the scene's own: does one beat it? --error is then "
+            "that of the scene as it is.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Where to write; default: ./NAME_bench."),
@@ -58,8 +66,9 @@ def bench(
         directory = out or Path(f"{name}_bench")
         with shown_progress(quiet) as progress:
             record = measure(
-                lambda more: load_scene(scene, [*given, *more]), directory, error=error,
-                metric=tuple(metric or ()), repeats=repeats, trust=trust, progress=progress,
+                lambda more: load_scene(scene, [*given, *more]), directory,
+                error=None if near else error, metric=tuple(metric or ()), repeats=repeats,
+                trust=trust, progress=progress,
             )  # fmt: skip
         if as_json:
             print(json.dumps({**record, "directory": str(directory.absolute())}))

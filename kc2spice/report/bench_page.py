@@ -46,7 +46,7 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("nearest", f"{nearest['label']}: {_cost(nearest)}"))
     else:
         words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
-        rows.append((f"cheapest within {record['limit']:g}", words))
+        rows.append((f"cheapest within {record['limit']:.2g}", words))
         rows.append(("", _cost(best)))
     rows.append(("reference", f"{reference['label']}: {quantity(reference['time_s'], 's', 3)}"))
     rows.append(("uncertainty of the reference", f"{reference['error']:.1e}"))
@@ -109,7 +109,8 @@ def _figure(path: Path, record: Mapping[str, Any]) -> Picture:
         axes.plot(*place(own), "s", color=ORANGE, ms=9, label="the scene as it is")
         if best is not None:
             axes.plot(*place([best]), "o", color=BLACK, ms=12, mfc="none", label="recommended")
-        axes.axvline(record["limit"], color=GREEN, lw=1.0, label=f"error {record['limit']:g}")
+        limit = max(record["limit"], _LEAST)
+        axes.axvline(limit, color=GREEN, lw=1.0, label=f"error {limit:.2g}")
         if record["reference"]["error"] > 0.0:
             axes.axvspan(
                 _LEAST, record["reference"]["error"], color=RED, alpha=0.07, lw=0,
@@ -118,7 +119,7 @@ def _figure(path: Path, record: Mapping[str, Any]) -> Picture:
         axes.set_xscale("log")
         axes.set_yscale("log")
         errors = place(points)[0]
-        axes.set_xlim(0.5 * min(*errors, record["limit"]), 2.0 * max(*errors, record["limit"]))
+        axes.set_xlim(0.5 * min(*errors, limit), 2.0 * max(*errors, limit))
         name_axes(axes, "largest relative error", "CPU time of the simulator [s]")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
     return Picture(path, "Error against time", "Lower left is better.")

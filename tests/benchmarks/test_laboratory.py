@@ -42,6 +42,7 @@ RATIOS = {
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
     "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
     "start_help_s", "start_import_s", "start_rerun_s", "start_first_s", "reference_loop_s",
+    "fronts_beaten",
 }  # fmt: skip
 PLANES = {"loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel"}
 SCALINGS = {"modes", "ports", "actuators", "simulated time", "unknowns", "chip"}
@@ -127,6 +128,15 @@ def test_the_table_of_sizes_is_made_by_the_documented_command():
     rows = [line.split("|")[1:4] for line in done.stdout.splitlines() if "| plate |" in line]
     assert [int(unknowns) for _, _, unknowns in rows] == [300, 867]
     assert "CPU time as n^" in done.stdout
+
+
+def test_fronts_are_of_scenes(bench):
+    record, out = bench
+    assert len(record["fronts"]) == 2
+    for name, front in record["fronts"].items():
+        assert front["error"] > 0 < front["time_s"], name
+        assert front["tried"] >= len(front["rivals"]) >= 1
+        assert f"| {name} |" in (out / "bench.md").read_text()
 
 
 def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):

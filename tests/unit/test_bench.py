@@ -131,6 +131,77 @@ def test_a_slower_scene_is_beaten(made, monkeypatch, tmp_path):
     assert record["own"]["time_s"] < 0.5 * own["time_s"]
 
 
+@pytest.mark.parametrize(("error", "beaten"), [(9e-7, False), (3e-6, True)])
+def test_errors_that_no_device_is_known_to_are_equal(error, beaten):
+    points = [point(error, 1.0, own=True), point(1e-9, 1.0)]
+    assert plane.place_of_own(points, 0.0)["on_front"] is not beaten
+
+
+LOAD = lambda more: load_scene("impact", ["bench.metric=[]", *more])  # noqa: E731
+
+
+def near(monkeypatch, evaluate, repeats=3):
+    """The searched plane next to the scene's own setting, and its record."""
+    monkeypatch.setattr(plane, "evaluate", evaluate)
+    found = plane.search(LOAD, error=None)
+    return found, plane.measure(found, repeats)
+
+
+def test_only_values_next_to_the_own_are_tried(monkeypatch):
+    found, record = near(monkeypatch, simulator)
+    for wide, axis in zip(axes(LOAD([]), transient=True), found.found, strict=True):
+        assert axis.name == wide.name
+        assert axis.values[axis.own] == wide.values[wide.own] == {}
+        assert set(map(str, axis.values)) <= set(map(str, wide.values))
+        assert 1 < len(axis.values) <= 3
+    tried = {(p["settings"].get("solver.reltol"), p["settings"].get("rom.order"))
+             for p in record["points"]}  # fmt: skip
+    assert {(None, None), (3e-4, None), (3e-5, None), (None, 45), (None, 22)} <= tried
+    assert {order for _, order in tried} == {None, 22, 45}
+    assert record["reference"]["settings"]["solver.reltol"] < 3e-5
+    assert record["reference"]["settings"]["rom.order"] > 45
+    assert "noise" in record["left_out"]
+
+
+def test_only_what_may_beat_the_own_setting_is_timed_again(monkeypatch):
+    """Times of the search, beside other searches, do not count where there are others."""
+    counts: dict[str, int] = {}
+
+    def loaded(scene, *, trust=False):
+        run = simulator(scene, trust=trust)
+        key = repr((scene.solver, scene.rom))
+        counts[key] = counts.get(key, 0) + 1
+        return dataclasses.replace(run, cpu_s=run.cpu_s * (5.0 if counts[key] == 1 else 1.0))
+
+    _, record = near(monkeypatch, loaded)
+    own = next(p for p in record["points"] if p["own"])
+    single = [p for p in record["points"] if p["repeats"] == 1]
+    assert own["repeats"] == 3
+    assert own["time_high_s"] == pytest.approx(simulator(LOAD([])).cpu_s)
+    assert single
+    for p in single:
+        slower = p["time_s"] > plane.CLEAR * 5.0 * own["time_s"]
+        assert slower or max(p["error"], p["bound"]) > max(own["error"], own["bound"])
+    assert max(counts.values()) == 4  # once in the search, three times for the time
+
+
+@pytest.mark.parametrize("cost", [1.0, 9.0])
+def test_a_neighbour_beats_a_slower_scene(monkeypatch, cost):
+    """A setting on its front by construction, and the same with a cost of its own."""
+
+    def one_key(scene, *, trust=False):
+        value = 1.0 + scene.solver.reltol + 1e-9 * scene.solver.chgtol
+        own = scene.solver.reltol == 1e-4
+        run_s = 1e-2 / scene.solver.reltol**0.5 * (cost if own else 1.0)
+        return Run({"speed": np.asarray(value)}, run_s, transient=True)
+
+    _, record = near(monkeypatch, one_key)
+    assert record["own"]["on_front"] is (cost == 1.0)
+    if cost > 1.0:
+        assert record["own"]["settings"]["solver.reltol"] == 3e-5
+    assert record["recommended"] is not None
+
+
 def test_an_error_that_vanishes_by_chance_is_not_relied_on(tmp_path, monkeypatch):
     """The scene's own tolerance happens to be right, the next finer one is off by 1e-5."""
 
@@ -168,6 +239,23 @@ def test_a_scene_has_the_axes_of_its_parts():
         "solver.reltol", "catch.points",
     ]  # fmt: skip
     assert "catch.points" not in {axis.name for axis in axes(load_scene("impact"), transient=True)}
+
+
+@pytest.mark.parametrize(
+    ("name", "transient", "coarser", "finer"),
+    [
+        ("buzzer_ft_20t_6_5a1", False, (1e-2, [520, 16.8e3]), (1e-4, [520, 16.8e3])),
+        ("buzzer_square", True, (1e-3, [0.0, 1e5]), (1e-5, [0.0, 2e5])),
+    ],
+)
+def test_a_reduction_is_varied_around_the_one_in_use(name, transient, coarser, finer):
+    """Neither scene says how: its body chooses, for 650 Hz to 14 kHz, and for steps of 1 us."""
+    rom = axes(load_scene(name), transient=transient)[-1]
+    for step, (tolerance, band) in ((-1, coarser), (1, finer)):
+        values = rom.values[rom.own + step]
+        assert values["rom.tolerance"] == pytest.approx(tolerance)
+        assert values["rom.band"] == pytest.approx(band)
+        assert load_scene(name, overrides(values)).rom.tolerance == values["rom.tolerance"]
 
 
 def test_another_outcome_is_no_result():

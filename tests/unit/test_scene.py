@@ -28,7 +28,7 @@ LOOP = {name: {} for name in ("kick", "contact", "sphere", "catch", "control")}
 def test_kick_and_catch_says_what_the_defaults_say():
     scene = load_scene("kick_and_catch")
     gates = scene.gates.model_dump(exclude_unset=True)
-    own = {"bench": {"metric": scene.bench.metric}, "gates": gates}
+    own = {"bench": scene.bench.model_dump(), "gates": gates}
     bare = load_scene({"name": scene.name, "title": scene.title} | own | LOOP)
     assert scene.frame == bare.frame
     assert {n: p.keys for n, p in scene.parts.items()} == {n: p.keys for n, p in bare.parts.items()}
@@ -84,7 +84,7 @@ def test_order_and_tolerance_replace_each_other():
     assert (rom.order, rom.tolerance) == (None, 1e-4)
     rom = load_scene("kick_and_catch", ["rom.tolerance=1e-4", "rom.order=12"]).rom
     assert (rom.order, rom.tolerance) == (12, None)
-    assert load_scene("imprint").rom.order == 30
+    assert load_scene("impact").rom.order == 30
 
 
 # Every mistake: the overrides, what the message must contain besides the key that was set.

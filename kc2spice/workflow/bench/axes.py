@@ -55,8 +55,8 @@ def axes(scene: Scene, *, transient: bool) -> tuple[Axis, ...]:
         own = getattr(holder, name, None)
         if own is not None and (transient or key in _STATIC):
             found.append(_scaled(key, own))
-    if any(part.type.reduced for part in scene.parts.values()):
-        found.append(_reduction(scene.rom, transient))
+    used = [part.type.reduction(part, scene) for part in scene.parts.values()]
+    found += [_reduction(rom, transient) for rom in used if rom is not None][:1]
     return tuple(axis for axis in found if len(axis.values) > 1)
 
 
@@ -69,11 +69,15 @@ def _scaled(key: str, own: float) -> Axis:
             return {key: int(min(max(1 + round(factor * (own - 1)), low), high))}
         return {key: _rounded(min(max(factor * own, low), high))}
 
+    def best(factor: float) -> Values:
+        found = value(factor)
+        return OWN if found[key] == own else found
+
     before = [value(f) for f in factors[: factors.index(1.0)]]
     after = [value(f) for f in factors[factors.index(1.0) + 1 :]]
     coarser = _distinct(key, (v for v in before if _is_coarser(key, v[key], own)))
     finer_ = _distinct(key, (v for v in after if _is_coarser(key, own, v[key])))
-    return Axis(key, (*coarser, OWN, *finer_), len(coarser), value(finest), value(finer))
+    return Axis(key, (*coarser, OWN, *finer_), len(coarser), best(finest), best(finer))
 
 
 def _rounded(value: float) -> float:
@@ -89,22 +93,39 @@ def _distinct(key: str, values: Iterator[Values]) -> list[Values]:
 
 
 def _reduction(rom: Rom, transient: bool) -> Axis:
-    """Orders around the scene's own, or tolerances where all that counts is inside the band.
+    """Orders around the scene's own, or tolerances.
 
-    Contact in a transient excites the device far above it. There the order tells how wide a model
-    is, and four times the default is within 4e-7 of any finer one; a tolerance over a wider band
-    tells the same and takes minutes to reach.
+    Contact in a transient excites the device far above its band. There the order tells how wide a
+    model is, and four times the default is within 4e-7 of any finer one; where a tolerance is what
+    the scene asks for, its band grows as it falls.
     """
-    if not transient:
-        own = rom.tolerance or 1e-5
-        coarser = [{"rom.tolerance": _rounded(t * own)} for t in (100, 10) if t * own < 0.5]
-        finer = [{"rom.tolerance": max(_rounded(t * own), 1e-9)} for t in (0.1, 0.01)]
-        finest = {"rom.tolerance": max(_rounded(3e-3 * own), 1e-10)}  # rounding must not stop it
-        return Axis("rom", (*coarser, OWN, *finer), len(coarser), finest, finer[1])
-    order = rom.order or 30
-    below = [{"rom.order": n} for n in sorted({order // 2, 3 * order // 4}) if n > 0]
-    above = [{"rom.order": n * order // 2} for n in (3, 4, 6)]
-    return Axis("rom", (*below, OWN, *above), len(below), {"rom.order": 4 * order}, above[2])
+    if transient and rom.order is not None:
+        order = rom.order
+        below = [{"rom.order": n} for n in sorted({order // 2, 3 * order // 4}) if n > 0]
+        above = [{"rom.order": n * order // 2} for n in (3, 4, 6)]
+        return Axis("rom", (*below, OWN, *above), len(below), {"rom.order": 4 * order}, above[2])
+    own, (low, high) = rom.tolerance or 1e-5, rom.band
+
+    def value(factor: float, wider: float = 1.0) -> Values:
+        band = [low, high * (wider if transient else 1.0)]
+        return {"rom.tolerance": max(_rounded(factor * own), 1e-10), "rom.band": band}
+
+    coarser = [value(factor) for factor in (100, 10) if factor * own < 0.5]
+    finer = [value(0.1, 2.0), value(0.01, 4.0)]
+    return Axis("rom", (*coarser, OWN, *finer), len(coarser), value(3e-3, 6.0), finer[1])
+
+
+def next_to_own(found: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Axes cut down to the scene's own value, one coarser and one finer.
+
+    The reference is then what checks that of the whole axes, and is checked by all keys one finer.
+    """
+    kept = []
+    for axis in found:
+        first = max(axis.own - 1, 0)
+        values = axis.values[first : axis.own + 2]
+        kept.append(Axis(axis.name, values, axis.own - first, axis.finer, values[-1]))
+    return tuple(kept)
 
 
 def own_place(found: Sequence[Axis]) -> Place:

@@ -11,6 +11,9 @@ Errors of two keys may cancel by luck, and do. A setting therefore counts as wit
 only if the sum of what each of its values does alone is so too::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
+
+Where only the scene's own place is asked for, the values next to its own are tried, and of these
+settings only those that may beat it are run again for their time.
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from kc2spice.workflow.bench.axes import (
     axes,
     label,
     neighbours,
+    next_to_own,
     overrides,
     own_place,
     reference_settings,
@@ -47,9 +51,11 @@ MOST_POINTS = 80
 UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
 SLOW = 5.0  # times the scene's own: such a setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
+NEARBY = 1.5  # ratio of times up to which a coarser key may make a setting a rival
 CLEAR = 1.25  # ratio of times from which on a setting is quicker than the scene's own
 START = 5e-3  # s by which it is quicker at least: start-ups of the simulator vary by as much
 EXACT = 2.0  # ratio of errors from which on it is more exact
+NEGLIGIBLE = 1e-6  # smaller errors are equal: no device is known so well
 
 Load = Callable[[Sequence[str]], Scene]  # the scene with some KEY=VALUE on top of it
 
@@ -80,17 +86,45 @@ class _Point:
 
 
 @dataclass
-class _Plane:
-    """All that was run of one scene, against its reference."""
+class Plane:
+    """All that was run of one scene, against its reference ``exact``; ``check`` is the change of
+    each metric from a less fine one. ``limit`` is the wanted error, None: that of the scene as it
+    is, among the settings next to it.
+    """
 
     load: Load
-    found: tuple[Axis, ...]
-    names: tuple[str, ...]
-    exact: Run
+    limit: float | None
     trust: bool
+    found: tuple[Axis, ...] = ()
+    wanted: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    check: dict[str, float] = field(default_factory=dict)
     points: dict[Place, _Point] = field(default_factory=dict)
     failed: dict[Place, dict[str, Any]] = field(default_factory=dict)
     alone: list[list[dict[str, float]]] = field(default_factory=list)
+    runs: dict[str, Run] = field(default_factory=dict)
+
+    def run(self, values: Mapping[str, Any]) -> Run:
+        """The scene with ``values``, run once."""
+        name = label(values)
+        if name not in self.runs:
+            self.runs[name] = evaluate(self.load(overrides(values)), trust=self.trust)
+        return self.runs[name]
+
+    @property
+    def own(self) -> _Point:
+        """The scene as it is."""
+        return self.points[own_place(self.found)]
+
+    @property
+    def exact(self) -> Run:
+        """The reference."""
+        return self.run(reference_settings(self.found)[0])
+
+    @property
+    def floor(self) -> float:
+        """Uncertainty of the reference."""
+        return max(self.check[name] for name in self.names)
 
     def visit(self, place: Place) -> _Point | None:
         """Run a setting for the first time; None if it gives no result."""
@@ -98,7 +132,7 @@ class _Plane:
             return self.points.get(place)
         values = settings(self.found, place)
         try:
-            run = evaluate(self.load(overrides(values)), trust=self.trust)
+            run = self.run(values)
             found = errors(run, self.exact, self.names)
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
@@ -121,7 +155,7 @@ class _Plane:
         """What each value of each axis does by itself, never less than a finer one does."""
         own = own_place(self.found)
         for k, axis in enumerate(self.found):
-            finest = evaluate(self.load(overrides(axis.finest)), trust=self.trust)
+            finest = self.run(axis.finest)
             known = dict.fromkeys(self.names, 0.0)
             column: list[dict[str, float]] = []
             for value in reversed(range(len(axis.values))):
@@ -155,18 +189,38 @@ def bench(
     load: Load,
     out: Path,
     *,
-    error: float = ERROR,
+    error: float | None = ERROR,
     metric: Sequence[str] = (),
     repeats: int = 5,
     trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the plane of the scene that ``load`` gives and write ``bench.json``, ``bench.html``
-    and ``bench.png`` into ``out``; return the record.
+    and ``bench.png`` into ``out``; return the record. Parameters and errors: see :func:`search`.
+    """
+    with staged(out) as work:
+        plane = search(load, error=error, metric=metric, trust=trust, progress=progress)
+        record = measure(plane, repeats, progress)
+        scene = load([])
+        write_bench(work, scene.title or scene.name, record)
+        write_record(record, work, "bench.json")
+    return record
+
+
+def search(
+    load: Load,
+    *,
+    error: float | None = ERROR,
+    metric: Sequence[str] = (),
+    trust: bool = False,
+    progress: Progress = silent,
+) -> Plane:
+    """Run the settings of the scene that ``load`` gives, once each.
 
     ``load([])`` is the scene, ``load(["KEY=VALUE", ...])`` the scene with other settings. The error
     of a setting is the largest relative one of the metrics ``metric``, else of those that the
-    scene's ``bench.metric`` names, else of all scalars that converge.
+    scene's ``bench.metric`` names, else of all scalars that converge. ``error`` None asks for the
+    place of the scene among the settings next to its own.
 
     Raises
     ------
@@ -174,46 +228,51 @@ def bench(
     SimulationError : the scene as it is, or its reference, does not run.
     MissingToolError : no ngspice.
     """
-    simulator, scene = find_ngspice(), load([])
+    find_ngspice()
+    scene, plane = load([]), Plane(load, error, trust)
     progress("models", None, "the scene as it is")
-    own = evaluate(scene, trust=trust)
+    own = plane.run({})
     found = axes(scene, transient=own.transient)
     if not found:
         raise UsageError("has no setting that trades time for error", where=f"bench {scene.name}")
-    wanted = chosen(own, metric or scene.bench.metric)
-    with staged(out) as work:
-        progress("plan", None, _estimate(own, found, repeats))
-        finest, finer = reference_settings(found)
-        progress("reference", None, label(finest))
-        exact = evaluate(load(overrides(finest)), trust=trust)
-        check = errors(
-            evaluate(load(overrides(finer)), trust=trust), exact, _present(exact, wanted)
-        )
-        names = tuple(n for n in check if check[n] <= UNSTEADY or metric or scene.bench.metric)
-        if not names:
-            raise SimulationError(
-                "no metric converges", where=f"bench {scene.name}",
-                got=", ".join(f"{n} changes by {v:.1e}" for n, v in check.items()) or None,
-                expected=f"at most {UNSTEADY:g} between the two finest settings",
-                hint="name a steadier one with --metric",
-            )  # fmt: skip
-        plane = _Plane(load, found, names, exact, trust)
-        _search(plane, error, progress)
-        _time(plane, repeats, progress)
-        record: dict[str, Any] = {
-            "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
-            "limit": error, "repeats": repeats, "metrics": names,
-            "left_out": {name: check.get(name) for name in wanted if name not in names},
-            **_choice(plane, error, max(check[name] for name in names)),
-            "reference": {
-                "label": label(finest), "settings": finest, "time_s": exact.cpu_s,
-                "error": max(check[name] for name in names),
-            },
-        }  # fmt: skip
-        record = plain(record)
-        write_bench(work, scene.title or scene.name, record)
-        write_record(record, work, "bench.json")
-    return record
+    plane.found = found if error is not None else next_to_own(found)
+    plane.wanted = chosen(own, metric or scene.bench.metric)
+    progress("plan", None, _estimate(own, plane.found))
+    finest, finer = reference_settings(plane.found)
+    progress("reference", None, label(finest))
+    plane.check = errors(plane.run(finer), plane.exact, _present(plane.exact, plane.wanted))
+    steady = bool(metric or scene.bench.metric)
+    plane.names = tuple(n for n, by in plane.check.items() if by <= UNSTEADY or steady)
+    if not plane.names:
+        raise SimulationError(
+            "no metric converges", where=f"bench {scene.name}",
+            got=", ".join(f"{n} changes by {v:.1e}" for n, v in plane.check.items()) or None,
+            expected=f"at most {UNSTEADY:g} between the two finest settings",
+            hint="name a steadier one with --metric",
+        )  # fmt: skip
+    _search(plane, progress)
+    return plane
+
+
+def measure(plane: Plane, repeats: int, progress: Progress = silent) -> dict[str, Any]:
+    """The record of a searched plane, after ``repeats`` rounds over its settings for their time."""
+    _time(plane, repeats, progress)
+    simulator, scene = find_ngspice(), plane.load([])
+    record = {
+        "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
+        "limit": _limit(plane), "repeats": repeats, "metrics": plane.names,
+        "left_out": {n: plane.check.get(n) for n in plane.wanted if n not in plane.names},
+        **_choice(plane),
+        "reference": {
+            "label": label(finest := reference_settings(plane.found)[0]), "settings": finest,
+            "time_s": plane.exact.cpu_s, "error": plane.floor,
+        },
+    }  # fmt: skip
+    return dict(plain(record))
+
+
+def _limit(plane: Plane) -> float:
+    return plane.own.guarded if plane.limit is None else plane.limit
 
 
 def _present(exact: Run, names: Sequence[str]) -> list[str]:
@@ -221,19 +280,19 @@ def _present(exact: Run, names: Sequence[str]) -> list[str]:
     return [n for n in names if n in exact.values and exact.values[n].astype(float).any()]
 
 
-def _estimate(own: Run, found: Sequence[Axis], repeats: int) -> str:
+def _estimate(own: Run, found: Sequence[Axis]) -> str:
     """How long it will take, told from one run: finer settings cost more, coarser ones less."""
     points = sum(len(axis.values) for axis in found) + 6 * len(found)
     overhead, reductions = 0.3, 20.0  # s a run for netlist, files and checks; s for new models
-    seconds = points * repeats * (1.5 * own.cpu_s + overhead) + 30 * own.cpu_s + reductions
+    seconds = points * (1.5 * own.cpu_s + overhead) + 30 * own.cpu_s + reductions
     return (
-        f"one run takes {own.cpu_s:.2g} s of CPU: about {points} settings, {repeats} times each, "
-        f"about {max(1, round(seconds / 60))} min"
+        f"one run takes {own.cpu_s:.2g} s of CPU: about {points} settings, "
+        f"about {max(1, round(seconds / 60))} min for a run of each"
     )
 
 
-def _search(plane: _Plane, limit: float, progress: Progress) -> None:
-    """Change one key at a time, then walk to the cheapest settings in ``limit`` and in the own."""
+def _search(plane: Plane, progress: Progress) -> None:
+    """Change one key at a time, then walk to the cheapest settings in the limit and in the own."""
     first = list(star(plane.found))
     own = own_place(plane.found)
     for done, place in enumerate(first):
@@ -242,14 +301,16 @@ def _search(plane: _Plane, limit: float, progress: Progress) -> None:
             raise SimulationError("the scene as it is gives another result than its reference",
                                   where="bench", got=plane.failed[place]["why"])  # fmt: skip
     plane.measure_alone()
-    for wanted in (limit, plane.points[own].guarded):
+    own_error = plane.own.guarded
+    for wanted in sorted({plane.limit or own_error / EXACT, own_error}):
         _walk(plane, wanted, progress)
 
 
-def _walk(plane: _Plane, limit: float, progress: Progress) -> None:
+def _walk(plane: Plane, limit: float, progress: Progress) -> None:
     """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper one.
 
-    Where none is within ``limit``, from the most exact one towards finer ones.
+    Where none is within ``limit``, from the most exact one towards finer ones. Next to the scene's
+    own setting only what is not far from taking its time is worth the walk.
     """
     while len(plane.points) + len(plane.failed) < MOST_POINTS:
         best = plane.cheapest(limit)
@@ -257,6 +318,8 @@ def _walk(plane: _Plane, limit: float, progress: Progress) -> None:
             start, step = best, -1
         else:
             start, step = min(plane.points.values(), key=lambda point: point.guarded), +1
+        if plane.limit is None and start.time > NEARBY * plane.own.time:
+            break
         known = len(plane.points) + len(plane.failed)
         progress("search", None, f"{known} settings, now {label(start.values)}")
         for place in neighbours(plane.found, start.place, step):
@@ -265,18 +328,28 @@ def _walk(plane: _Plane, limit: float, progress: Progress) -> None:
             break
 
 
-def _time(plane: _Plane, repeats: int, progress: Progress) -> None:
-    """Rounds over all settings; the slow ones are timed once."""
-    own = plane.points[own_place(plane.found)].time
-    quick = [place for place, point in plane.points.items() if point.time <= SLOW * own]
-    for turn in range(1, repeats):
-        for k, place in enumerate(quick):
-            share = ((turn - 1) * len(quick) + k) / (len(quick) * (repeats - 1))
-            progress("times", share, f"round {turn + 1} of {repeats}")
+def _time(plane: Plane, repeats: int, progress: Progress) -> None:
+    """Rounds over all settings but the slow ones; only over rivals where that is all one asks."""
+    least = SLOW * plane.own.time
+    again = [place for place, point in plane.points.items() if point.time <= least]
+    if plane.limit is None:
+        again = [place for place in again if _is_rival(plane.points[place], plane)]
+        for place in again:  # what the search took, beside other searches, is another measure
+            plane.points[place].times.clear()
+    turns = repeats - (plane.limit is not None)
+    for turn in range(turns):
+        for k, place in enumerate(again):
+            share = (turn * len(again) + k) / (len(again) * turns)
+            progress("times", share, f"round {turn + 1} of {turns}")
             plane.again(place)
 
 
-def _choice(plane: _Plane, limit: float, floor: float) -> dict[str, Any]:
+def _is_rival(point: _Point, plane: Plane) -> bool:
+    """Whether it may beat the scene as it is, itself included: as exact, and hardly slower."""
+    return point.guarded <= plane.own.guarded and point.time <= CLEAR * plane.own.time
+
+
+def _choice(plane: Plane) -> dict[str, Any]:
     """Points, front, recommendation and the scene's place as they are recorded."""
     points = sorted(plane.points.values(), key=lambda point: point.time)
     front, least = set(), float("inf")
@@ -284,7 +357,7 @@ def _choice(plane: _Plane, limit: float, floor: float) -> dict[str, Any]:
         if point.error < least:
             front.add(point.place)
             least = point.error
-    own, best = own_place(plane.found), plane.cheapest(limit)
+    best, most = plane.cheapest(_limit(plane)), len(plane.own.times)
     rows = [
         {
             "label": label(p.values),
@@ -293,7 +366,7 @@ def _choice(plane: _Plane, limit: float, floor: float) -> dict[str, Any]:
             "bound": p.bound,
             "time_s": p.time,
             "front": p.place in front,
-            "own": p.place == own,
+            "own": p is plane.own,
             "errors": p.errors,
             "time_low_s": min(p.times),
             "time_high_s": max(p.times),
@@ -302,7 +375,8 @@ def _choice(plane: _Plane, limit: float, floor: float) -> dict[str, Any]:
         for p in points
     ]
     return {
-        "points": rows, "failed": list(plane.failed.values()), "own": place_of_own(rows, floor),
+        "points": rows, "failed": list(plane.failed.values()),
+        "own": place_of_own([row for row in rows if row["repeats"] == most], plane.floor),
         "recommended": None if best is None else {
             "label": label(best.values), "settings": best.values, "error": best.error,
             "bound": best.bound,
@@ -317,9 +391,10 @@ def place_of_own(points: Sequence[Mapping[str, Any]], floor: float) -> dict[str,
 
     It is beaten by one as exact whose median is quicker than its quickest run, by ``CLEAR`` and
     ``START``, or by one that takes no longer and is ``EXACT`` times more exact. Errors below
-    ``floor``, the uncertainty of the reference, are equal. ``nearest`` is the quickest that beats
-    it, or itself.
+    ``floor``, the uncertainty of the reference, or below ``NEGLIGIBLE`` are equal. ``nearest`` is
+    the quickest that beats it, or itself.
     """
+    floor = max(floor, NEGLIGIBLE)
 
     def guarded(point: Mapping[str, Any]) -> float:
         return max(point["error"], point["bound"], floor)

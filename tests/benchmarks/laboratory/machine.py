@@ -19,7 +19,7 @@ def machine() -> dict[str, str | int]:
     """Processor, cores that may be used, system, and the versions of what was timed."""
     return {
         "cpu": _cpu(),
-        "cores": _cores(),
+        "cores": cores(),
         "os": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "numpy": numpy.__version__,
@@ -39,7 +39,8 @@ def compiler() -> str | None:
     return said.splitlines()[0] if said else None
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

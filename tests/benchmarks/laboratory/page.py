@@ -9,8 +9,18 @@ from typing import Any
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.plots import Picture
 from kc2spice.report.words import quantity
+from kc2spice.workflow.bench.plane import NEGLIGIBLE
 
 Record = Mapping[str, Any]
+FRONTS = (
+    "Each scene among the settings next to its own (kc2spice bench SCENE --near): its keys one "
+    "value coarser and finer, all of them finer, and combinations that are as exact in less time. "
+    "Error: the larger of that of the whole setting and of the sum of what its values do alone, of "
+    "the scene's metrics, against a reference that is finer again; none is said to be smaller than "
+    f"that one's own uncertainty or {NEGLIGIBLE:g}. A setting is beaten by one as exact in clearly "
+    "less time (a fifth and 5 ms less, and less than its quickest run), or by one that takes no "
+    "longer at half the error."
+)
 
 
 def bench_tables(record: Record) -> str:
@@ -31,11 +41,14 @@ def write_bench(path: Path, record: Record, pictures: Sequence[Picture]) -> Path
 def machine_line(record: Record) -> str:
     """Processor and versions in one line, with a warning where the numbers mean nothing."""
     m = record["machine"]
+    took = sum(record["seconds"].values())
     line = (
         f"{m['cpu']}, {m['cores']} cores, {m['os']}, Python {m['python']}, numpy {m['numpy']}, "
         f"scipy {m['scipy']}, ngspice {m['ngspice']}, C compiler {m['compiler']}, "
         f"kc2spice {m['kc2spice']}; CPU times, medians of {record['repeats']}"
     )
+    if took:
+        line += f"; all of it took {took / 60:.1f} min"
     quick = ". Quick run: coarse models, the numbers mean nothing."
     return line + quick if record["quick"] else line
 
@@ -59,6 +72,10 @@ def bench_sections(record: Record, pictures: Sequence[Picture]) -> list[Section]
         drawn = [by_name["bench_scaling"]] if "bench_scaling" in by_name else []
         note = "The power of the size is fitted to the larger half of the sizes."
         sections.append(Section("Scaling", _scaling_rows(record), head, note, drawn))
+    if record["fronts"]:
+        head = ("scene", "error", "time", "settings", "beaten by", "error", "time")
+        rows = [_front_row(name, front) for name, front in record["fronts"].items()]
+        sections.append(Section("Shipped settings of the gallery", rows, head, FRONTS))
     if "bench_poles" in by_name:
         sections.append(Section("Poles", pictures=[by_name["bench_poles"]]))
     return sections
@@ -105,6 +122,18 @@ def _point_rows(points: Sequence[Record]) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def _front_row(name: str, front: Record) -> tuple[str, ...]:
+    if "why" in front:
+        return (name, "", "", "", front["why"], "", "")
+    row = (name, f"{front['error']:.1e}", quantity(front["time_s"], "s", 3), str(front["tried"]))
+    nearest = front["nearest"]
+    if nearest is None:
+        return (*row, "none", "", "")
+    kept = f"; kept: {front['keep']}" if front["keep"] else ""
+    best = (f"{nearest['error']:.1e}", quantity(nearest["time_s"], "s", 3))
+    return (*row, f"{nearest['label']}{kept}", *best)
 
 
 def _scaling_rows(record: Record) -> list[tuple[str, ...]]:

@@ -7,12 +7,13 @@ import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 T = TypeVar("T")
 Who = Literal["self", "children"]
+ENOUGH = 3.0  # s of CPU for one point: long runs scatter little, and are no median's favourites
 
 
 @dataclass(frozen=True)
@@ -83,13 +84,21 @@ class Ratio:
 
 
 def timed(work: Callable[[], T], repeats: int, who: Who = "self") -> tuple[T, Timing]:
-    """Run ``work`` so often; its last result and the CPU time of this process or its children."""
-    seconds = []
-    for _ in range(repeats):
+    """Run ``work`` so often, or until ``ENOUGH`` was spent; its last result and the CPU time of
+    this process or its children.
+    """
+    seconds: list[float] = []
+    while len(seconds) < rounds(seconds, repeats):
         start = cpu_seconds(who)
         result = work()
         seconds.append(cpu_seconds(who) - start)
     return result, timing(seconds)
+
+
+def rounds(seconds: Sequence[float], repeats: int) -> int:
+    """How often to run what took ``seconds`` so far: as often as fits into ``ENOUGH``."""
+    least = min(seconds, default=ENOUGH)
+    return max(1, min(repeats, int(ENOUGH / max(least, 1e-9)) if seconds else repeats))
 
 
 def quick_timed(work: Callable[[], T], repeats: int, least: float = 0.02) -> tuple[T, Timing]:
@@ -165,9 +174,12 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one part of the laboratory found; ``poles`` [1/s] by the name of their projection."""
+    """What one part of the laboratory found; ``poles`` [1/s] by the name of their projection,
+    ``fronts``, the places of shipped settings, by scene.
+    """
 
     planes: tuple[Plane, ...] = ()
     ratios: tuple[Ratio, ...] = ()
     scalings: tuple[Scaling, ...] = ()
     poles: Mapping[str, np.ndarray] = field(default_factory=dict)
+    fronts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

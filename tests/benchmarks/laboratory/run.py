@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
@@ -23,7 +24,7 @@ from laboratory.setup import Setup
 # first: many a machine slows down under the minutes of load that the others are.
 PARTS = (
     "start", "loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel",
-    "scaling", "poles",
+    "scaling", "poles", "fronts",
 )  # fmt: skip
 
 
@@ -53,13 +54,16 @@ def bench(
     wanted = [part for part in PARTS if part in parts or not parts]
     record: dict[str, Any] = {
         "machine": machine(), "quick": quick, "full_sweep": full_sweep, "repeats": repeats,
-        "planes": {}, "titles": {}, "ratios": {}, "scaling": {}, "poles": {},
+        "planes": {}, "titles": {}, "ratios": {}, "scaling": {}, "poles": {}, "fronts": {},
+        "seconds": {},
     }  # fmt: skip
     with staged(out) as directory, tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work:
         setup = Setup(quick, full_sweep, repeats, Path(work), Clock(progress))
         for part in wanted:
             progress(part, None, "begins")
+            begin = time.perf_counter()
             _enter(record, _measure(part)(setup))
+            record["seconds"][part] = time.perf_counter() - begin
         record = plain(record)
         write_record(record, directory, "bench.json")
         (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
@@ -87,6 +91,7 @@ def _enter(record: dict[str, Any], outcome: Outcome) -> None:
         name: {"real": values.real.tolist(), "imag": values.imag.tolist()}
         for name, values in outcome.poles.items()
     }
+    record["fronts"] |= outcome.fronts
 
 
 def _points(plane: Plane) -> list[dict[str, Any]]:

@@ -22,7 +22,7 @@ from laboratory.law import Law, law
 from laboratory.located import located
 from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
-from laboratory.points import Plane, Point, Timing, timed, timing
+from laboratory.points import Plane, Point, Timing, rounds, timed, timing
 from laboratory.setup import Setup
 from laboratory.variants import SHORT, Variant, fixed_steps, launches, variants
 
@@ -35,7 +35,6 @@ FINEST = Rom(order=84)  # of the form without inertia
 EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far below all others
 Work = list[tuple[str, Callable[[], Point]]]
 
-LONG = 4.0  # s of CPU from which on a point is measured once
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
 METHODS = ("Radau", "LSODA", "BDF", "DOP853")
@@ -82,16 +81,17 @@ class Transient:
     def _rounds(self, work: Work) -> tuple[list[Point], list[str]]:
         """All points, each measured once a round: a slow minute of the machine meets them alike.
 
-        Long ones are measured in the first round only; what fails there is a note.
+        Long ones are measured in the first rounds only; what fails there is a note.
         """
         points: dict[str, Point] = {}
         seconds: dict[str, list[float]] = {}
         notes = []
-        for turn in range(self.setup.repeats):
+        repeats = self.setup.repeats
+        for turn in range(repeats):
             for done, (label, measure) in enumerate(work):
-                if turn and (label not in points or seconds[label][0] > LONG):
+                if turn and (label not in points or turn >= rounds(seconds[label], repeats)):
                     continue
-                share = (turn + done / len(work)) / self.setup.repeats
+                share = (turn + done / len(work)) / repeats
                 self.setup.clock.progress(self.scene.name, share, label)
                 try:
                     point = measure()
