@@ -17,12 +17,13 @@ from kc2spice.fem.piezo.contact import contact_forces, contact_surface, sphere_g
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
 from kc2spice.fem.piezo.transient import Ball, transient
-from kc2spice.parts._chip_full import converged
+from kc2spice.parts._chip_full import converged, players
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.surrogate import surrogate
+from kc2spice.scene.load import load_scene
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 MASS = SphereKeys().mass / 4
@@ -102,6 +103,17 @@ def test_surrogate_is_checked_against_direct_solutions():
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="cannot replace"):
         surrogate(from_sector(system), (0.0, 500e3), blocks=6)  # 4e-8
+
+
+@pytest.mark.parametrize(
+    ("change", "has"),
+    [((), True), (("contact.gap=1 um",), False), (("contact.damping=1 s/m",), False),
+     (("contact.shape=pressure", "sphere.elastic.damping.ratio=0.001"), False)],
+)  # fmt: skip
+def test_the_full_solution_is_of_a_plain_contact(change, has):
+    """Its springs have no gap of their own, no damping and no elastic sphere."""
+    scene = load_scene("impact", list(change))
+    assert (players(scene.parts["kick"], scene) is not None) is has
 
 
 @pytest.mark.parametrize("electrical", ["open", "short"])
