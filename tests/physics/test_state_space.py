@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.spice.realize import subcircuit
 
 N = 6
@@ -89,3 +89,10 @@ def test_a_turning_pair_of_a_netlist_is_balanced_however_slow(omega):
     assert farad == float(values["Cz2"])
     assert over / farad == pytest.approx(omega, rel=1e-9)
     assert back == pytest.approx(-over, rel=1e-9)
+
+
+def test_kinds_of_ports_that_files_spell_are_known():
+    ports = [Port(name, "".join(kind)) for name, kind in (("u1", "in put".split()),
+             ("tip", "mechan ical".split()), ("y1", "out put".split()))]  # fmt: skip
+    model = LinearModel(M=M, K=K, B=B, C=C[:2], ports=tuple(ports))
+    assert (model.inputs, model.outputs) == (("u1", "tip"), ("tip", "y1"))

@@ -41,6 +41,7 @@ GOOD = [
     "V1 in 0 SIN(0 1 1k)\nS1 in out in 0 fast\n.model fast SW(VT=0.5)\nR1 out 0 1",
     "L1 in 0 1m\nL2 out 0 1m\nK1 L1 L2 0.9\nI1 0 in 1\nR1 out 0 1",
     ".func half(x) {x/2}\nV1 in 0 1\nB1 in 0 I={half(V(in))}",
+    ".func abs(x) {sqrt(x*x)}\nV1 in 0 1\nB1 in 0 I={abs(V(in))}",  # one's own of a known name
     "V1 in 0 1\nB1 in 0 I=V(in)^2+V(in)**4\nE1 o 0 VALUE={V(in)**2}\nR1 o 0 1",
     "B1 in 0 V=sin(6.28*time) ; comment V(nowhere)\nR1 in 0 1 $ other V(nowhere)",
 ]
