@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.surrogate import surrogate
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 MASS = SphereKeys().mass / 4
@@ -114,6 +116,16 @@ def test_the_full_solution_is_of_a_plain_contact(change, has):
     """Its springs have no gap of their own, no damping and no elastic sphere."""
     scene = load_scene("impact", list(change))
     assert (players(scene.parts["kick"], scene) is not None) is has
+
+
+def test_a_launch_may_miss_the_full_model_by_what_is_certified():
+    """By two fifths of the certified error beyond the steps' share; by 1e-3 without one."""
+    scene = load_scene({"name": "launch", "kick": {}, "contact": {}, "sphere": {}})
+    contact = scene.parts["contact"]
+    certified = SimpleNamespace(certificate=SimpleNamespace(error_estimate=2e-2))
+    for models, more in (({}, 1e-3), ({"kick": certified}, 8e-3)):
+        (gate,) = contact.type.gates(contact, Build(scene, models))
+        assert gate.limits["rom_vs_fom"] - gate.limits["ngspice_vs_rom"] == pytest.approx(more)
 
 
 @pytest.mark.parametrize("electrical", ["open", "short"])

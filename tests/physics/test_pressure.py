@@ -24,10 +24,12 @@ from kc2spice.bodies.pressure import (
     pressing,
     stressed,
 )
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.contact import sphere_gap
 from kc2spice.fem.piezo.keys import Chip, Material
-from kc2spice.parts.contact import spacing_error
+from kc2spice.parts.contact import sides, spacing_error
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
 EVEN = Hats(np.append(SPACING * np.arange(COUNT + 1), [140e-6, 170e-6, 210e-6, PATCH]))
@@ -209,13 +211,30 @@ def test_the_stated_error_of_the_mesh_holds():
     assert abs(give(CELLS) / give(5 * CELLS) - 1) < stated < 1e-3
 
 
+SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=2", "kick.mesh.outer_rings=2",
+         "kick.mesh.ring_spacing=100 um", "contact.shape=pressure")  # fmt: skip
+
+
 def test_the_error_of_the_hats_falls_with_their_spacing():
     """A dent of 50 um under hats of 20 and 10 um: a tenth, and less than a quarter of that."""
-    chip = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=2", "kick.mesh.outer_rings=2",
-            "kick.mesh.ring_spacing=100 um")  # fmt: skip
     found = []
     for spacing in ("20 um", "10 um"):
-        change = [*chip, "contact.shape=pressure", f"contact.spacing={spacing}"]
-        scene = load_scene("impact", change)
+        scene = load_scene("impact", [*SMALL, f"contact.spacing={spacing}"])
         found.append(spacing_error(scene.parts["contact"], scene))
     assert 0 < 4 * found[1] < found[0] < 0.2
+
+
+def test_a_contact_deeper_than_its_law_is_told():
+    """A contact as wide as half the patch of ``a`` is ``a^2 / (4 R)`` deep, by Hertz."""
+    scene = load_scene("impact", [*SMALL, "contact.spacing=20 um"])
+    contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius
+    limit = sides(contact, scene)[0].patch ** 2 / (4 * radius)
+    for depth, passed in ((0.5 * limit, True), (2.0 * limit, False)):
+        none = np.zeros(3)
+        data = {"time": np.array([0.0, 1.0, 2.0]), "sphere.y": radius - depth * np.ones(3),
+                "kick.u.patch": none, "contact.force": none,
+                "contact.force.patch": none}  # fmt: skip
+        checks = contact.type.checks(contact, Build(scene, {}), Waveforms(data, {}))
+        found = [check for check in checks if check.name == "depth of the contact"]
+        assert [check.passed for check in found] == [passed]
+        assert found[0].value == pytest.approx(depth)
