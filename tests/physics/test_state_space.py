@@ -92,7 +92,7 @@ def test_a_turning_pair_of_a_netlist_is_balanced_however_slow(omega):
 
 
 def test_kinds_of_ports_that_files_spell_are_known():
-    ports = [Port(name, "".join(kind)) for name, kind in (("u1", "in put".split()),
-             ("tip", "mechan ical".split()), ("y1", "out put".split()))]  # fmt: skip
+    kinds = {"u1": ["in", "put"], "tip": ["mechan", "ical"], "y1": ["out", "put"]}
+    ports = [Port(name, "".join(spelled)) for name, spelled in kinds.items()]
     model = LinearModel(M=M, K=K, B=B, C=C[:2], ports=tuple(ports))
     assert (model.inputs, model.outputs) == (("u1", "tip"), ("tip", "y1"))

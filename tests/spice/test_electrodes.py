@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from device import bench
 from kicked import kicked
+from scipy.io import mmwrite
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
@@ -58,3 +59,14 @@ def test_the_busy_stretch_has_a_tenth_of_itself_on_either_side():
     assert shown[0] == pytest.approx(3.8, abs=0.02)
     assert shown[-1] == pytest.approx(6.2, abs=0.02)
     assert busy(t, np.zeros(t.size)).all()
+
+
+def test_signals_of_foreign_matrices_are_pins(tmp_path):
+    for letter, values in {"M": np.eye(2), "K": 4 * np.eye(2), "B": np.eye(2)[:, :1]}.items():
+        mmwrite(tmp_path / f"plant.{letter}.mtx", values)
+    scene = load_scene({
+        "plant": {"part": "matrices", "file": str(tmp_path / "plant.M.mtx")},
+        "analysis": {"type": "ac", "start": 0.1, "stop": 1.0},
+    })  # fmt: skip
+    plant = scene.parts["plant"]
+    assert [pin.name for pin in plant.type.pins(plant, scene)] == ["u1", "y1", "ref"]
