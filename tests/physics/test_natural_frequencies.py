@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigvals, eigvalsh
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.pencil import proportional
@@ -79,3 +79,10 @@ def test_resonances_are_those_of_the_matrices(free, dashpot):
             moving = frequency * 2 * np.pi > 1e-6 * exact[-1]
             frequency = frequency[moving]
         np.testing.assert_allclose(2 * np.pi * np.sort(frequency), exact, rtol=1e-5, err_msg=seed)
+
+
+def test_a_response_at_a_pole_says_which():
+    K = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    with pytest.raises(SimulationError) as caught:
+        LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.solver(0.0)
+    assert "at s = 0" in caught.value.got

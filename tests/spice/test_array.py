@@ -1,5 +1,7 @@
 """Every copy of an array does what the scene alone does."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from device import deck_of
@@ -36,3 +38,11 @@ def test_sweeps_and_wrong_numbers_are_refused(model, table):
         array_deck(deck_of(load_scene("imprint"), model, table), 2)
     with pytest.raises(UsageError, match="copies"):
         array_deck(deck_of(load_scene("impact"), model, table), 0)
+
+
+def test_a_current_of_a_source_is_that_of_the_copys(model, table):
+    deck = deck_of(load_scene("impact"), model, table)
+    one = dataclasses.replace(deck, vectors={"i": ("i(Vmeter)", 1.0), "n": ("i(v.xa.vb)", 1.0)})
+    found = {name: text for name, (text, _) in array_deck(one, 2).vectors.items()}
+    assert found["2.i"].lower() == "i(v.x2.vmeter)"
+    assert found["1.n"] == "i(v.x1.xa.vb)"

@@ -126,3 +126,8 @@ def test_decks_are_read_from_disk(tmp_path):
     (tmp_path / "divider.lib").unlink()
     with pytest.raises(UsageError, match="included file is not there"):
         lint(read_deck(tmp_path / "test.cir"))
+
+
+def test_what_follows_a_control_block_is_read():
+    cards = "V1 in 0 1\n.control\nrun\n.endc\nX1 in out divider"
+    assert [message for _, message, _ in complaints(cards)] == ["missing pins of divider: bottom"]
