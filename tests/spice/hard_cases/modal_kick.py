@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-AWAY = 3.0  # free strokes above the chip, which never comes so far
+AWAY = 6.0  # free strokes above the chip: as it rings it comes up by two, from two below
 FALL = 20.0  # m/s2: nor does the sphere come back if this cannot stop it
 
 
