@@ -46,8 +46,8 @@ def test_the_table_says_what_beats_a_scene_and_why_it_keeps_its_setting():
 
 @pytest.mark.parametrize(
     ("seconds", "most", "expected"),
-    [([], 5, 5), ([0.1], 5, 5), ([0.4 * ENOUGH], 5, 2), ([ENOUGH], 5, 1), ([9 * ENOUGH], 5, 1),
-     ([0.4 * ENOUGH, 0.2 * ENOUGH], 3, 3)],
+    [([], 5, 5), ([0.1], 5, 5), ([0.4 * ENOUGH], 5, 3), ([ENOUGH], 5, 1), ([9 * ENOUGH], 5, 1),
+     ([0.4 * ENOUGH, 0.3 * ENOUGH], 5, 4), ([0.4 * ENOUGH, 0.2 * ENOUGH], 3, 3)],
 )  # fmt: skip
 def test_long_runs_are_repeated_less(seconds, most, expected):
     assert rounds(seconds, most) == expected

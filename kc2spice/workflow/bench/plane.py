@@ -51,7 +51,7 @@ MOST_POINTS = 80
 UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
 SLOW = 5.0  # times the scene's own: such a setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
-NEARBY = 1.5  # ratio of times up to which a coarser key may make a setting a rival
+NEARBY = 1.5  # ratio of single times up to which a setting, or a coarser one, may be a rival
 CLEAR = 1.25  # ratio of times from which on a setting is quicker than the scene's own
 START = 5e-3  # s by which it is quicker at least: start-ups of the simulator vary by as much
 EXACT = 2.0  # ratio of errors from which on it is more exact
@@ -345,8 +345,8 @@ def _time(plane: Plane, repeats: int, progress: Progress) -> None:
 
 
 def _is_rival(point: _Point, plane: Plane) -> bool:
-    """Whether it may beat the scene as it is, itself included: as exact, and hardly slower."""
-    return point.guarded <= plane.own.guarded and point.time <= CLEAR * plane.own.time
+    """Whether it may beat the scene as it is, itself included: as exact, and not far slower."""
+    return point.guarded <= plane.own.guarded and point.time <= NEARBY * plane.own.time
 
 
 def _choice(plane: Plane) -> dict[str, Any]:

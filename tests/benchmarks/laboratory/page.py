@@ -45,7 +45,8 @@ def machine_line(record: Record) -> str:
     line = (
         f"{m['cpu']}, {m['cores']} cores, {m['os']}, Python {m['python']}, numpy {m['numpy']}, "
         f"scipy {m['scipy']}, ngspice {m['ngspice']}, C compiler {m['compiler']}, "
-        f"kc2spice {m['kc2spice']}; CPU times, medians of {record['repeats']}"
+        f"kc2spice {m['kc2spice']}; CPU times, medians of {record['repeats']}, "
+        "of fewer where a run takes long"
     )
     if took:
         line += f"; all of it took {took / 60:.1f} min"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import statistics
 import time
@@ -13,7 +14,7 @@ import numpy as np
 
 T = TypeVar("T")
 Who = Literal["self", "children"]
-ENOUGH = 3.0  # s of CPU for one point: long runs scatter little, and are no median's favourites
+ENOUGH = 2.0  # s of CPU after which a point is not run again: long runs scatter little
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,8 @@ def timed(work: Callable[[], T], repeats: int, who: Who = "self") -> tuple[T, Ti
 
 
 def rounds(seconds: Sequence[float], repeats: int) -> int:
-    """How often to run what took ``seconds`` so far: as often as fits into ``ENOUGH``."""
-    least = min(seconds, default=ENOUGH)
-    return max(1, min(repeats, int(ENOUGH / max(least, 1e-9)) if seconds else repeats))
+    """How often to run what took ``seconds`` so far: until ``ENOUGH`` is spent."""
+    return min(repeats, math.ceil(ENOUGH / max(min(seconds), 1e-9))) if seconds else repeats
 
 
 def quick_timed(work: Callable[[], T], repeats: int, least: float = 0.02) -> tuple[T, Timing]:
