@@ -64,7 +64,7 @@ def from_sector(system: PiezoSystem) -> LinearModel:
     facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}
     facts |= electromechanical(model, system.shift)
     facts["free_stroke_m_per_100v"] = 100 * facts.pop("free_stroke_m_per_v")  # as data sheets do
-    return replace(model, facts=facts)
+    return model.with_facts(facts)
 
 
 def sector_device(kick: Chip, system: PiezoSystem, breakdown: float | None = None) -> Device:

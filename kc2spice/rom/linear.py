@@ -284,9 +284,17 @@ class LinearModel:
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)
-        return replace(
+        found = replace(
             self, B=self.B[:, columns], C=self.C[rows], D=self.D[np.ix_(rows, columns)], ports=ports
         )
+        self.pencil.share(found.pencil)
+        return found
+
+    def with_facts(self, facts: Mapping[str, float]) -> LinearModel:
+        """The same model with these facts."""
+        found = replace(self, facts=facts)
+        self.pencil.share(found.pencil)
+        return found
 
     def __repr__(self) -> str:
         form = "first" if self.first_order else "second"

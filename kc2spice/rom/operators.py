@@ -130,13 +130,16 @@ def symmetric(matrix: Matrix) -> bool:
     return matrix.symmetric if isinstance(matrix, Schur) else same(matrix, matrix.T)
 
 
-def congruence(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """``V'PV``, its symmetric and skew parts each from that part of P alone."""
+def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
+    """``V'PV``, its symmetric and skew parts each from that part of P alone.
+
+    That P is symmetric may be ``known``: its parts take longer than the product.
+    """
     if isinstance(P, Sum):
-        return np.asarray(sum(c * congruence(term, V) for c, term in P.terms))
-    if isinstance(P, Schur):
+        return np.asarray(sum(c * congruence(term, V, known) for c, term in P.terms))
+    if known or isinstance(P, Schur):
         R = V.T @ (P @ V)
-        return 0.5 * (R + R.T) if P.symmetric else R
+        return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
         part = 0.5 * (P + sign * P.T)

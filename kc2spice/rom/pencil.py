@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,7 +30,6 @@ linalg = lazy("scipy.linalg")
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
 BATCH_BYTES = 8e6  # of matrices solved at once
-_FACTORS: dict[int, dict[str, Inverse]] = {}  # of matrices K that live, by their identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +159,12 @@ class Pencil:
 
     @cached_property
     def _at_rest(self) -> dict[str, Inverse]:
-        """Factors of K by solver: models that share it, with other ports or facts, share them."""
-        K = self.coefficients[0]
-        if id(K) not in _FACTORS:
-            weakref.finalize(K, _FACTORS.pop, id(K), None)
-        return _FACTORS.setdefault(id(K), {})
+        """Factors of K: several stages of a reduction, and further reductions, need them."""
+        return {}
+
+    def share(self, other: Pencil) -> None:
+        """Let ``other``, which has the same K, use the factors of this one."""
+        other.__dict__["_at_rest"] = self._at_rest
 
     def _rest_solver(self, solver: Solver) -> Inverse:
         K = self.coefficients[0]
@@ -178,10 +177,10 @@ class Pencil:
     def project(self, V: np.ndarray) -> Pencil:
         """Congruence ``V'PV``, ``V'B``, ``CV``; what is symmetric or skew stays so to the bit."""
         if self.rayleigh is None:
-            reduced = tuple(congruence(P, V) for P in self.coefficients)
+            reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
         else:
             alpha, beta = self.rayleigh
-            K, M = (congruence(self.coefficients[k], V) for k in (0, 2))
+            K, M = (congruence(self.coefficients[k], V, self.symmetric) for k in (0, 2))
             reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)

@@ -223,6 +223,21 @@ def test_defective_pole_stays_in_one_block():
     assert [len(block) for block in block_model(rom).blocks] == [6]
 
 
+def test_other_ports_and_facts_share_the_factor_of_the_stiffness():
+    matrices, _ = families.triple_chain(20)
+    full = LinearModel(**matrices)
+    for other in (
+        full.select([full.inputs[1], *full.outputs]),
+        full.with_facts({"unknowns": 61.0}),
+    ):
+        solve = other.pencil.pencil_solver(0.0)
+        assert solve is full.pencil.pencil_solver(0.0)
+        np.testing.assert_allclose(full.K @ solve.solve(other.B), other.B, atol=1e-12)
+    matrices["K"] *= 2.0  # in place: another model, whatever its array
+    twice = LinearModel(**matrices)
+    assert twice.pencil.pencil_solver(0.0) is not full.pencil.pencil_solver(0.0)
+
+
 def test_improper_models_are_refused_with_the_reason():
     n = 3
     E = np.diag([1.0, 0.0, 0.0])
