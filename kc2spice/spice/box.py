@@ -40,7 +40,7 @@ class Box:
     width: int
     height: int
     places: tuple[Place, ...]
-    triangle: bool = False
+    triangle: bool
 
 
 def layout(part: Subcircuit) -> Box:

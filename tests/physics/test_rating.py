@@ -14,7 +14,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
-from kc2spice.parts.ring_magnet_coils import rated_heating
+from kc2spice.parts.ring_magnet_coils import largest_current, rated_heating
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
@@ -119,6 +119,19 @@ def test_coils_are_rated_by_the_heat_in_their_copper():
     capacity = 8960 * 385 * length * section  # J/K, of copper
     limit = rated_heating(keys)
     assert limit * resistance / capacity == pytest.approx(80.0, rel=1e-3)
+
+
+def test_the_largest_current_is_the_controllers_or_one_ampere():
+    alone = load_scene({"name": "alone", "em_force": {}, "catch": {}, "sphere": {}})
+    catch = {"part": "ring_magnet_coils",
+             "pins": {"up": "amp.out", "un": "gnd", "lp": "gnd", "ln": "gnd"}}  # fmt: skip
+    amp = {"part": "source", "kind": "voltage", "dc": 0.1}
+    driven = load_scene({"name": "driven", "catch": catch, "sphere": {}, "amp": amp})
+    for scene, expected in ((alone, 0.0), (driven, 1.0)):
+        assert largest_current(scene.parts["catch"], scene) == expected
+    catch, scene = part_of("kick_and_catch", "catch")
+    limited = load_scene(scene, {"control.current_limit": 0.3})
+    assert largest_current(limited.parts["catch"], limited) == 0.3
 
 
 @pytest.mark.parametrize(("share", "passed"), [(0.99, True), (1.01, False)])

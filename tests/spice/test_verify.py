@@ -89,6 +89,7 @@ def test_a_body_of_foreign_matrices_kicks_a_mass(kicked: Path, tmp_path: Path) -
     names = [check["name"] for check in record["checks"]]
     assert any(name.startswith("beam: netlist to ROM") for name in names)
     assert any(name.startswith("every metric") for name in names)
+    assert {"energy of beam, ngspice", "energy of contact, ngspice"} <= set(names)
 
 
 def test_scenes_without_a_law_say_so(tmp_path: Path) -> None:
