@@ -5,6 +5,7 @@ import pytest
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.rom import surrogate
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
@@ -90,3 +91,17 @@ def test_laws_of_the_loaded_copies_are_those_of_the_reduced_body(electrical):
             expected = {"anode>anode": H[v, v], "anode>ring1": H[o, v], "ring0>ring1": H[o, i]}
         for name, exact in expected.items():
             assert found[name][k] == pytest.approx(exact, rel=1e-6), name
+
+
+def test_what_replaces_the_full_model_is_good_and_timed_over_the_whole_band(monkeypatch):
+    asked, make = [], surrogate.surrogate
+
+    def noted(full, band):
+        asked.append((band, make(full, band)))
+        return asked[-1][1]
+
+    monkeypatch.setattr(surrogate, "surrogate", noted)
+    found, _ = solution("kick.electrical=short", whole=False)
+    ((band, small),) = asked
+    assert band == (0.0, 5e5)
+    assert found.wall_s == 5 * small.seconds
