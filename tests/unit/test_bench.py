@@ -13,7 +13,14 @@ from kc2spice.cli.main import app
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.bench import plane
-from kc2spice.workflow.bench.axes import axes, overrides, own_place, reference_settings, settings
+from kc2spice.workflow.bench.axes import (
+    axes,
+    next_to_own,
+    overrides,
+    own_place,
+    reference_settings,
+    settings,
+)
 from kc2spice.workflow.bench.evaluate import Run, chosen, errors
 
 
@@ -256,6 +263,14 @@ def test_a_reduction_is_varied_around_the_one_in_use(name, transient, coarser, f
         assert values["rom.tolerance"] == pytest.approx(tolerance)
         assert values["rom.band"] == pytest.approx(band)
         assert load_scene(name, overrides(values)).rom.tolerance == values["rom.tolerance"]
+
+
+@pytest.mark.parametrize("name", ["em_force", "kick_and_catch", "harmonic"])
+def test_the_reference_is_finer_than_all_that_is_tried_next_to_a_scene(name):
+    for axis in next_to_own(axes(load_scene(name), transient=name == "kick_and_catch")):
+        if axis.name != "solver.trtol":  # 1 is the finest that there is
+            assert axis.finest not in axis.values
+            assert axis.finer == axis.values[-1]
 
 
 def test_another_outcome_is_no_result():

@@ -118,13 +118,15 @@ def _reduction(rom: Rom, transient: bool) -> Axis:
 def next_to_own(found: Sequence[Axis]) -> tuple[Axis, ...]:
     """Axes cut down to the scene's own value, one coarser and one finer.
 
-    The reference is then what checks that of the whole axes, and is checked by all keys one finer.
+    The reference is then what checks that of the whole axes, where that is finer again, and is
+    checked by all keys one finer.
     """
     kept = []
     for axis in found:
         first = max(axis.own - 1, 0)
         values = axis.values[first : axis.own + 2]
-        kept.append(Axis(axis.name, values, axis.own - first, axis.finer, values[-1]))
+        finest = axis.finest if axis.finer == values[-1] else axis.finer
+        kept.append(Axis(axis.name, values, axis.own - first, finest, values[-1]))
     return tuple(kept)
 
 
