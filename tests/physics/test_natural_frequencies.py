@@ -10,6 +10,7 @@ from kc2spice.rom.band import natural_band
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.pencil import proportional
 from kc2spice.rom.response import Response
+from kc2spice.rom.subspace import is_definite
 
 STIFFNESS, MASS = 4e6, 1e-6
 
@@ -86,3 +87,20 @@ def test_a_response_at_a_pole_says_which():
     with pytest.raises(SimulationError) as caught:
         LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.solver(0.0)
     assert "at s = 0" in caught.value.got
+
+
+def test_what_is_free_is_not_taken_for_definite():
+    """Chains with and without a wall, of any stiffness; a factor of the free ones may exist."""
+    n = 40
+    for size in np.geomspace(1e-3, 1e9, 25):
+        held = size / STIFFNESS * links(n)
+        free = held - size * sparse.diags_array(np.eye(n)[0] + np.eye(n)[-1])
+        for K, definite in (
+            (held, True),
+            (free, False),
+            (held - 3 * size * sparse.eye_array(n), False),
+        ):
+            model = LinearModel(
+                M=sparse.eye_array(n, format="csc"), K=K.tocsc(), B=np.eye(n)[:, [0]]
+            )
+            assert is_definite(model.pencil, "scipy", undamped_too=True) is definite
