@@ -35,6 +35,7 @@ langevin: rated_voltage >0
 linear_drive: rail >0 48, bandwidth >0 50000, slew >0 2e+07
 mass: mass >0
 matrices: rated_voltage >0
+netlist: ratings.slew >0
 pid: setpoint 0.0025, kp 50000, ki 10, kd 20, rolloff >0 1e-07, current_limit >0 0.1, enable_at
     0.0005
 piezo_stack: rated_voltage >0, rated_field >0 2e+06, drive.voltage 100, drive.width >0 2.5e-05,
@@ -102,7 +103,7 @@ def test_the_table_has_every_number(fields):
         if any(hasattr(each, word) for each in field.metadata for word in ("gt", "ge", "lt", "le"))
         or (isinstance(field.default, int | float) and not isinstance(field.default, bool))
     }  # fmt: skip
-    assert bounded == {name for name, _, _ in written()}
+    assert bounded == {name for name, _, _ in written()}, "write a new key's row into TABLE"
 
 
 def test_each_key_takes_what_lies_within_its_limits_and_nothing_else(fields):
