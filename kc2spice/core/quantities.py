@@ -88,4 +88,4 @@ GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
 class Section(BaseModel):
     """A table of the scene file: no unknown keys, no later change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
