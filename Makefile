@@ -23,9 +23,9 @@ OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 15 minutes on two quiet cores
 	PYTHONPATH=tests/benchmarks .venv/bin/python -m laboratory --out $(OUT)
 
-SAMPLE ?= 100
+SAMPLE ?= 60
 SEED ?= 1
-mutants: setup  ## do tests notice changed operators? SAMPLE of them, half an hour: docs/mutants.md
+mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/mutants.md
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
 	.venv/bin/python tools/mutants.py record
 	.venv/bin/python tools/mutants.py run --sample $(SAMPLE) --seed $(SEED)
