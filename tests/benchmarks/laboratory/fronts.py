@@ -17,6 +17,9 @@ from laboratory.points import Outcome, Ratio, rounds
 from laboratory.setup import Setup
 
 LEAST = 3  # rounds where a run takes long: their medians decide
+RIVAL = (
+    "label", "settings", "error", "bound", "time_s", "time_low_s", "time_high_s", "repeats", "own",
+)  # fmt: skip
 QUICK = ("newtons_cradle", "buzzer_7bb_12_9")
 
 
@@ -82,7 +85,9 @@ def _place(plane: Plane | str, repeats: int) -> dict[str, Any]:
         "error": max(own["error"], own["bound"], floor), "time_s": own["time_s"],
         "tried": len(record["points"]) + len(record["failed"]), "keep": plane.load([]).bench.keep,
         "nearest": None if place["on_front"] else {"label": place.pop("nearest"), **place},
-        "metrics": record["metrics"], "left_out": record["left_out"],
-        "reference": record["reference"],
-        "rivals": [point for point in record["points"] if point["repeats"] == own["repeats"]],
+        "left_out": record["left_out"], "reference": record["reference"],
+        "rivals": [
+            {key: point[key] for key in RIVAL}
+            for point in record["points"] if point["repeats"] == own["repeats"]
+        ],
     }  # fmt: skip
