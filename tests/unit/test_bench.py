@@ -192,6 +192,20 @@ def test_only_what_may_beat_the_own_setting_is_timed_again(monkeypatch):
     assert max(counts.values()) == 4  # once in the search, three times for the time
 
 
+@pytest.mark.parametrize("missing", [1e-4, 3e-5])
+def test_a_metric_that_a_run_does_not_have_is_left_out(monkeypatch, missing):
+    """The scene as it is, or what checks the reference, never settles."""
+
+    def unsettled(scene, *, trust=False):
+        run = simulator(scene, trust=trust)
+        time = np.nan if scene.solver.reltol == missing else 1.0
+        return dataclasses.replace(run, values={**run.values, "settling": np.asarray(time)})
+
+    _, record = near(monkeypatch, unsettled)
+    assert record["metrics"] == ["speed"]
+    assert record["left_out"]["settling"] is None
+
+
 @pytest.mark.parametrize("cost", [1.0, 9.0])
 def test_a_neighbour_beats_a_slower_scene(monkeypatch, cost):
     """A setting on its front by construction, and the same with a cost of its own."""

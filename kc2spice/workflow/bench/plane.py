@@ -24,6 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Progress, silent
@@ -240,7 +242,8 @@ def search(
     progress("plan", None, _estimate(own, plane.found))
     finest, finer = reference_settings(plane.found)
     progress("reference", None, label(finest))
-    plane.check = errors(plane.run(finer), plane.exact, _present(plane.exact, plane.wanted))
+    present = _present(plane.wanted, plane.exact, plane.run(finer), own)
+    plane.check = errors(plane.run(finer), plane.exact, present)
     steady = bool(metric or scene.bench.metric)
     plane.names = tuple(n for n, by in plane.check.items() if by <= UNSTEADY or steady)
     if not plane.names:
@@ -275,9 +278,16 @@ def _limit(plane: Plane) -> float:
     return plane.own.guarded if plane.limit is None else plane.limit
 
 
-def _present(exact: Run, names: Sequence[str]) -> list[str]:
-    """Those of ``names`` that the reference has a value for, and not one that is zero all over."""
-    return [n for n in names if n in exact.values and exact.values[n].astype(float).any()]
+def _present(names: Sequence[str], exact: Run, *others: Run) -> list[str]:
+    """Those of ``names`` that all have a value for, in ``exact`` not one that is zero all over."""
+
+    def finite(name: str, run: Run) -> bool:
+        return name in run.values and bool(np.isfinite(run.values[name].astype(float)).all())
+
+    return [
+        name for name in names
+        if all(finite(name, run) for run in (exact, *others)) and exact.values[name].any()
+    ]  # fmt: skip
 
 
 def _estimate(own: Run, found: Sequence[Axis]) -> str:
