@@ -14,7 +14,7 @@ import numpy as np
 
 T = TypeVar("T")
 Who = Literal["self", "children"]
-ENOUGH = 2.0  # s of CPU after which a point is not run again: long runs scatter little
+ENOUGH = 1.0  # s of CPU after which a point is not run again: long runs scatter little
 
 
 @dataclass(frozen=True)
