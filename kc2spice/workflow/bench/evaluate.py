@@ -15,6 +15,8 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.model import Scene
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
@@ -24,12 +26,13 @@ from kc2spice.workflow.simulate import simulate
 @dataclass(frozen=True)
 class Run:
     """``values`` of the metrics by dotted name, arrays of any shape; CPU seconds of the simulator
-    process; whether it stepped through time.
+    process; whether it stepped through time; the deck.
     """
 
     values: dict[str, np.ndarray]
     cpu_s: float
     transient: bool
+    deck: Deck
 
 
 def evaluate(scene: Scene, *, trust: bool = False) -> Run:
@@ -46,7 +49,20 @@ def evaluate(scene: Scene, *, trust: bool = False) -> Run:
         begin = _children_cpu()
         result = simulate(build, deck, Path(folder), retries=0)
         spent = _children_cpu() - begin
-    return Run(dict(_flat("", metrics(result.waves, build))), spent, deck.stop is not None)
+    return Run(dict(_flat("", metrics(result.waves, build))), spent, deck.stop is not None, deck)
+
+
+def time_again(run: Run) -> float:
+    """CPU seconds [s] of the simulator for the deck of ``run``, once more.
+
+    Raises
+    ------
+    SimulationError : the run failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as folder:
+        begin = _children_cpu()
+        run_deck(run.deck, Path(folder))
+        return _children_cpu() - begin
 
 
 def _children_cpu() -> float:

@@ -45,7 +45,7 @@ from kc2spice.workflow.bench.axes import (
     settings,
     star,
 )
-from kc2spice.workflow.bench.evaluate import Run, chosen, errors, evaluate
+from kc2spice.workflow.bench.evaluate import Run, chosen, errors, evaluate, time_again
 from kc2spice.workflow.results import plain, write_record
 
 ERROR = 1e-4
@@ -183,8 +183,7 @@ class Plane:
     def again(self, place: Place) -> None:
         """One more time of a point."""
         point = self.points[place]
-        scene = self.load(overrides(point.values))
-        point.times.append(evaluate(scene, trust=self.trust).cpu_s)
+        point.times.append(time_again(point.run))
 
 
 def bench(
@@ -400,9 +399,9 @@ def place_of_own(points: Sequence[Mapping[str, Any]], floor: float) -> dict[str,
     """Whether the scene's own setting lies on the front of the ``points`` of a record.
 
     It is beaten by one as exact whose median is quicker than its quickest run, by ``CLEAR`` and
-    ``START``, or by one that takes no longer and is ``EXACT`` times more exact. Errors below
-    ``floor``, the uncertainty of the reference, or below ``NEGLIGIBLE`` are equal. ``nearest`` is
-    the quickest that beats it, or itself.
+    ``START``, and whose slowest run is quicker than its median; or by one that takes no longer and
+    is ``EXACT`` times more exact. Errors below ``floor``, the uncertainty of the reference, or
+    below ``NEGLIGIBLE`` are equal. ``nearest`` is the quickest that beats it, or itself.
     """
     floor = max(floor, NEGLIGIBLE)
 
@@ -414,7 +413,7 @@ def place_of_own(points: Sequence[Mapping[str, Any]], floor: float) -> dict[str,
     beating = [
         p for p in points
         if (guarded(p) <= error and max(CLEAR * p["time_s"], p["time_s"] + START) <= time
-            and p["time_s"] < own["time_low_s"])
+            and p["time_s"] < own["time_low_s"] and p["time_high_s"] < time)
         or (EXACT * guarded(p) <= error and p["time_s"] <= time)
     ]  # fmt: skip
     nearest = min(beating, key=lambda p: p["time_s"], default=own)
