@@ -49,6 +49,7 @@ def test_memory_estimate_of_the_default_is_what_its_band_takes():
 
 def test_the_table_of_hats_says_what_halving_moves(monkeypatch):
     """By one, two and three per cent; the mesh below the hats by a tenth of that."""
+
     def point(label, by):
         return MeshPoint(label, 9, 2 + 0.02 * by, 1e6, 2e6, -3 - 0.06 * by, 1 + 0.03 * by, 0.1)
 

@@ -388,8 +388,10 @@ def part_of(cards_):
         ("V1 a c 0\nF1 c b V1 2\nR1 c b 1", "I(c,b) <+ 2.0*I(br_v1);"),
         ("V1 a c 0\nH1 c b V1 2\nR1 c b 1", "V(br_h1) <+ 2.0*I(br_v1);"),
         ("L1 a b 1\nL2 a b 4\nK1 L1 L2 0.5", "V(br_l1) <+ ddt(0.5*sqrt(1.0*4.0)*I(br_l2));"),
-        ("X1 a b in\n.model m SW(VT=1 RON=2 ROFF=3)\n.subckt in c d\nS1 c d c d m\n.ends in",
-         "> 1.0 ? 2.0 : 3.0"),
+        (
+            "X1 a b in\n.model m SW(VT=1 RON=2 ROFF=3)\n.subckt in c d\nS1 c d c d m\n.ends in",
+            "> 1.0 ? 2.0 : 3.0",
+        ),
         ("B1 a b V=sgn(V(a))*uramp(V(b))", "(V(a) > 0.0 ? 1.0 : (V(a) < 0.0 ? -1.0 : 0.0))"),
         ("B1 a b I=V(a) > 1 ? log(V(b)) : 0", "(V(a)>1.0 ? ln(V(b)) : 0.0)"),
     ],
