@@ -183,9 +183,9 @@ def _execute(
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = time.monotonic()
-    with (
-        log.open("wb") as sink,
-        subprocess.Popen(
+    with log.open("wb") as sink:
+        # No context of the process: at an exit it would wait for a simulator that nobody has ended.
+        process = subprocess.Popen(
             command,
             cwd=main.parent,
             env=environment,
@@ -193,19 +193,17 @@ def _execute(
             stdout=sink,
             stderr=subprocess.STDOUT,
             preexec_fn=_die_with_parent,
-        ) as process,
-    ):
-        # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
-        ended = threading.Event()
-
-        def wait() -> None:
-            process.wait()
-            ended.set()
-
-        waiter = threading.Thread(target=wait, daemon=True)
-        waiter.start()
-        alive = begin, _processor_time(process.pid)
+        )
         try:
+            # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
+            ended = threading.Event()
+
+            def wait() -> None:
+                process.wait()
+                ended.set()
+
+            threading.Thread(target=wait, daemon=True).start()
+            alive = begin, _processor_time(process.pid)
             while not ended.wait(POLL):
                 alive = _still_alive(process.pid, alive, main)
                 if timeout is not None and time.monotonic() - begin > timeout:
@@ -218,9 +216,8 @@ def _execute(
                 if progress is not None and stop:
                     progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
         finally:
-            if not ended.is_set():
-                process.kill()
-            waiter.join()
+            process.kill()  # nothing to one that has ended
+            process.wait()
         return process.returncode
 
 

@@ -67,6 +67,26 @@ def gone(pid):
     return False
 
 
+def test_a_signal_before_the_watch_begins_ends_the_simulator(tmp_path, monkeypatch):
+    """It may come at any time: not even then does anybody wait for ngspice to end by itself."""
+    begun = []
+
+    def popen(*args, **options):
+        begun.append(subprocess_popen(*args, **options))
+        return begun[-1]
+
+    def leave(thread):
+        raise SystemExit(128 + signal.SIGHUP)
+
+    subprocess_popen = subprocess.Popen
+    monkeypatch.setattr(ngspice.subprocess, "Popen", popen)
+    monkeypatch.setattr(ngspice.threading.Thread, "start", leave)
+    text = "long\nV1 a 0 sin(0 1 1e6)\nR1 a 0 1\n.tran 1e-8 0.1 0 1e-8\n.end\n"
+    with pytest.raises(SystemExit):
+        ngspice.run_deck(Deck(name="long", stop=0.1, text=text), tmp_path)
+    assert begun[-1].returncode == -signal.SIGKILL
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_signal_ends_the_simulator_too(number, tmp_path):
