@@ -89,7 +89,7 @@ class Response:
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
         k, e, m = self.modes[2]  # type: ignore[index]
-        oscillating = (k > 0) & (m > 0) & (e**2 < 4 * k * m)
+        oscillating = (k > 0) & (e**2 < 4 * k * m)
         k, e, m = k[oscillating], e[oscillating], m[oscillating]
         omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
         return omega * np.sqrt(1 - ratio**2) / (2 * np.pi), ratio
@@ -192,7 +192,6 @@ def around(frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTE
     width = np.where(sharp, FLANK, ratio)[:, None] * frequency[:, None]
     both = np.concatenate([-widths[::-1], widths])
     points = frequency[:, None] + width * both
-    points[sharp] = np.where(both == 0, points[sharp] + width[sharp], points[sharp])
     points[sharp] = np.where(
         np.abs(points[sharp] - frequency[sharp, None]) < 0.99 * width[sharp],
         frequency[sharp, None] + np.where(both < 0, -1, 1) * width[sharp],

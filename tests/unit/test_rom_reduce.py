@@ -1,0 +1,413 @@
+"""Steps of a reduction by themselves: which order, which directions, how far a basis reaches."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import kc2spice.rom.reduce as module
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.reduce import Reduction, ordered, reduce
+from kc2spice.rom.response import Response
+from kc2spice.rom.structure import Structure, semidefinite, structure
+from kc2spice.rom.subspace import Subspace, _independent, _Sketch, subspace
+
+RNG = np.random.default_rng(8)
+
+
+def definite(n, rank=None):
+    root = RNG.standard_normal((n, rank or n))
+    return root @ root.T
+
+
+def chain(n, dashpot=0.0, **more):
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    E = 1e-2 * K
+    E[0, 0] += dashpot
+    return LinearModel(M=np.eye(n), E=E, K=K, B=np.eye(n)[:, [n // 5, n - 1]], **more)
+
+
+# ------------------------------------------------------------------------- which order is taken
+
+
+class Told(Reduction):
+    """A reduction whose errors and stability are told, not measured."""
+
+    def __init__(self, size, good, stable=lambda order: True, first=0):
+        self.__dict__.update(told=size, good=good, steady=stable, first=first)
+
+    size = property(lambda self: self.told)
+
+    def error(self, order):
+        return 1e-5 if self.good(order) else 1e-2
+
+    def structure(self, order):
+        return SimpleNamespace(stable=self.steady(order))
+
+
+@pytest.mark.parametrize("least", [1, 2, 7, 19, 20])
+def test_the_smallest_order_within_the_tolerance_is_found(least):
+    assert Told(20, lambda order: order >= least).smallest(1e-5) == least
+
+
+@pytest.mark.parametrize("good", [{20}, {19}, {12}, {9, 10, 11, 12}, {4}])
+def test_where_all_directions_miss_the_tolerance_fewer_by_a_power_of_two_are_tried(good):
+    assert Told(20, good.__contains__).smallest(1e-3) == min(good)
+
+
+@pytest.mark.parametrize("fewer", [2**9, 2**10])
+def test_at_most_512_directions_are_left_out(fewer):
+    told = Told(1100, {1100 - fewer}.__contains__)
+    if fewer == 512:
+        assert told.smallest(1e-3) == 1100 - 512
+    else:
+        with pytest.raises(SimulationError, match="out of reach"):
+            told.smallest(1e-3)
+
+
+def test_the_directions_of_conservative_ports_are_kept():
+    assert Told(20, lambda order: True, first=5).smallest(1e-3) == 5
+    assert Told(21, {5}.__contains__, first=5).smallest(1e-3) == 5
+    assert Told(3, lambda order: True, first=5).smallest(1e-3) == 3
+    with pytest.raises(SimulationError, match="out of reach") as caught:
+        Told(20, {4}.__contains__, first=5).smallest(1e-3)
+    assert caught.value.got == "estimate 1.0e-02 with up to 20 states"
+
+
+def test_a_stable_model_does_not_lose_its_stability():
+    assert Told(20, lambda order: order >= 3, lambda order: order >= 8).smallest(1e-3) == 8
+    assert Told(20, lambda order: order >= 3, lambda order: False).smallest(1e-3) == 3
+
+
+# --------------------------------------------------------------------------- what is asked for
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({}, "either a tolerance or an order"),
+        ({"tolerance": 1e-3, "order": 3}, "either a tolerance or an order"),
+        ({"tolerance": 0.9e-10}, "not a tolerance"),
+        ({"tolerance": 1.0}, "not a tolerance"),
+        ({"order": 0}, "not an order"),
+        ({"order": 3, "band": (0.0, 0.0)}, "not a frequency band"),
+        ({"order": 3, "band": (0.2, 0.1)}, "not a frequency band"),
+        ({"order": 3, "band": (-0.1, 0.1)}, "not a frequency band"),
+        ({"order": 3, "band": (0.0, np.inf)}, "not a frequency band"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused(asked, says):
+    with pytest.raises(UsageError, match=says):
+        reduce(chain(20, dashpot=0.3), **asked)
+
+
+@pytest.mark.parametrize("without", ["B", "C"])
+def test_a_model_without_effective_ports_is_refused(without):
+    parts = {"B": np.ones((3, 1)), "C": np.ones((1, 3))}
+    parts[without] = 0 * parts[without]
+    with pytest.raises(UsageError, match="no effective input or output"):
+        reduce(LinearModel(M=np.eye(3), K=np.eye(3), **parts), order=1, band=(0.0, 1.0))
+
+
+def test_the_band_is_that_asked_for_or_the_models_own():
+    model = chain(20, dashpot=0.3, band=(0.0, 0.02))
+    assert reduce(model, order=4).certificate.band_hz == (0.0, 0.02)
+    assert reduce(model, order=4, band=(0.0, 0.03)).certificate.band_hz == (0.0, 0.03)
+    assert reduce(model, order=4).band == (0.0, 0.02)
+
+
+@pytest.mark.parametrize("apart", [0.4, 0.6])
+def test_half_of_the_tolerance_is_left_to_the_full_models_own_solutions(apart, monkeypatch):
+    monkeypatch.setattr("kc2spice.rom.subspace._solution_error", lambda *_: apart * 1e-3)
+    model, band = chain(20, dashpot=0.3), (0.0, 0.05)
+    assert reduce(model, order=9, band=band).certificate.error_estimate > apart * 1e-3
+    if apart < 0.5:
+        rom = reduce(model, tolerance=1e-3, band=band)
+        assert apart * 1e-3 < rom.certificate.error_estimate <= 1e-3
+    else:
+        with pytest.raises(SimulationError, match="not that accurate"):
+            reduce(model, tolerance=1e-3, band=band)
+
+
+@pytest.mark.parametrize(
+    ("asked", "target"),
+    [({"tolerance": 1e-3}, 2e-5), ({"tolerance": 1e-10}, 1e-11), ({"order": 5}, 1e-8)],
+)
+def test_the_subspace_is_far_more_accurate_than_asked(asked, target, monkeypatch):
+    seen = []
+
+    def asking(pencil, band, wanted, limit, solver):
+        seen.append(wanted)
+        return subspace(pencil, band, wanted, limit, solver)
+
+    monkeypatch.setattr(module, "subspace", asking)
+    reduce(chain(20, dashpot=0.3), band=(0.0, 0.05), **asked)
+    assert seen == [pytest.approx(target)]
+
+
+def test_a_model_that_is_not_symmetric_takes_the_better_of_two_bases():
+    """Of its inputs alone, and of inputs and outputs."""
+    n, band = 14, (0.0, 0.3)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        A = -np.diag(np.geomspace(0.1, 30, n)) + 0.3 * np.diag(rng.standard_normal(n - 1), 1)
+        model = LinearModel(A=A, B=rng.standard_normal((n, 2)), C=rng.standard_normal((1, n)))
+        space = subspace(model.pencil, band, 1e-9, np.inf, "scipy")
+        both = [ordered(model, space, band, side, 1e-5) for side in (False, True)]
+        least = min(each.smallest(1e-5) for each in both)
+        assert reduce(model, tolerance=1e-5, band=band).order == least
+        fixed = reduce(model, order=5, band=band).certificate.error_estimate
+        errors = [each.error(5) for each in
+                  (ordered(model, space, band, side, None) for side in (False, True))]  # fmt: skip
+        assert fixed == pytest.approx(min(errors), rel=1e-3)
+    with pytest.raises(UsageError, match="no model of this order") as caught:
+        reduce(model, order=15, band=band)
+    assert caught.value.expected == "1 to 14"
+    assert reduce(model, order=14, band=band).order == 14
+
+
+def test_an_order_of_a_definite_model_is_certified_by_two_blocks_more():
+    """Rayleigh damping; the estimate is near the error of a direct solution."""
+    n, order, band = 60, 12, (0.0, 0.03)
+    model = chain(n)
+    rom = reduce(model, order=order, band=band)
+    assert rom.certificate.method.startswith(f"difference to {order + 2 * 2} states")
+    s = 2j * np.pi * np.linspace(0, 0.03, 301)[:, None, None]
+
+    def response(found):
+        P = s * s * found.M + s * found.E + found.K
+        return found.C @ np.linalg.solve(P, found.B.astype(complex)[None])
+
+    exact = response(model)
+    size = np.maximum(abs(exact), 1e-6 * abs(exact).max(axis=0))
+    error = (abs(response(rom) - exact) / size).max()
+    assert error <= rom.certificate.error_estimate <= 2 * error
+    assert error > 1e-8
+
+
+# --------------------------------------------------------------------------------- directions
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_the_energy_is_the_plain_square(degree):
+    """That of the stiffness at rest; of a model that is free to move, that at a frequency."""
+    n, omega = 5, 3.0
+    K, M, free = definite(n) + np.eye(n), definite(n) + np.eye(n), definite(n, n - 1)
+    M[0, 1] += 0.1  # the energy is that of the symmetric part
+    rest = lambda P: 0.5 * (P + P.T)  # noqa: E731
+
+    def basis(stiffness, static):
+        parts = (stiffness, M) if degree == 1 else (stiffness, 0 * M, M)
+        pencil = Pencil(parts, np.eye(n), np.eye(n), np.zeros((n, n)))
+        return module._energy_basis(pencil, omega, static=static)
+
+    for stiffness, static, energy in (
+        (K, True, K),
+        (K, False, K + omega**degree * M),
+        (free, False, free + omega**degree * M),
+        (free, True, free + omega**degree * M),  # rounding may let a factor of it pass
+    ):
+        V = basis(stiffness, static)
+        np.testing.assert_allclose(V.T @ rest(energy) @ V, np.eye(n), atol=1e-9)
+    np.testing.assert_array_equal(basis(-1e3 * K, True), np.eye(n))
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "share"), [(None, 4e-3), (1e-10, 4e-3), (1e-8, 1.2e-2), (1e-2, 5e-2)]
+)
+def test_samples_above_the_band_weigh_less_and_less(tolerance, share):
+    response, band = Response(chain(3).pencil), (0.0, 0.01)
+    plain = module._snapshots(response, band, True, False, tolerance)
+    assert (plain[1] == 1).all()
+    assert plain[0][0] == 0.0
+    assert plain[0].max() == band[1]
+    frequency, weight = module._snapshots(response, band, True, True, tolerance)
+    np.testing.assert_array_equal(frequency[: plain[0].size], plain[0])
+    tail, far = frequency[plain[0].size :], weight[plain[0].size :]
+    assert (tail[0], tail[-1]) == (band[1], 8 * band[1])
+    # as much as the band's linear grid of 101 points, whatever their number; fourth power
+    np.testing.assert_allclose(far, share * np.sqrt(101 / tail.size) * (band[1] / tail) ** 4)
+
+
+def test_states_weigh_by_the_energy_of_their_port():
+    """Two resonators, one a thousand times as stiff: at rest both count alike."""
+    K = np.diag([1.0, 1e6])
+    parts = K, 0 * K, np.eye(2)
+    B, D = np.eye(2), np.diag([3.0, 0.0])
+    columns = module._weighted(Response(Pencil(parts, B, B.T, D)), np.zeros(1), np.array([0.5]))
+    np.testing.assert_allclose(columns[:, :2], 0.5 * np.diag([1 / np.sqrt(1 + 3), 1e-3]))
+    assert not columns[:, 2:].any()
+    other = module._weighted(Response(Pencil(parts, B, 2 * B, D)), np.zeros(1), np.array([0.5]))
+    np.testing.assert_allclose(other[:, :2], 0.5 * np.eye(2))
+
+
+def test_a_notch_of_a_ports_own_response_weighs_no_more_than_a_thousand():
+    K = np.diag([1.0, 9.0])
+    response = Response(Pencil((K, 0 * K, np.eye(2)), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))))
+    frequency = np.array([0.0, np.sqrt(5.0) / (2 * np.pi)])  # 1/(1 - w^2) + 1/(9 - w^2) = 0
+    columns = module._weighted(response, frequency, np.ones(2))
+    peak = 1 + 1 / 9
+    np.testing.assert_allclose(columns[:, 0], np.array([1, 1 / 9]) / np.sqrt(peak))
+    np.testing.assert_allclose(columns[:, 1], np.array([-0.25, 0.25]) / np.sqrt(1e-6 * peak))
+
+
+def test_rigid_motions_are_those_without_energy():
+    n = 4
+    rest = np.diag([1.0, 1e-13, 0.0, -1e-13])
+    pencil = Pencil((rest, np.eye(n)), np.eye(n), np.eye(n), np.zeros((n, n)))
+    found = module._rigid(pencil, 1.1e-15)
+    np.testing.assert_allclose(found @ found.T, np.diag([0.0, 1, 1, 1]), atol=1e-12)
+    assert module._rigid(pencil, 0.9e-15).shape == (n, 1)
+    skew = Pencil((rest + np.eye(n, k=1) * 1e-9, np.eye(n)), np.eye(n), np.eye(n), np.zeros((n, n)))
+    assert module._rigid(skew, 1.1e-15).shape == (n, 0)
+
+
+@pytest.mark.parametrize("columns", [3, 5, 10, 30])
+def test_directions_are_the_static_ones_then_the_principal_ones(columns):
+    n = 5
+    data = RNG.standard_normal((n, columns)) * np.array([[1e3], [1e2], [10.0], [1.0], [0.1]])
+    U, size = module._principal(data)
+    expected = np.linalg.svd(data, full_matrices=False)
+    np.testing.assert_allclose(size, expected[1], rtol=1e-10)
+    np.testing.assert_allclose(abs(np.sum(U * expected[0], axis=0)), 1.0)
+    first = np.eye(n)[:, [4]]
+    found = module._directions(data, first)
+    np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-12)
+    np.testing.assert_allclose(abs(found[:, 0]), first[:, 0], atol=1e-12)
+    assert abs(found[0, 1]) > 0.9
+
+
+def test_the_range_ends_at_rounding():
+    data = np.diag([1.0, 1e-12, 1e-14])
+    assert module._range(data).shape == (3, 2)
+    assert module._range(0 * data).shape == (3, 0)
+
+
+# -------------------------------------------------------------------------- models that move
+
+
+def test_a_free_model_keeps_its_motion_without_force():
+    """Three masses on two springs and a dashpot to the ground beside the motion: none."""
+    n = 3
+    K = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    E = 0.1 * K
+    E[:2, :2] += 0.3 * np.array([[1, -1], [-1, 1]])
+    model = LinearModel(M=np.eye(n), E=E, K=K, B=np.eye(n)[:, [0]],
+                        ports=(Port("tip", "mechanical"),))  # fmt: skip
+    rom = reduce(model, order=2, band=(0.0, 0.05))
+    frequency = 1e-6  # x = -F / (3 m w^2)
+    found = rom.transfer(np.array([frequency]))[0, 0, 0]
+    assert found * 3 * (2 * np.pi * frequency) ** 2 == pytest.approx(-1.0, rel=1e-9)
+    assert not rom.K[0].any()
+    assert not rom.K[:, 0].any()
+    assert rom.certificate.method.endswith("free to move at zero frequency")
+    assert "free to move" not in reduce(chain(9, 0.3), order=2, band=(0.0, 0.05)).certificate.method
+
+
+@pytest.mark.parametrize(("kind", "least"), [("mechanical", 2), ("input", 1)])
+def test_static_answers_of_mechanical_ports_are_exact(kind, least):
+    """Above zero frequency too, for contact presses on them; signals need them from zero on."""
+    kinds = ("mechanical",) * 2 if kind == "mechanical" else ("input",) * 2 + ("output",) * 2
+    ports = tuple(Port(f"p{k}", each) for k, each in enumerate(kinds))
+    model = chain(20, dashpot=0.3, ports=ports)
+    rom = reduce(model, tolerance=0.9, band=(0.005, 0.01))
+    assert rom.order >= least
+    static, exact = (each.transfer(np.zeros(1))[0].real for each in (rom, model))
+    error = (abs(static - exact) / abs(exact)).max()
+    assert error < 1e-9 if kind == "mechanical" else error > 1e-6
+    low = reduce(model, order=2, band=(0.0, 0.01)).transfer(np.zeros(1))[0].real
+    np.testing.assert_allclose(low, exact, rtol=1e-9)
+
+
+# ---------------------------------------------------------------------------------- structure
+
+
+def test_what_the_form_proves():
+    band, n = (0.0, 1.0), 3
+    one, zero, skew = np.eye(n), np.zeros((n, n)), np.eye(n, k=1) - np.eye(n, k=-1)
+    stand = {"B": one, "C": one, "D": zero}
+
+    def of(*parts, **more):
+        found = structure(Pencil(parts, **(stand | more)), band)
+        return found.stable, found.passive, found.proof
+
+    proven, poles = (True, True, "definite matrices"), "poles"
+    assert of(one, zero, one) == proven
+    assert of(one, skew, one) == proven
+    assert of(one, one) == proven
+    assert of(one + skew, one) == proven
+    assert of(one, one, one, C=2 * one) == (True, False, "definite matrices")
+    assert of(one, one, one, D=-one) == (True, False, "definite matrices")
+    assert of(one, one, one, D=one + skew) == proven
+    assert of(one, -one, one) == (False, False, poles)
+    assert of(-one, one, one) == (False, False, poles)
+    assert of(one + 0.1 * skew, one, one) == (True, False, poles)
+    assert of(-one, one) == (False, False, poles)
+    # growth by e in more than a hundred million radians is rounding of a pole on the axis
+    for growth, stable in ((1.5e-8, True), (2.5e-8, False)):
+        slow = np.diag([-1e6 * growth, 1.0, 1.0])
+        assert of(1e12 * one, slow, one)[0] is stable
+        assert of(np.diag([1.0, -2 * np.pi * growth / 2, 1.0]), one)[0] is stable
+
+
+@pytest.mark.parametrize(
+    ("matrix", "yes"),
+    [
+        (np.zeros((0, 0)), True), (np.zeros((2, 2)), True), (np.diag([1.0, -0.9e-12]), True),
+        (np.diag([1.0, -1.1e-12]), False), (np.diag([-1.0, -1.0]), False),
+        (np.array([[1.0, 0.9e-12], [0.0, 1.0]]), True),
+        (np.array([[1.0, 1.1e-12], [0.0, 1.0]]), False),
+    ],
+)  # fmt: skip
+def test_semidefinite_but_for_rounding(matrix, yes):
+    assert semidefinite(matrix) is yes
+
+
+# ----------------------------------------------------------------------------------- subspaces
+
+
+def test_new_directions_are_orthonormal_and_without_what_is_there():
+    basis = np.linalg.qr(RNG.standard_normal((6, 2)))[0]
+    new = RNG.standard_normal((6, 4))
+    new[:, 1] = basis @ [1.0, 2.0] + 1e-12 * new[:, 1]  # but for rounding in the basis
+    new[:, 2] = 3 * new[:, 0] - basis[:, 0]
+    found = np.column_stack(list(_independent(basis, new)))
+    assert found.shape == (6, 2)
+    np.testing.assert_allclose(basis.T @ found, 0.0, atol=1e-14)
+    np.testing.assert_allclose(found.T @ found, np.eye(2), atol=1e-14)
+    both = np.column_stack([basis, found])
+    np.testing.assert_allclose(both @ (both.T @ new), new, atol=1e-11)
+    assert len(list(_independent(np.empty((3, 0)), RNG.standard_normal((3, 5))))) == 3
+
+
+def test_a_sketch_measures_residuals_relative_to_the_load():
+    """Of ``P(s) x = b`` exactly: zero at the solution, one for nothing, linear in between."""
+    n = 40
+    parts = tuple(RNG.standard_normal((3, n, n)))
+    b = RNG.standard_normal((n, 2)) * [1.0, 1e3]
+    sketch = _Sketch(RNG.standard_normal((32, n)), parts, b)
+    V = np.eye(n)
+    sketch.extend(V[:, :10])
+    sketch.extend(V[:, 10:])
+    s = np.array([0.5j, 2.0 + 1j])
+    P = sum(s[:, None, None] ** k * each for k, each in enumerate(parts))
+    x = np.linalg.solve(P, b.astype(complex)[None])
+    np.testing.assert_allclose(sketch.residual(s, x), 0.0, atol=1e-10)
+    np.testing.assert_allclose(sketch.residual(s, 0 * x), 1.0)
+    x[1, :, 0] *= 0.75
+    np.testing.assert_allclose(sketch.residual(s, x), [0.0, 0.25], atol=1e-10)
+
+
+@pytest.mark.parametrize("sparse_parts", [False, True])
+def test_a_whole_small_model_knows_whether_it_is_held(sparse_parts):
+    make = sparse.csc_array if sparse_parts else np.asarray
+    for K, static in (([[2.0, -1], [-1, 2]], True), ([[1.0, -1], [-1, 1]], False)):
+        model = LinearModel(M=make(np.eye(2)), K=make(np.array(K)), B=np.eye(2))
+        space = subspace(model.pencil, (0.0, 1.0), 1e-8, 1e-3, "scipy")
+        assert isinstance(space, Subspace)
+        assert space.static is static
+        assert space.pencil.size == 2
+        assert space.error < 1e-12
