@@ -73,7 +73,8 @@ def resonators(rom: LinearModel) -> Resonators:
     K, E, M = rom.pencil.dense().coefficients
     one, massless = np.eye(rom.order), int(np.count_nonzero(np.diag(M) == 0.0))
     form = one * (np.arange(rom.order) < rom.order - massless)
-    if np.array_equal(M, form) and all(np.array_equal(P, P * one) for P in (E, K)):
+    diagonal = np.array_equal(M, form) and all(np.array_equal(P, P * one) for P in (E, K))
+    if diagonal and (np.diag(K) > 0).all():
         return Resonators(
             np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate,
             massless,

@@ -177,7 +177,9 @@ def test_a_response_is_that_of_the_matrices(form, n):
     s = np.array([0.3j, 1.0 + 2j, 20j])
     exact = direct(pencil, s)
     np.testing.assert_allclose(response.transfer(s), exact, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(pencil.C @ response.states(s) + pencil.D, exact, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(
+        pencil.C @ response.states(s) + pencil.D, exact, rtol=1e-8, atol=1e-10
+    )
 
 
 def test_a_defective_model_is_not_taken_apart():

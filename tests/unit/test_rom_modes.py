@@ -1,0 +1,297 @@
+"""Resonators, their answers in time, states without inertia, blocks: against closed forms."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.signal import StateSpace, lsim
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.blocks import BlockModel, block_model
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.march import chip_response
+from kc2spice.rom.massless import _beyond, without_inertia
+from kc2spice.rom.modal import Resonators, resonators
+
+RNG = np.random.default_rng(12)
+TIP, TURN, ANODE, BASE = (
+    Port(kind[:4], kind) for kind in ("mechanical", "rotational", "electrical", "acceleration")
+)
+CERTIFICATE = Certificate((0.0, 1.0), 1e-6, "told", True, True)
+
+
+def modes(hertz, gain, ports=(TIP,), *, ratio=0.05, D=None, massless=0, pace=None):
+    """Resonators at ``hertz``; damped by ``ratio``, or with ``damp = pace omega^2``."""
+    omega = 2 * np.pi * np.asarray(hertz, dtype=float)
+    damp = 2 * ratio * omega if pace is None else pace * omega**2
+    gain = np.asarray(gain, dtype=float).reshape(omega.size, len(ports))
+    D = np.zeros((len(ports),) * 2) if D is None else D
+    return Resonators(omega, damp, gain, D, tuple(ports), CERTIFICATE, massless)
+
+
+# ---------------------------------------------------------------------------------- resonators
+
+
+def test_resonators_are_the_modes_of_the_matrices():
+    """Of ``K``, ``M`` in any coordinates, the lowest first; the largest gain is positive."""
+    hertz, gain = np.array([1.0, 2.0, 5.0]), np.array([[1.0, -3.0], [0.5, 2.0], [-4.0, 1.0]])
+    turn = RNG.standard_normal((3, 3))
+    omega, D = 2 * np.pi * hertz, np.diag([0.0, 2.0])
+    order = [1, 2, 0]
+    parts = (np.eye(3), np.diag(0.1 * omega), np.diag(omega**2))
+    M, E, K = (turn.T @ P[np.ix_(order, order)] @ turn for P in parts)
+    M, E, K = (0.5 * (P + P.T) for P in (M, E, K))
+    rom = LinearModel(M=M, E=E, K=K, B=turn.T @ gain[order], D=D, ports=(TIP, ANODE))
+    found = resonators(rom)
+    np.testing.assert_allclose(found.omega, omega, rtol=1e-9)
+    np.testing.assert_allclose(found.damp, 0.1 * omega, rtol=1e-7)
+    np.testing.assert_allclose(found.gain, gain * [[-1], [1], [-1]], rtol=1e-7)
+    frequency = np.array([0.0, 0.7, 3.0])
+    np.testing.assert_allclose(found.transfer(frequency), rom.transfer(frequency), rtol=1e-7)
+
+
+def test_resonators_without_inertia_come_back_to_the_bit():
+    model = modes([1.0, 3.0, 2.0], [1.0, -2.0, 3.0], massless=1)
+    again = resonators(model.linear())
+    assert again.massless == 1
+    for name in ("omega", "damp", "gain"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    s = 2j * np.pi * 0.7
+    w, d = model.omega, model.damp
+    relaxing = 9 / (s * d[2] + w[2] ** 2)
+    heavy = [g**2 / (s * s + s * d[k] + w[k] ** 2) for k, g in ((0, 1.0), (1, 2.0))]
+    assert model.transfer(np.array([0.7]))[0, 0, 0] == pytest.approx(sum(heavy) + relaxing)
+    assert model.order == 3
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        ({"A": -np.eye(2)}, "not a symmetric second-order"),
+        ({"M": np.eye(2), "K": np.eye(2), "C": 2 * np.eye(2)}, "not a symmetric second-order"),
+        ({"M": np.eye(2), "K": np.eye(2) + np.eye(2, k=1)}, "not a symmetric second-order"),
+        ({"M": np.diag([0.0, 1.0]), "K": np.eye(2)}, "not positive definite"),
+        ({"M": np.diag([1.0, -1.0]), "K": np.eye(2)}, "not positive definite"),
+        ({"M": np.eye(2), "K": np.diag([1.0, -1.0])}, "not positive definite"),
+        ({"M": np.eye(2), "K": np.diag([1.0, 4.0]), "E": np.array([[1, 1e-7], [1e-7, 1]])},
+         "damping couples the modes"),
+    ],
+)  # fmt: skip
+def test_what_has_no_resonators_is_refused(parts, says):
+    with pytest.raises(UsageError, match=says):
+        resonators(LinearModel(**parts, B=np.eye(2)))
+
+
+def test_rounding_does_not_couple_modes():
+    E = np.array([[1, 1e-9], [1e-9, 1]])
+    found = resonators(LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), E=E, B=np.eye(2)))
+    np.testing.assert_allclose(found.damp, [1.0, 1.0])
+
+
+# ---------------------------------------------------------------------------- answers in time
+
+RATIOS = {"undamped": 0.0, "light": 0.01, "critical": 1.0, "nearly critical": 1 - 1e-10,
+          "heavy": 30.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RATIOS)
+def test_modes_answer_loads_that_are_linear_between_the_times(name):
+    """Against scipy's ``lsim``; steps of a thousandth of a radian to three, and a block's end."""
+    n, h = 4500, 0.1
+    t = h * np.arange(n)
+    load = 0.3 + np.interp(t, np.linspace(0, t[-1], 12), RNG.standard_normal(12))
+    for omega in (0.01, 30.0):
+        damp = 2 * RATIOS[name] * omega
+        model = Resonators(np.array([omega]), np.array([damp]), np.array([[3.0]]),
+                           np.array([[2.0]]), (TIP,), None)  # fmt: skip
+        found = chip_response(model, t, load[:, None])
+        system = StateSpace([[0, 1], [-(omega**2), -damp]], [[0], [3]], [[1, 0]], [[0]])
+        _, _, states = lsim(system, load, t, X0=[3 * load[0] / omega**2, 0])
+        size = abs(states[:, 0]).max()
+        close = 1e-6 if "critical" not in name else 2e-4  # equal roots are moved apart
+        np.testing.assert_allclose(found.output[:, 0], 3 * states[:, 0] + 2 * load, rtol=0,
+                                   atol=close * 3 * size)  # fmt: skip
+        stored = (states[:, 1] ** 2 + omega**2 * states[:, 0] ** 2) / 2 + load**2
+        np.testing.assert_allclose(found.stored, stored, rtol=0, atol=close * stored.max())
+
+
+def test_states_without_inertia_relax_or_follow_at_once():
+    """``d q' + w^2 q = g u`` under a ramp: ``q = g/w^2 (t - T (1 - exp(-t/T)))``."""
+    t = np.array([0.0, 1e-4, 0.1, 0.35, 2.0, 2.1])
+    for damp in (4.0, 0.0):
+        model = Resonators(np.array([3.0]), np.array([damp]), np.array([[2.0]]), np.zeros((1, 1)),
+                           (TIP,), None, 1)  # fmt: skip
+        found = chip_response(model, t, t[:, None])
+        T = damp / 9
+        decay = np.exp(-t / T) if damp else 0 * t
+        q = 2 / 9 * (t - T * (1 - decay))
+        np.testing.assert_allclose(found.output[:, 0], 2 * q, atol=1e-12)
+        np.testing.assert_allclose(found.stored, 9 * q**2 / 2, atol=1e-12)
+
+
+def test_a_stiff_pair_keeps_its_slow_root():
+    """Damped a million times critically, a mode creeps: ``z = 1 - exp(-w^2 t / d)``."""
+    omega, damp = 1.0, 2e6
+    model = Resonators(
+        np.array([omega]), np.array([damp]), np.eye(1), np.zeros((1, 1)), (TIP,), None
+    )
+    t = np.array([0.0, 1e-9, 1e6, 4e6])
+    z = chip_response(model, t, np.array([[0.0], [1.0], [1.0], [1.0]])).output[2:, 0]
+    np.testing.assert_allclose(z, 1 - np.exp(-t[2:] * omega**2 / damp), rtol=1e-8)
+
+
+# ----------------------------------------------------------------------------- without inertia
+
+
+def test_modes_that_decide_nothing_in_the_band_are_counted_from_the_highest():
+    """Each adds ``(g/w)^2 (f/f_j)^2`` of a port's compliance; 1e-3 in all may be left out."""
+
+    # compliances of 1 and 0.01 … at 100 and 10 Hz: shares of inertia 1e-4 c and 1e-2 c
+    def of(soft, stiff, ports=(TIP,), **more):
+        hertz = np.array([1.5, 10.0, 100.0])
+        root = np.sqrt(np.array([1.0, soft, stiff]))
+        gain = np.tile((2 * np.pi * hertz * root)[:, None], (1, len(ports)))
+        gain[:, 1:] = 2 * np.pi * hertz[:, None] * np.array([[1.0], [0.0], [0.0]])
+        return _beyond(modes(hertz, gain, ports, **more), 1.0)
+
+    assert of(0.09, 0.0) == 2  # 1e-2 x 0.09 / 1.09
+    assert of(0.12, 0.0) == 1
+    assert of(0.09, 5.0) == 2  # all relative to the whole
+    assert of(0.105, 0.0) == 2  # 1.05e-3 / 1.105
+    assert of(0.11, 0.5) == 2
+    assert of(0.2, 0.0, ratio=0.019) == 2  # a mode that rings may be ten times as large
+    assert of(0.2, 0.0, ratio=0.021) == 1
+    assert of(9.0, 0.0, ratio=0.019) == 2
+    assert of(0.12, 0.0, (TIP, TURN)) == 1  # the port that sees most decides
+    assert of(0.09, 0.0, (TURN,)) == 2
+    assert of(0.12, 0.0, (ANODE, TIP)) == 2
+
+
+def test_no_mode_below_twice_the_band_is_left_out():
+    gain = [2 * np.pi, 1e-9, 1e-9]
+    assert _beyond(modes([1.0, 1.99, 50.0], gain), 1.0) == 1
+    assert _beyond(modes([1.0, 2.0, 50.0], gain), 1.0) == 2
+    assert _beyond(modes([50.0, 2.0, 1.0], gain[::-1]), 1.0) == 2
+    assert _beyond(modes([1.0, 1.1], gain[:2]), 1.0) == 0
+
+
+def test_states_of_one_pace_become_as_many_as_ports_move():
+    """Three stiff modes of two ports: two states, the same compliance, the same relaxation."""
+    ports = (TIP, ANODE, BASE)
+    hertz = np.array([300.0, 0.5, 200.0, 100.0])
+    gain = np.array([[3.0, 1, 7], [5, 2, 7], [-2, 1, 7], [1.0, 4, 7]])
+    model = modes(hertz, gain, ports, D=np.diag([0.0, 1e-3, 1.0]), pace=1e-4)
+    light = without_inertia(model)
+    assert (light.order, light.massless) == (3, 2)
+    assert light.omega[0] == model.omega[1]
+    static = sum(np.outer(g, g) / w**2 for g, w in zip(gain, model.omega, strict=True)) + model.D
+    slow = gain[1] / model.omega[1]
+    found = light.transfer(np.zeros(1))[0].real
+    np.testing.assert_allclose(found[:2, :2], static[:2, :2], rtol=1e-12)
+    # the acceleration port does not see what has no inertia
+    np.testing.assert_allclose(found[2], slow[2] * slow + model.D[2], rtol=1e-12)
+    np.testing.assert_allclose(light.damp[1:] / light.omega[1:] ** 2, 1e-4)
+    assert (light.gain[1:][[0, 1], abs(light.gain[1:]).argmax(axis=1)] > 0).all()
+    assert light.omega[1:] == pytest.approx(model.omega[3])
+    apart = dataclasses.replace(model, damp=model.damp * [1, 1, 1, 1 + 1e-8])
+    assert without_inertia(apart).massless == 3
+    same = dataclasses.replace(model, damp=model.damp * [1, 1, 1, 1 + 1e-10])
+    assert without_inertia(same).massless == 2
+
+
+def test_states_that_repeat_each_other_become_one():
+    model = modes([0.5, 100.0, 200.0], [[5.0, 2], [1, 1], [2, 2]], (TIP, TURN), pace=1e-4)
+    assert without_inertia(model).massless == 1
+
+
+def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
+    model = modes([0.5, 100.0], [2.0, 9.0], ratio=0.05)
+    certificate = dataclasses.replace(CERTIFICATE, above=((2.0, 0.1), (4.0, 0.2), (8.0, 0.3)))
+    model = dataclasses.replace(model, certificate=certificate)
+    light = without_inertia(model)
+    frequency = np.linspace(0.0, 1.0, 2001)
+    exact = model.transfer(frequency)[:, 0, 0]
+    error = (abs(light.transfer(frequency)[:, 0, 0] - exact) / abs(exact)).max()
+    more = light.certificate.error_estimate - certificate.error_estimate
+    assert error <= more * (1 + 1e-9)
+    assert more <= 1.05 * error
+    assert light.certificate.method == "told; no inertia from 100 Hz on, measured"
+    above = dict(light.certificate.above)
+    at = np.array([2.0, 4.0])
+    own = abs(light.transfer(at) / model.transfer(at) - 1)[:, 0, 0]
+    assert [above[2.0], above[4.0], above[8.0]] == pytest.approx([0.1 + own[0], 0.2 + own[1], 0.3])
+    for tolerance, kept in ((1e-6 + 1.001 * more, 1), (1e-6 + 0.999 * more, 0)):
+        assert without_inertia(model, tolerance).massless == kept
+
+
+def test_a_model_without_certificate_or_stiff_modes_stays():
+    model = modes([0.5, 100.0], [2.0, 9.0])
+    for same in (dataclasses.replace(model, certificate=None), modes([0.5, 0.9], [2.0, 9.0])):
+        assert without_inertia(same) is same
+
+
+@pytest.mark.parametrize("own", [0.0, -1.0])
+def test_an_electrode_needs_capacitance_of_its_own(own):
+    model = modes([0.5, 100.0], [[2.0, 1], [9, 1]], (TIP, ANODE), D=np.diag([0.0, own]))
+    with pytest.raises(UsageError, match="capacitance of its own") as caught:
+        without_inertia(model)
+    assert caught.value.where == "elec"
+
+
+# -------------------------------------------------------------------------------------- blocks
+
+
+def turned(*blocks, upper=0.0, seed=1):
+    """Blocks on the diagonal, ``upper`` in all entries above, in coordinates of no energy."""
+    A = block_diag(*blocks)
+    mask = block_diag(*(np.ones(np.shape(b) or (1, 1)) for b in blocks)) == 0
+    A = A + upper * np.triu(mask)
+    X = np.eye(len(A)) + 0.1 * np.random.default_rng(seed).standard_normal(A.shape)
+    return np.linalg.solve(X, A @ X)
+
+
+def pair(real, imag):
+    return np.array([[real, imag], [-imag, real]])
+
+
+SKEW = RNG.standard_normal((5, 5))
+BLOCKS = {
+    "real poles": (turned(-1.0, -2.0, -5.0), [1, 1, 1]),
+    "pairs and real poles": (turned(pair(-1, 3), -2.0, pair(-0.1, 9)), [1, 2, 2]),
+    "symmetric": (-SKEW @ SKEW.T, [1] * 5),
+    "lossless": (SKEW - SKEW.T, [1, 2, 2]),
+    "defective": (turned(-1.0, -1.0, -1.0, upper=1.0), [3]),
+    "all but defective": (turned(-1.0, -1.0 - 1e-9, -50.0, upper=1.0), [1, 2]),
+    "close and apart": (turned(-1.0, -1.1, -50.0, upper=1.0), [1, 1, 1]),
+    "defective, another between": (turned(-1.0, -40.0, -1.0, -90.0, upper=1.0), [1, 1, 2]),
+    "defective pairs": (turned(pair(-1, 3), pair(-1, 3), -2.0, upper=1.0), [1, 4]),
+    "a pair beside a pole": (turned(-1.0, pair(-1, 7), -1.0, upper=1.0), [2, 2]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_blocks_are_as_small_as_the_poles_allow(name):
+    A, sizes = BLOCKS[name]
+    n = len(A)
+    B, C, D = RNG.standard_normal((n, 2)), RNG.standard_normal((3, n)), RNG.standard_normal((3, 2))
+    model = LinearModel(E=np.eye(n), A=A, B=B, C=C, D=D)
+    found = block_model(model)
+    assert sorted(map(len, found.blocks)) == sizes
+    assert found.states == n
+    frequency = np.array([0.0, 0.3, 5.0]) + 0.01
+    s = 2j * np.pi * frequency[:, None, None]
+    exact = C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)[None]) + D
+    np.testing.assert_allclose(found.response(frequency), exact, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(block_model(model, dense=True).response(frequency), exact, rtol=1e-9)
+    if name == "lossless":
+        assert all(np.array_equal(block, -block.T) for block in found.blocks)
+
+
+def test_a_decoupled_model_keeps_its_own_pairs():
+    """Modes of energy coordinates are used as they are, to the bit."""
+    model = modes([1.0, 2.0], [1.0, 3.0]).linear()
+    A = model.state_space()[0]
+    found = block_model(model)
+    assert [block.tolist() for block in found.blocks] == [A[:2, :2].tolist(), A[2:, 2:].tolist()]
+    assert isinstance(found, BlockModel)
