@@ -257,7 +257,7 @@ def _imprint(problem: _Problem, pusher: Part) -> FullSolution:
     with clock.stage("full model", f"{timed.size} depths, refactorising"):
         again = imprint_refactorised(system, problem.surface(), timed, electrical)
     # from one depth to the next the closed springs hardly change: only the first start is cold
-    per_depth = again.wall_s / again.iterations.sum() if timed.size > 1 else again.wall_s
+    per_depth = again.wall_s / again.iterations.sum()
     warm = again.wall_s if problem.whole else per_depth * (depth.size + again.iterations[0])
     forces = system.sectors * grouped.ring_force
     name = problem.contact.name

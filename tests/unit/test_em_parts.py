@@ -1,0 +1,299 @@
+"""Parts of the electromagnetic scenes on a force in closed form, cubic in the height: the splines
+through a few heights are exact, and so must be what the parts make of them."""
+
+import time
+
+import numpy as np
+import pytest
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnetics import field
+from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.parts import current_cases, ring_magnet_coils
+from kc2spice.parts.ring_magnet_coils import beyond, interpolation_error, mounted
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.spice.header import Header
+from kc2spice.workflow.verify.circuit import solve
+
+EM = {"name": "em", "em_force": {"currents": (-0.1, 0.3)}, "catch": {}, "sphere": {}}
+KEYS = ["catch.positions=5", "catch.remanence=0.1", "catch.shift=0.3 mm", "catch.y_min=-1 mm"]
+
+
+def terms(y, remanence):
+    """Coefficients (..., 6) of the force at heights of an actuator that is not shifted."""
+    u = y / 1e-3
+    c0, c1, c2 = 2 * u**3 - u + 3, u**2 - 7 * u, 5 - u**3
+    one = np.ones_like(u)
+    return np.stack(
+        [remanence**2 * c0, remanence * c1, remanence * c2, u, 0.5 * u**2, -2 * one], -1
+    )
+
+
+def pull(y, lower, upper, remanence=0.1, shift=0.3e-3):
+    """The force of magnets and coils [N]."""
+    i = np.array([1.0, lower, upper, lower**2, lower * upper, upper**2])
+    return terms(np.asarray(y) - shift, remanence) @ i
+
+
+def catch_table(catch, radius, progress=None):
+    """In place of the field solution: what it would give for the closed form."""
+    y = field.positions(catch)
+    assert radius == 1e-3
+    time.sleep(1e-3)
+    if progress:
+        progress(1, 4)
+    n = y.size
+    flux, L = np.tile([0.25, 0.5], (n, 1)), np.tile([[4.0, 1.0], [1.0, 3.0]], (n, 1, 1))
+    return EMTable(y, *terms(y, catch.remanence).T, flux, L, np.array([5.0, 7.0]), 77)
+
+
+def scene_of(*keys, scene=None):
+    loaded = load_scene(scene or EM, [*KEYS, *keys])
+    coils = loaded.parts["catch"]
+    return loaded, coils, Build(loaded, {"catch": mounted(catch_table(
+        ring_magnet_coils.field_keys(coils), 1e-3), 1.0, 0.3e-3)}, {"catch": "catch"})  # fmt: skip
+
+
+def test_the_table_is_solved_once_for_a_unit_of_remanence_and_mounted(monkeypatch):
+    """Whatever remanence and mounting: one field, the force of the closed form."""
+    asked = []
+
+    def noted(catch, radius, progress):
+        asked.append((catch.remanence, catch.shift))
+        return catch_table(catch, radius, progress)
+
+    monkeypatch.setattr(field, "catch_table", noted)
+    monkeypatch.setattr(ring_magnet_coils, "cached", lambda _name, _key, make, **_: (make(), 0))
+    scene, coils, _ = scene_of()
+    said = []
+    found = coils.type.build(coils, scene, Clock(lambda stage, done, text: said.append(done)))
+    assert asked == [(1.0, 0.0)]
+    assert said == [None, 0.25]
+    np.testing.assert_allclose(found.y, np.linspace(-0.7e-3, 7.8e-3, 5), rtol=1e-12)
+    got, exact = [found.c0, found.c1, found.c2, found.c11], terms(found.y - 0.3e-3, 0.1)[:, :4]
+    np.testing.assert_allclose(np.stack(got, -1), exact, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.flux0[0], [0.025, 0.05])
+
+
+def test_the_full_solution_is_the_field_of_every_pair_and_height(monkeypatch):
+    """The lower coil's current changes slowest; errors are relative to the largest force."""
+    counts, said = [], []
+
+    def noted(catch, radius, progress):
+        counts.append(catch.positions)
+        return catch_table(catch, radius, progress)
+
+    def brute_force(catch, radius, pairs, progress):
+        time.sleep(0.03)
+        progress(2, 4)
+        y = field.positions(catch)
+        forces = np.array([pull(y, *pair, shift=0.0) for pair in pairs])
+        forces[2, 3] += 1e-3 * np.abs(forces).max()
+        return forces
+
+    monkeypatch.setattr(field, "catch_table", noted)
+    monkeypatch.setattr(field, "brute_force", brute_force)
+    scene, _, build = scene_of()
+    part = scene.parts["em_force"]
+    clock = Clock(lambda stage, done, text: said.append((stage, done, text)))
+    found = part.type.full_solution(part, build, clock, False)
+    assert counts == [5, 17]
+    y = found.waves["sphere.y"]
+    np.testing.assert_allclose(y, np.linspace(-0.7e-3, 7.8e-3, 2001), rtol=1e-9, atol=1e-12)
+    pairs = [(-0.1, -0.1), (-0.1, 0.3), (0.3, -0.1), (0.3, 0.3)]
+    for k, pair in enumerate(pairs):
+        force = found.waves[f"catch.force.{k}"]
+        np.testing.assert_allclose(force, pull(y, *pair), atol=1e-9 * np.abs(force).max())
+    (check,) = found.checks
+    assert check.value == pytest.approx(1e-3, rel=1e-6)
+    assert check.limit == scene.gates.superposition
+    assert 0.001 <= found.baselines["low_rank"] < 0.03 <= found.wall_s < 10.0
+    assert found.baselines["refactor"] == found.wall_s
+    assert {("brute force", 0.5, "20 cases"), ("dense sweep", 0.25, "17 heights"),
+            ("superposition", 0.25, "four fields per height")} < set(said)  # fmt: skip
+
+
+def test_laws_and_metrics_of_the_pairs_are_the_closed_form(monkeypatch):
+    monkeypatch.setattr(current_cases, "HEIGHTS", 11)
+    scene, _, build = scene_of()
+    part = scene.parts["em_force"]
+    assert part.type.sweep_range(part, scene) == pytest.approx((-0.7e-3, 7.8e-3))
+    assert part.type.coil_currents(part, scene) == 0.3
+    y = np.linspace(-0.7e-3, 7.8e-3, 11)
+    found = solve(build, Waveforms({"sphere.y": y}, {})).results
+    pairs = [[-0.1, -0.1], [-0.1, 0.3], [0.3, -0.1], [0.3, 0.3]]
+    forces = {f"catch.force.{k}": pull(y, *pair) for k, pair in enumerate(pairs)}
+    largest = max(np.abs(f).max() for f in forces.values())
+    np.testing.assert_allclose(found["sphere.y"], y, rtol=1e-9, atol=1e-12)
+    for name, exact in forces.items():
+        np.testing.assert_allclose(found[name], exact, atol=1e-9 * largest)
+    told = part.type.metrics(part, build, Waveforms({"sphere.y": y, **forces}, {}))
+    assert told["force_max_n"] == largest
+    assert told["current_pairs_a"] == pairs
+    assert told["force_n"][1] == forces["catch.force.1"].tolist()
+    assert part.type.modelled(part, scene).detail == "4 pairs of currents"
+
+
+def test_a_jump_of_the_lookups_slope_is_told_of_the_largest_slope():
+    """Slopes 1, 1, 1.5, 1.5 of one force, a smaller jump of the other: a third."""
+    scene, _, build = scene_of()
+    part, y = scene.parts["em_force"], np.linspace(0.0, 4.0, 5)
+    data = {"sphere.y": y, "catch.force.0": -np.array([0.0, 1.0, 2.0, 3.5, 5.0])}
+    data |= {f"catch.force.{k}": 0.2 * (y + y**2 / 20) for k in (1, 2, 3)}
+    (check,) = part.type.checks(part, build, Waveforms(data, {}))
+    assert check.value == pytest.approx(0.5 / 1.5)
+    assert (check.limit, check.action) == (scene.gates.lookup_slope, "warn")
+
+
+# --- the actuator ---------------------------------------------------------------------------------
+
+
+def test_facts_arrays_and_head_of_the_actuator_are_those_of_its_table():
+    _, coils, build = scene_of()
+    facts = coils.type.facts(coils, build)
+    y = build.models["catch"].y
+    pairs = [(a, b) for a in (-0.1, 0.0, 0.1) for b in (-0.1, 0.0, 0.1)]
+    largest = max(np.abs(pull(y, *pair)).max() for pair in pairs)
+    told = {"unknowns": 77, "force_max_n": largest, "coil_resistance_ohm": 5.0,
+            "coil_inductance_h": 4.0, "coil_mutual_h": 1.0}  # fmt: skip
+    assert facts == pytest.approx(told)
+    assert set(coils.type.arrays(coils, build)) == {"em_table.npz"}
+    (part,) = coils.type.subcircuits(coils, build, Header("t", "0"))
+    assert "centre from -700 to 7800 um" in part.text
+    assert {p.name: p.default for p in part.params} == {
+        "resistance_lower": 5.0, "resistance_upper": 7.0,
+    }  # fmt: skip
+    other = {"name": "two", "a": {"part": "ring_magnet_coils"}, "sphere": {},
+             "b": {"part": "ring_magnet_coils"}}  # fmt: skip
+    two = load_scene(other)
+    table = build.models["catch"]
+    found = two.parts["b"].type.arrays(two.parts["b"], Build(two, {"b": table}))
+    assert set(found) == {"b_table.npz"}
+
+
+def test_currents_and_voltage_of_coils_are_told_at_their_largest():
+    scene = load_scene("kick_and_catch")
+    coils = scene.parts["catch"]
+    build = Build(scene, {})
+    waves = {"coil.upper.current": np.array([0.1, -0.3, 0.2])}
+    assert coils.type.metrics(coils, build, Waveforms(waves, {})) == {}
+    waves["coil.voltage"] = np.array([3.0, -5.0, 4.0])
+    found = coils.type.metrics(coils, build, Waveforms(waves, {}))
+    assert found == {"coil_voltage_peak_v": 5.0, "coil_current_peak_a": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "left"),
+    [(0.0, 1.0, 0.0), (-1.25, 1.0, 0.25), (0.0, 1.5, 0.5), (-2.0, 1.5, 1.0)],
+)
+def test_how_far_a_sphere_left_the_table(low, high, left):
+    table = mounted(catch_table(ring_magnet_coils.Catch(y_min=-1.0, y_max=1.0), 1e-3), 1.0, 0.0)
+    assert beyond(table, np.array([low, 0.0, high])) == left
+
+
+def test_the_error_between_heights_is_of_the_force_at_the_largest_current():
+    """A term that only a current brings counts with that current, its square twice."""
+    y = np.linspace(-1.0, 1.0, 9)
+    zero, rough = np.zeros(9), np.cos(8 * y)
+    base = dict.fromkeys(("c0", "c1", "c2", "c11", "c12", "c22"), zero)
+    rest = {"y": y, "flux0": np.zeros((9, 2)), "inductance": np.tile(np.eye(2), (9, 1, 1)),
+            "resistance": np.ones(2), "unknowns": 0}  # fmt: skip
+
+    def error(current, **named):
+        return interpolation_error(EMTable(**{**base, **named}, **rest), current)
+
+    alone = error(0.0, c0=rough)
+    assert alone > 0.01
+    for name in ("c1", "c2", "c11", "c12", "c22"):
+        assert error(0.7, **{name: rough}) == pytest.approx(alone, rel=1e-9), name
+    steady = np.ones(9)
+    half = error(0.5, c0=steady, c2=rough) / error(1.0, c0=steady, c2=rough)
+    quarter = error(0.5, c0=steady, c22=rough) / error(1.0, c0=steady, c22=rough)
+    peak = np.abs(rough).max()
+    assert (half, quarter) == pytest.approx((0.5 * max(1, peak), 0.25), rel=1e-9)
+    # one current through both coils, the lower one reversed: equal pulls cancel
+    assert error(0.5, c0=steady, c1=rough, c2=rough) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("fits", "refused", "word"),
+    [
+        ("catch.turns=4110", "catch.turns=4120", "do not fit"),
+        ("catch.remanence=1.6", "catch.remanence=1.61", "permanent magnet"),
+        ("catch.air_radius=1 m", "catch.air_radius=1.01 m", "fourth power"),
+        ("catch.lower.inner=1.001 mm", "catch.lower.inner=1 mm", "does not fit through"),
+        ("catch.ring.inner=4.999 mm", "catch.ring.inner=5 mm", "no material left"),
+        ("catch.air_height=8.6 mm", "catch.ring.height=30 mm", "beyond the modelled air"),
+        ("catch.ring.outer=9.99 mm", "catch.ring.outer=10 mm", "beyond the modelled air"),
+        ("catch.upper.y=3 mm", "catch.upper.y=2.99 mm", "overlaps catch.lower"),
+        ("catch.y_max=-2.4999 mm", "catch.y_max=-2.5 mm", "empty range"),
+    ],
+)
+def test_where_an_actuator_begins_to_be_refused(fits, refused, word):
+    """Coils of 2 mm at 1 and 3 mm touch; wire of 25 um fills a section of 2 mm2 4074 times."""
+    load_scene({**EM, "catch": {}}, [fits])
+    with pytest.raises(UsageError, match=word):
+        load_scene({**EM, "catch": {}}, [refused])
+
+
+def test_side_by_side_bodies_may_share_heights():
+    load_scene(EM, ["catch.ring.y=1 mm"])  # beyond the lower coil
+    load_scene(EM, ["catch.ring.y=1 mm", "catch.ring.inner=2.3 mm"])  # they touch
+    with pytest.raises(UsageError, match="overlaps"):
+        load_scene(EM, ["catch.ring.y=1 mm", "catch.ring.inner=2.29 mm"])
+
+
+def test_a_resting_sphere_lies_within_the_table():
+    loop = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}, "catch": {}}
+    load_scene(loop, ["catch.y_min=0.99 mm"])
+    with pytest.raises(UsageError, match="rest height"):
+        load_scene(loop, ["catch.y_min=1 mm"])
+    load_scene(loop, ["catch.y_max=1.01 mm"])
+    with pytest.raises(UsageError, match="rest height"):
+        load_scene(loop, ["catch.y_max=1 mm"])
+
+
+def test_the_outline_shows_each_body_on_both_sides_where_it_is_mounted():
+    scene, coils, _ = scene_of()
+    shapes = list(coils.type.outline(coils, scene))
+    assert [(s.x, s.y, s.width, s.height) for s in shapes] == [
+        pytest.approx((side * x, y + 0.3e-3, width, height))
+        for x, y, width, height in ((4.5e-3, 2.5e-3, 1e-3, 1e-3), (1.8e-3, 1e-3, 1e-3, 2e-3),
+                                    (1.8e-3, 4e-3, 1e-3, 2e-3))
+        for side in (-1, 1)
+    ]  # fmt: skip
+    assert [bool(s.label) for s in shapes] == [False, True] * 3
+
+
+def test_a_fall_from_the_top_of_the_table_is_reached():
+    scene = load_scene("kick_and_catch")
+    coils = scene.parts["catch"]
+    chip = scene.parts["kick"]
+    (reach,) = coils.type.reach(coils, scene)
+    # m g h = 8/15 E* sqrt(R) d^(5/2), and a quarter more
+    energy = scene.parts["sphere"].keys.mass * 9.81 * 6.5e-3
+    modulus = chip.type.indentation_modulus(chip)
+    exact = 1.25 * (15 * energy / (8 * modulus * np.sqrt(1e-3))) ** 0.4
+    assert reach.depth == pytest.approx(exact, rel=1e-9)
+
+
+def test_the_law_of_driven_coils_takes_the_current_once_with_each_sign():
+    """The loop's coils by the controller's law; coils of a circuit's own with R, L and back-EMF."""
+    scene = load_scene("kick_and_catch")
+    coils = scene.parts["catch"]
+    table = catch_table(ring_magnet_coils.field_keys(coils), 1e-3)
+    found = coils.type.law(coils, Build(scene, {"catch": table}))
+    (law,) = found.laws
+    assert (law.gains, law.offset) == ((-1.0, 1.0), 1e-3)
+    assert {a for a, _ in found.pins} == {"y", "drive"}
+    rails = load_scene("coil_rails")
+    coils = rails.parts["catch"]
+    found = coils.type.law(coils, Build(rails, {"catch": table}))
+    assert sorted(pin for pin, _ in found.pins) == ["ln", "lp", "un", "up", "y"]
+    assert {"coil.lower.current", "coil.upper.current", "coil.voltage"} == set(found.results)
+    detail = coils.type.modelled(coils, rails).detail
+    assert detail.startswith("41 heights")
+    assert detail.endswith("back-EMF")
