@@ -8,15 +8,8 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from hard_cases import (  # noqa: F401
-    cases_catch,
-    cases_contact,
-    cases_kick,
-    cases_laws,
-    cases_models,
-    cases_pressure,
-)
-from hard_cases.kit import CASES, judge
+from hard_cases.every import CASES
+from hard_cases.kit import judge
 
 MARKED = [
     pytest.param(case, id=case.name, marks=[pytest.mark.slow] if case.slow else [])

@@ -11,15 +11,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from hard_cases import (  # noqa: F401
-    cases_catch,
-    cases_contact,
-    cases_kick,
-    cases_laws,
-    cases_models,
-    cases_pressure,
-)
-from hard_cases.kit import CASES, Outcome, judge
+from hard_cases.every import CASES
+from hard_cases.kit import Outcome, judge
 
 PAGE = Path(__file__).parents[3] / "docs" / "hard_cases.md"
 HEAD = """# Hard cases
