@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ import scipy
 
 import kc2spice
 from kc2spice.sim.ngspice import find_ngspice
+from kc2spice.workflow.sweep.pool import cores
 
 
 def machine() -> dict[str, str | int]:
@@ -37,11 +37,6 @@ def compiler() -> str | None:
         return None
     said = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
     return said.splitlines()[0] if said else None
-
-
-def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _cpu() -> str:
