@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from device import chip
 from hard_cases.cases_contact import launch_error
-from hard_cases.kit import case, kick, relative
+from hard_cases.kit import case, kick, off_weight, relative
 from scipy.optimize import brentq
 
 from kc2spice.scene.load import load_scene
@@ -142,12 +142,10 @@ def hundred_damped_bounces(bench):
 
 def resting(bench, **keys):
     """How far the force that holds a sphere for 50 ms is from its weight, relative."""
-    build, waves = bench.own(load_scene({
+    return off_weight(*bench.own(load_scene({
         "name": "rest", "contact": {"part": "contact", "a": "gnd", **keys}, "gravity": 9.81,
         "sphere": {"part": "sphere"}, "solver": {"stop": 50e-3, "max_step": 1e-5},
-    }))  # fmt: skip
-    weight = build.scene.parts["sphere"].keys.mass * 9.81
-    return np.abs(waves["contact.force"] / weight - 1.0).max()
+    })))  # fmt: skip
 
 
 @case("resting contact", "force over weight, relative", 1e-4)

@@ -4,7 +4,7 @@ the laws, the weight, energy."""
 from __future__ import annotations
 
 import numpy as np
-from hard_cases.kit import case, relative
+from hard_cases.kit import case, off_weight, relative
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
@@ -71,12 +71,10 @@ _met("grazing contact", "grazing of an elastic sphere", *ELASTIC, *GRAZING)
 
 def _rests(name, *keys):
     def measure(bench):
-        build, waves = bench.own(load_scene({
+        return off_weight(*bench.own(load_scene({
             "name": "rest", "kick": {"drive": {"voltage": 0.0}}, "contact": {}, "sphere": {},
             "gravity": 9.81, "solver": {"stop": 50e-3},
-        }, keys))  # fmt: skip
-        weight = build.scene.parts["sphere"].keys.mass * 9.81
-        return np.abs(waves["contact.force"] / weight - 1.0).max()
+        }, keys)))  # fmt: skip
 
     measure.__name__ = name.replace(" ", "_")
     case("resting contact", "force over weight, relative", 1e-4, slow=True)(measure)

@@ -28,7 +28,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.judge import metrics, verdict
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
@@ -195,6 +195,12 @@ def relative(found: float | None, expected: float | None) -> float:
     return abs(found / expected - 1.0)
 
 
+def off_weight(build: Build, waves: Waveforms) -> float:
+    """How far the force that holds a resting sphere is from its weight, relative."""
+    weight = build.scene.parts["sphere"].keys.mass * build.scene.gravity
+    return float(np.abs(waves["contact.force"] / weight - 1.0).max())
+
+
 def simulated(study: Scene) -> tuple[Build, Waveforms]:
     """The scene with its own bodies by ngspice, one attempt at the settings of its deck."""
     build = build_models(study, Clock(silent))
@@ -202,13 +208,10 @@ def simulated(study: Scene) -> tuple[Build, Waveforms]:
         return build, run_deck(make_deck(build), Path(directory))
 
 
-def metrics(study: Scene) -> tuple[Build, Waveforms, dict[str, Any]]:
-    """The same with what the parts say of it."""
+def measured(study: Scene) -> tuple[Build, Waveforms, dict[str, Any]]:
+    """The same with its metrics."""
     build, waves = simulated(study)
-    found: dict[str, Any] = {}
-    for part in study.parts.values():
-        found |= part.type.metrics(part, build, waves)
-    return build, waves, found
+    return build, waves, metrics(waves, build)
 
 
 def cells(row: Iterable[str]) -> str:

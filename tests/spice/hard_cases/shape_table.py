@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from hard_cases.kit import metrics, simulated, write_table
+from hard_cases.kit import measured, simulated, write_table
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.modal import resonators
@@ -48,8 +48,8 @@ def kick(*keys: str) -> tuple[Build, Waveforms]:
 
 def numbers(keys: tuple[str, ...]) -> np.ndarray:
     """Static force [N], depth [m], rebound and launch [m/s]."""
-    _, _, static = metrics(load_scene("imprint", ["imprint.depth=5 um", *keys]))
-    _, _, impact = metrics(load_scene("impact", [CLOSE, *keys]))
+    _, _, static = measured(load_scene("imprint", ["imprint.depth=5 um", *keys]))
+    _, _, impact = measured(load_scene("impact", [CLOSE, *keys]))
     _, fine = kick(CLOSE, *keys)
     return np.array([static["force_n"][-1], impact["min_position_m"],
                      impact["rebound_velocity_m_s"], fine["sphere.v"][-1]])  # fmt: skip

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from hard_cases.kit import metrics, write_table
+from hard_cases.kit import measured, write_table
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
@@ -29,7 +29,7 @@ PUSH = ("imprint.depth=5 um", "imprint.steps=50")
 
 def run(scene: object, *keys: str) -> tuple[Build, Waveforms, dict[str, Any]]:
     """What ngspice says of the scene under pressure."""
-    return metrics(load_scene(scene, ["contact.shape=pressure", *keys]))
+    return measured(load_scene(scene, ["contact.shape=pressure", *keys]))
 
 
 def numbers(*keys: str) -> tuple[np.ndarray, float | None]:
