@@ -3,14 +3,15 @@
     python tools/mutants.py record [FILE …]         which test executes which line
     python tools/mutants.py run [--sample N] [--seed S] [--only PACKAGE …] [--again]
 
-``record`` runs the test files that are not slow (or those named, anew) under coverage, one after
-the other in a process each, the program's own processes included; killed, it goes on where it was.
+``record`` runs the test files that are not slow (or those named, anew) under coverage, in a process
+each, on all cores, the program's own processes included; killed, it goes on where it was.
 ``run`` draws N places of the packages below, one mutant each, and runs those tests that execute
 its lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds
-are spent. Killed, it goes on too; ``--again`` gives the survivors another try. What is no
-behaviour is not drawn: annotations, messages of errors, plots, sketches and words, and whole
-constants of a module above two (one sample more is as good a choice). Both work on copies in
-``build/mutants``, made by the first ``record``; remove that folder to begin with another source.
+are spent; as many mutants at once as there are cores. Killed, it goes on too; ``--again`` gives
+the survivors another try. What is no behaviour is not drawn: annotations, messages of errors,
+plots, sketches and words, and whole constants of a module above two (one sample more is as good a
+choice). Both work on copies in ``build/mutants``, made by the first ``record``; remove that folder
+to begin with another source.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import multiprocessing
 import os
 import random
 import re
@@ -30,15 +32,16 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from shutil import copyfile, copytree, ignore_patterns, rmtree
-from typing import TYPE_CHECKING
+from shutil import copyfile, copytree, ignore_patterns
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import coverage
 
 ROOT = Path(__file__).parents[1]
 HOME = ROOT / "build" / "mutants"
-COPY, MUTATED, DATA = HOME / "copy", HOME / "mutated", HOME / "recorded"
+COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
 PACKAGES = ("rom", "spice", "parts", "sim", "workflow/verify")
@@ -102,15 +105,14 @@ def main() -> int:
     drawn = draw(asked.only, asked.sample, asked.seed)
     known = [Mutant(**each) for each in json.loads(out.read_text())] if out.exists() else []
     done = {m.place: m for m in known if m.killed or not asked.again}
-    judge = judged((FIRST, asked.more))
-    for k, item in enumerate(drawn):
-        if item.place in done:
-            continue
-        mutant = done[item.place] = judge(item)
-        out.write_text(json.dumps([asdict(each) for each in done.values()], indent=1))
-        found = "killed  " if mutant.killed else "SURVIVED"
-        print(f"{k + 1}/{len(drawn)} {found} {mutant.path}:{mutant.line} {mutant.change} "
-              f"{mutant.by} {mutant.seconds:.0f} s", flush=True)  # fmt: skip
+    ahead = [item for item in drawn if item.place not in done]
+    with TemporaryDirectory(dir=HOME) as work, _workers(_become_judge, work, asked.more) as pool:
+        for mutant in pool.imap_unordered(_judged, ahead):
+            done[mutant.place] = mutant
+            out.write_text(json.dumps([asdict(each) for each in done.values()], indent=1))
+            found = "killed  " if mutant.killed else "SURVIVED"
+            print(f"{len(done)} {found} {mutant.path}:{mutant.line} {mutant.change} "
+                  f"{mutant.by} {mutant.seconds:.0f} s", flush=True)  # fmt: skip
     print(*page([done[item.place] for item in drawn], asked.seed), sep="\n")
     return 0
 
@@ -133,14 +135,18 @@ def record(files: list[str]) -> int:
     every = [str(path.relative_to(COPY)) for folder in FOLDERS
              for path in sorted((COPY / "tests" / folder).glob("test_*.py"))]  # fmt: skip
     ahead = [name for name in every if name not in LEFT_OUT and not _recorded_in(name).exists()]
-    _preload()
-    for k, name in enumerate(ahead):
-        started = time.perf_counter()
-        code = _forked(lambda name=name: _under_coverage(name), COPY, LONGEST, HOME / "record.log")
-        known = json.loads(_recorded_in(name).read_text()) if code is not None else {}
-        print(f"{k + 1}/{len(ahead)} {name}: {len(known)} tests, "
-              f"{time.perf_counter() - started:.0f} s", flush=True)  # fmt: skip
+    with _workers() as pool:
+        for k, said in enumerate(pool.imap_unordered(_record_one, ahead), 1):
+            print(f"{k}/{len(ahead)} {said}", flush=True)
     return 0
+
+
+def _record_one(name: str) -> str:
+    started = time.perf_counter()
+    log = _recorded_in(name).with_suffix(".log")
+    code = _forked(lambda: _under_coverage(name), COPY, LONGEST, log)
+    known = json.loads(_recorded_in(name).read_text()) if code is not None else {}
+    return f"{name}: {len(known)} tests, {time.perf_counter() - started:.0f} s"
 
 
 def _recorded_in(file: str) -> Path:
@@ -156,7 +162,7 @@ def _under_coverage(file: str) -> int:
     data = _recorded_in(file).with_suffix(".coverage")
     for old in data.parent.glob(data.name + "*"):
         old.unlink()
-    start = HOME / "start"  # every process that the test starts measures itself
+    start = data.with_suffix(".start")  # every process that the test starts measures itself
     start.mkdir(exist_ok=True)
     (start / "sitecustomize.py").write_text("import coverage\ncoverage.process_startup()\n")
     sources = ",".join(str(COPY / "kc2spice" / each) for each in PACKAGES)
@@ -289,26 +295,39 @@ def _difference(before: str, after: str) -> str:
 # ----------------------------------------------------------------------------------- running
 
 
-def judged(rounds: tuple[float, ...]) -> Callable[[Item], Mutant]:
-    """``Item -> Mutant``, by the tests that were recorded."""
+def _workers(first: Callable[..., None] | None = None, *words: Any) -> Any:
+    """A process for each core, with the libraries that every test imports."""
+    _preload()
+    return multiprocessing.get_context("fork").Pool(len(os.sched_getaffinity(0)), first, words)
+
+
+def _become_judge(work: str, more: float) -> None:
+    global _judged_by
+    _judged_by = judged((FIRST, more), Path(work) / str(os.getpid()))
+
+
+def _judged(item: Item) -> Mutant:
+    return _judged_by(item)
+
+
+def judged(rounds: tuple[float, ...], folder: Path) -> Callable[[Item], Mutant]:
+    """``Item -> Mutant``, by the tests that were recorded, in a ``folder`` of its own."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
     known = recorded()
-    rmtree(MUTATED, ignore_errors=True)
-    copytree(COPY, MUTATED)
-    _preload()
+    copytree(COPY, folder)
 
     def judge(item: Item) -> Mutant:
         started = time.perf_counter()
         tests = chosen(known.contexts(item.path), item, known, rounds)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
-        with use_mutation(MUTATED / item.path, operator, item.occurrence) as texts:
+        with use_mutation(folder / item.path, operator, item.occurrence) as texts:
             change = _difference(*texts)
             if _is_python(texts[1]):
                 for each in tests:
-                    killed, by = _fails(each, known.limit(each))
+                    killed, by = _fails(each, known.limit(each), folder)
                     if killed:
                         break
             else:
@@ -464,17 +483,17 @@ def _preload() -> None:
     import typer.testing  # noqa: F401
 
 
-def _fails(tests: list[str], limit: float) -> tuple[bool, str]:
+def _fails(tests: list[str], limit: float, folder: Path) -> tuple[bool, str]:
     """Whether one of ``tests`` fails, and which; a mutant that hangs fails too."""
-    log = HOME / "mutant.log"
+    log = folder / "mutant.log"
 
     def run() -> int:
         import pytest
 
-        os.environ |= {"PYTHONPATH": str(MUTATED), "KC2SPICE_CACHE": str(HOME / "cache")}
+        os.environ |= {"PYTHONPATH": str(folder), "KC2SPICE_CACHE": str(HOME / "cache")}
         return int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
 
-    code = _forked(run, MUTATED, limit, log)
+    code = _forked(run, folder, limit, log)
     found = re.search(r"(?m)^(?:FAILED|ERROR) (\S+)", log.read_text(errors="replace"))
     if code is None:
         return True, "time"
