@@ -30,6 +30,7 @@ import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shutil import copyfile, copytree, ignore_patterns
@@ -107,7 +108,8 @@ def main() -> int:
     done = {m.place: m for m in known if m.killed or not asked.again}
     ahead = [item for item in drawn if item.place not in done]
     with TemporaryDirectory(dir=HOME) as work, _workers(_become_judge, work, asked.more) as pool:
-        for mutant in pool.imap_unordered(_judged, ahead):
+        for ended in as_completed([pool.submit(_judged, item) for item in ahead]):
+            mutant = ended.result()
             done[mutant.place] = mutant
             out.write_text(json.dumps([asdict(each) for each in done.values()], indent=1))
             found = "killed  " if mutant.killed else "SURVIVED"
@@ -136,8 +138,8 @@ def record(files: list[str]) -> int:
              for path in sorted((COPY / "tests" / folder).glob("test_*.py"))]  # fmt: skip
     ahead = [name for name in every if name not in LEFT_OUT and not _recorded_in(name).exists()]
     with _workers() as pool:
-        for k, said in enumerate(pool.imap_unordered(_record_one, ahead), 1):
-            print(f"{k}/{len(ahead)} {said}", flush=True)
+        for k, ended in enumerate(as_completed([pool.submit(_record_one, n) for n in ahead]), 1):
+            print(f"{k}/{len(ahead)} {ended.result()}", flush=True)
     return 0
 
 
@@ -216,9 +218,9 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
     texts = {path: path.read_text(encoding="utf-8") for path in files}
     places = defaultdict(list)
     whole = sorted(packages) == sorted(PACKAGES)
-    found_before = ALL if whole else ALL.with_name("some.sqlite")
+    found_before = ALL if whole else ALL.with_suffix(f".{os.getpid()}")
     if not (whole and ALL.exists()):  # finding all takes minutes
-        part = ALL.with_suffix(".part")
+        part = ALL.with_suffix(f".part{os.getpid()}")
         with use_db(str(part), WorkDB.Mode.create) as database:
             init(sorted(files), database, {})
         part.rename(found_before)
@@ -227,6 +229,8 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
             one = item.mutations[0]
             if Path(one.module_path) in texts:
                 places[Path(one.module_path), one.start_pos, one.end_pos].append(one)
+    if not whole:
+        found_before.unlink()
     quiet = {path: list(_no_behaviour(text)) for path, text in texts.items()}
     real = sorted(key for key in places if not any(a <= key[1] < b for a, b in quiet[key[0]]))
     print(f"{len(real)} places of {len(places)}", flush=True)
@@ -295,10 +299,11 @@ def _difference(before: str, after: str) -> str:
 # ----------------------------------------------------------------------------------- running
 
 
-def _workers(first: Callable[..., None] | None = None, *words: Any) -> Any:
+def _workers(first: Callable[..., None] | None = None, *words: Any) -> ProcessPoolExecutor:
     """A process for each core, with the libraries that every test imports."""
     _preload()
-    return multiprocessing.get_context("fork").Pool(len(os.sched_getaffinity(0)), first, words)
+    fork = multiprocessing.get_context("fork")
+    return ProcessPoolExecutor(len(os.sched_getaffinity(0)), fork, first, words)
 
 
 def _become_judge(work: str, more: float) -> None:
