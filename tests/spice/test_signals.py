@@ -100,6 +100,16 @@ def test_a_signal_ends_the_simulator_too(number, tmp_path):
         assert sorted(os.listdir(tmp_path)) == ["long.toml"]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_kill_ends_the_simulator_where_setpriv_is_missing(tmp_path):
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "ngspice").symlink_to(shutil.which("ngspice"))
+    process, simulators = started(tmp_path, PATH=str(tmp_path / "bin"))
+    process.kill()
+    process.communicate(timeout=120)
+    assert all(gone(pid) for pid in simulators)
+
+
 def test_a_program_that_stands_still_is_ended(tmp_path, monkeypatch):
     path = tmp_path / "ngspice"
     path.write_text("#!/bin/sh\n[ $1 = --version ] && echo ngspice-45 && exit\nexec sleep 60\n")
