@@ -18,8 +18,8 @@ FRONTS = (
     "Error: the larger of that of the whole setting and of the sum of what its values do alone, of "
     "the scene's metrics, against a reference that is finer again; none is said to be smaller than "
     f"that one's own uncertainty or {NEGLIGIBLE:g}. A setting is beaten by one as exact in clearly "
-    "less time (a fifth and 5 ms less, less than its quickest run, in the slowest run less than its "
-    "median), or by one that takes no longer at half the error."
+    "less time (a fifth and 5 ms less, less than its quickest run, in the slowest run less than "
+    "its median), or by one that takes no longer at half the error."
 )
 
 
