@@ -218,6 +218,19 @@ def test_the_error_between_heights_is_of_the_force_at_the_largest_current():
     assert error(0.5, c0=steady, c1=rough, c2=rough) < 1e-12
 
 
+def test_the_heights_are_judged_at_the_controllers_limit():
+    scene = load_scene("kick_and_catch", ["control.current_limit=0.3"])
+    y = np.linspace(-2.5e-3, 7.5e-3, 9)
+    rough, one = np.cos(3e3 * y), np.ones(9)
+    table = EMTable(y, one, 0 * y, rough, 0 * y, 0 * y, 0 * y, np.zeros((9, 2)),
+                    np.tile(np.eye(2), (9, 1, 1)), np.ones(2), 0)  # fmt: skip
+    coils = scene.parts["catch"]
+    waves = Waveforms({"time": np.arange(2.0), "sphere.y": np.full(2, 1e-3)}, {})
+    field_, left = coils.type.checks(coils, Build(scene, {"catch": table}), waves)
+    assert field_.value == interpolation_error(table, 0.3) > 1.2 * interpolation_error(table, 0.1)
+    assert (field_.limit, left.value, left.limit) == (1e-2, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("fits", "refused", "word"),
     [
