@@ -207,9 +207,8 @@ def reaction_mass(rom: LinearModel, port: Port) -> float:
     known = rom.facts.get("mass_kg")
     if known is not None:
         return known
-    states = rom.to_statespace()
-    k, row = rom.inputs.index(port.name), rom.outputs.index(port.name)
-    return float(states.C[row] @ states.A @ states.B[:, k])
+    A, B, C, _ = rom.state_space()
+    return float(C[rom.outputs.index(port.name)] @ A @ B[:, rom.inputs.index(port.name)])
 
 
 def _deck(
