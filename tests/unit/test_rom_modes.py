@@ -150,17 +150,19 @@ def test_modes_that_decide_nothing_in_the_band_are_counted_from_the_highest():
 
     # compliances of 1 and 0.01 … at 100 and 10 Hz: shares of inertia 1e-4 c and 1e-2 c
     def of(soft, stiff, ports=(TIP,), **more):
-        hertz = np.array([1.5, 10.0, 100.0])
+        hertz = 3.0 * np.array([1.5, 10.0, 100.0])
         root = np.sqrt(np.array([1.0, soft, stiff]))
         gain = np.tile((2 * np.pi * hertz * root)[:, None], (1, len(ports)))
         gain[:, 1:] = 2 * np.pi * hertz[:, None] * np.array([[1.0], [0.0], [0.0]])
-        return _beyond(modes(hertz, gain, ports, **more), 1.0)
+        return _beyond(modes(hertz, gain, ports, **more), 3.0)
 
     assert of(0.09, 0.0) == 2  # 1e-2 x 0.09 / 1.09
     assert of(0.12, 0.0) == 1
     assert of(0.09, 5.0) == 2  # all relative to the whole
     assert of(0.105, 0.0) == 2  # 1.05e-3 / 1.105
     assert of(0.11, 0.5) == 2
+    assert of(0.7, 7.0) == 2  # 8.0e-4 + 8.0e-5
+    assert of(0.85, 7.0) == 1  # 9.6e-4 + 7.9e-5
     assert of(0.2, 0.0, ratio=0.019) == 2  # a mode that rings may be ten times as large
     assert of(0.2, 0.0, ratio=0.021) == 1
     assert of(9.0, 0.0, ratio=0.019) == 2

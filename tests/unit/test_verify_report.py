@@ -167,3 +167,127 @@ def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
     ours = Waveforms(exact.data | {wrong: exact[wrong] * 1.01}, {})
     gate = Gate("response", "*>*", {}, "spectral")
     assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+
+
+def told(gate: Gate, ours: dict, exact: dict) -> float | None:
+    """The measure of a gate between waves over the scale ``x`` of four points."""
+    scale = {"x": np.arange(1.0, 5.0)}
+    solutions = (Solution(Waveforms(scale | waves, {}), {}) for waves in (ours, exact))
+    return measured(gate, *solutions)
+
+
+@pytest.mark.parametrize(
+    ("measure", "value"),
+    [("relative", 0.5), ("absolute", 0.5), ("largest", 0.5 / 8), ("travel", 0.5 / 7)],
+)
+def test_the_measure_of_several_waves_is_of_all_together(measure: str, value: float) -> None:
+    exact = {"a0": np.array([1.0, -2.0, 4.0, 5.0]), "a1": np.array([1.0, 2.0, 4.0, 8.0])}
+    ours = {"a0": exact["a0"] + [0.5, 0, 0, 0], "a1": exact["a1"] - [0, 0.25, 0, 0.5]}
+    assert told(Gate("g", "a*", {}, measure), ours, exact) == pytest.approx(value)  # type: ignore[arg-type]
+    first = told(Gate("g", "a*", {}, measure, share=0.5), ours, exact)  # type: ignore[arg-type]
+    expected = {"relative": 0.5, "absolute": 0.5, "largest": 0.25, "travel": 0.5 / 3}
+    assert first == pytest.approx(expected[measure])
+
+
+def test_a_relative_measure_leaves_out_what_is_next_to_nothing() -> None:
+    exact = {"a": np.array([1.0, 1.1e-6, 0.9e-6, -2.0])}
+    ours = {"a": np.array([1.0, 1.1e-6 + 4.4e-7, 5.0, -2.0])}
+    exact["a"][1] *= 2
+    ours["a"][1] *= 2
+    assert told(Gate("g", "a", {}), ours, exact) == pytest.approx(0.4)
+    assert told(Gate("g", "a", {}), {"a": np.ones(4)}, {"a": np.zeros(4)}) == 0.0
+
+
+def test_a_gate_of_what_a_solution_does_not_have_is_absent() -> None:
+    waves = {"a>b": np.ones(4), "ab": np.ones(4)}
+    gates = [Gate(of, of, {"rom_vs_fom": 1.0}) for of in ("none", "b*", "c>*")]
+    ours, exact = (Solution(Waveforms(waves, {}), {}) for _ in range(2))
+    assert gate_limits(gates, "rom_vs_fom", ours, exact) == ([], None)
+    (limit,), _ = gate_limits([Gate("g", "a*", {"rom_vs_fom": 1.0})], "rom_vs_fom", ours, exact)
+    assert limit == Limit("g, ROM to full model", 0.0, 1.0, "1")
+    one = Solution(Waveforms({"ab": np.ones(4)}, {}), {})
+    assert gate_limits([Gate("g", "a>b", {"x": 1.0})], "x", one, exact) == ([], None)
+
+
+@pytest.mark.parametrize(
+    ("measure", "a", "b", "value"),
+    [("relative", 1.5, -1.0, 2.5), ("absolute", 1.5, -1.0, 2.5), ("absolute", 1.0, 4.0, 3.0),
+     ("relative", 3.0, 4.0, 0.25)],
+)  # fmt: skip
+def test_a_gate_of_a_metric_is_by_its_size_or_in_its_unit(measure, a, b, value) -> None:
+    waves = Waveforms({"x": np.ones(1)}, {})
+    gate = Gate("g", "m", {}, measure)
+    assert measured(gate, Solution(waves, {"m": a}), Solution(waves, {"m": b})) == value
+    for left, right in ((None, b), (a, None)):
+        solutions = Solution(waves, {"m": left}), Solution(waves, {"m": right})
+        assert measured(gate, *solutions) is None
+    assert measured(gate, Solution(waves, {}), Solution(waves, {"m": b})) is None
+
+
+def test_the_leading_gate_stands_for_the_scene() -> None:
+    waves = Waveforms({"x": np.ones(1)}, {})
+    ours, exact = Solution(waves, {"a": 1.1, "b": 1.2}), Solution(waves, {"a": 1.0, "b": 1.0})
+    gates = [Gate("a", "a", {}, leads=True), Gate("b", "b", {"ngspice_vs_fom": 0.5}, unit="m"),
+             Gate("c", "a", {"rom_vs_fom": 0.5}, "absolute", leads=True)]  # fmt: skip
+    limits, leading = gate_limits(gates, "ngspice_vs_fom", ours, exact, " of it")
+    assert leading == pytest.approx(0.1)
+    assert limits == [Limit("b of it, ngspice to full model", pytest.approx(0.2), 0.5, "m")]
+
+
+def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
+    """Points that repeat count once; a height follows its velocity, others straight lines."""
+    t = np.array([0.0, 1.0, 1.0, 2.0, 4.0])
+    ours = {"time": t, "b.y": t**3, "b.v": 3 * t**2, "u": t**2, "c.y": t**2}
+    s = np.array([0.5, 1.5, 3.0, 3.5, 3.75, 5.0])
+    exact = {"time": s, "b.y": s**3, "b.v": 3 * s**2, "u": s**2, "c.y": s**2}
+    found = {e.output: e for e in output_errors("p", Waveforms(ours, {}), Waveforms(exact, {}))}
+    assert found["b.y"].largest < 1e-12  # a cubic is its own spline
+    # at 1, 2 and 4 of ours: chords of s^2 from a to b lie above it by (s - a)(b - s)
+    assert found["u"].largest == found["c.y"].largest == pytest.approx(0.5 / 16.25)
+    power = (0.25**2 + 0.5**2) / 2 + (0.5**2 + 0.25**2), (1.25**2 + 4.5**2) / 2 + 4.5**2 + 16.25**2
+    assert found["u"].rms == pytest.approx(np.sqrt(power[0] / power[1]))
+    more = {k: v[:-1] for k, v in exact.items()}
+    back = {e.output: e for e in output_errors("p", Waveforms(exact, {}), Waveforms(more, {}))}
+    assert all(e.largest < 1e-12 for e in back.values())
+
+
+def test_waves_that_never_move_or_are_not_shared_are_left_out() -> None:
+    exact = Waveforms(
+        {"time": np.arange(3.0), "a": np.ones(3), "b": np.zeros(3), "c": np.ones(3)}, {}
+    )
+    ours = Waveforms({"time": np.arange(3.0), "a": np.ones(3) * [1, 1, 1.5], "b": np.ones(3)}, {})
+    (found,) = output_errors("p", ours, exact)
+    assert (found.pair, found.output, found.largest) == ("p", "a", 0.5)
+
+
+UNITS = {"u": "V", "v": "m/s", "y": "m"}
+
+
+@pytest.mark.parametrize(
+    ("name", "base"),
+    [("top_v", 4e-3), ("speed_m_s", 5e-3), ("way_m", 6e-3), ("start_s", 3e-3), ("top_hz", 1.0),
+     ("share", 1.0)],
+)  # fmt: skip
+def test_small_metrics_are_measured_by_what_has_their_unit(name: str, base: float) -> None:
+    """A thousandth of the largest wave, of times of their span; else by their own size."""
+    data = {
+        "time": np.array([1.0, 4.0]),
+        "u": [-4.0, 1],
+        "w": [99.0, 1],
+        "v": [5.0, 1],
+        "y": [6.0, 1],
+    }
+    waves = Waveforms({k: np.asarray(v) for k, v in data.items()}, {})
+    small = 1e-6 if base < 1 else 1.0
+    ours, exact = Solution(waves, {name: 1.5 * small}), Solution(waves, {name: small})
+    assert dict(metric_errors(ours, exact, UNITS)) == {name: pytest.approx(0.5 * small / base)}
+
+
+def test_metrics_of_every_kind_are_compared_where_they_can_be() -> None:
+    waves = Waveforms({"time": np.arange(2.0)}, {})
+    exact = {"list": [1.0, 4.0], "flag": True, "word": "a", "none": None, "lost": 1.0, "new": None,
+             "short": [1.0, 2.0], "zero": 0.0, "own": 1.0, "empty": []}  # fmt: skip
+    ours = {"list": [1.5, 4.0], "flag": False, "word": "b", "none": None, "lost": None, "new": 2.0,
+            "short": [1.0], "zero": 0.0, "more": 1.0, "empty": []}  # fmt: skip
+    found = dict(metric_errors(Solution(waves, ours), Solution(waves, exact), {}))
+    assert found == {"list": pytest.approx(0.125), "lost": None, "new": None, "zero": 0.0}
