@@ -44,6 +44,9 @@ GOOD = [
     ".func abs(x) {sqrt(x*x)}\nV1 in 0 1\nB1 in 0 I={abs(V(in))}",  # one's own of a known name
     "V1 in 0 1\nB1 in 0 I=V(in)^2+V(in)**4\nE1 o 0 VALUE={V(in)**2}\nR1 o 0 1",
     "B1 in 0 V=sin(6.28*time) ; comment V(nowhere)\nR1 in 0 1 $ other V(nowhere)",
+    "V1 in 0 1\nR1 in lonely 1\nB1 in 0 I=V(lonely)",  # what a law reads is no loose end
+    "V1 in 0 1\nB1 in 0 I={V(in,0)+V(gnd)}",
+    "V1 in 0 1\nX1 in out half\n.subckt half a b\nB1 b 0 I=V(a)\n.ends\nR1 out 0 1",
 ]
 
 
@@ -72,6 +75,9 @@ BAD = [
     ("V1 in 0 1\n+ \nB1 in 0 I={V(in)*(2}", "not an expression", "test.cir:5"),
     ("V1 in 0 1\nB1 in 0 I={limit(V(in),0,1)}", "ngspice has no such function", "test.cir:4"),
     (".param a={b*2}\nV1 in 0 {a}\nR1 in 0 1", "no such parameter", "test.cir:3"),
+    ("V1 in 0 1\nF1 in 0 R1 2\nR1 in 0 1", "no such controlling part", "test.cir:4"),
+    ("V1 in 0 1\nX1 in nc_mid loose divider", "wired to node loose", "test.cir:4"),
+    ("V1 in 0 1\nR1 in free 1\nR2 in 0 {V(free)}", "wired to node free", "test.cir:4"),
 ]
 
 
@@ -109,6 +115,45 @@ def test_unreadable_decks_are_named(cards, message):
 def test_suggestions_help():
     (problem,) = problems(deck("V1 in 0 1\nX1 in nc 0 divider rato=1"))
     assert problem.expected == "ratio, perhaps"
+
+
+def test_the_first_mistake_is_told_and_the_others_are_counted():
+    with pytest.raises(UsageError, match="no such subcircuit") as caught:
+        lint(deck("V1 in 0 1\nX1 in 0 nothing\nF1 in 0 V8 2\nF2 in 0 V9 2"))
+    assert caught.value.got == "nothing"
+    assert caught.value.hint == "2 more after this one"
+    with pytest.raises(UsageError, match="no such controlling part") as caught:
+        lint(deck("V1 in 0 1\nF1 in 0 V8 2"))
+    assert caught.value.hint is None
+    with pytest.raises(UsageError) as caught:
+        lint(deck("V1 in 0 1\nF1 in 0 V8 2\nF2 in 0 V9 2"))
+    assert caught.value.hint == "1 more after this one"
+
+
+@pytest.mark.parametrize(
+    ("cards", "got", "expected"),
+    [
+        ("R1 in 0 1\nR1 in 0 2", "R1", "another name; the first r1 is in test.cir:4"),
+        ("R1 in 0 1\nRlast 0 inn 2", "pin 2 of Rlast", "in, perhaps"),
+        ("X1 in loose 0 divider\nR1 in 0 1", None, None),
+        ("X1 in sense unwired divider", "pin bottom of X1", "0, in, sense"),
+        ("B1 in 0 I={sqr(V(in))}", "sqr", "sqrt, perhaps"),
+        (".func swell(x) {x}\nB1 in 0 I={swel(V(in))}", "swel", "swell, perhaps"),
+        ("F1 in 0 Isense 1\nR1 in 0 1", "isense", "v1"),
+        ("D1 in 0 diode", "diode", None),
+    ],
+)
+def test_what_stands_there_and_what_would_be_right(cards, got, expected):
+    found = [(p.got, p.expected) for p in problems(deck(f"V1 in 0 1\n{cards}"))]
+    assert found == ([] if got is None else [(got, expected)])
+
+
+@pytest.mark.parametrize(("count", "listed"), [(0, False), (1, True), (12, True), (13, False)])
+def test_a_dozen_choices_are_listed(count, listed):
+    models = [f"m{k:02d}" for k in range(count)]
+    cards = "".join(f".model {name} D\n" for name in models)
+    (problem,) = problems(deck(f"V1 in 0 1\n{cards}D1 in 0 zzz"))
+    assert problem.expected == (", ".join(models) if listed else None)
 
 
 def test_mistakes_inside_a_library_are_found():
