@@ -18,8 +18,8 @@ _LITERAL = re.compile(
 )
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 _RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
-_SUFFIX = {"": 1.0, "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9,
-           "p": 1e-12, "f": 1e-15}  # fmt: skip
+_SUFFIX = {"meg": 1e6, "mil": 25.4e-6, "t": 1e12, "g": 1e9, "k": 1e3, "m": 1e-3, "u": 1e-6,
+           "n": 1e-9, "p": 1e-12, "f": 1e-15, "": 1.0}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -259,5 +259,5 @@ def _plain(literal: str, suffix: str) -> str:
     """A literal without its scale factor; letters behind the factor mean nothing."""
     if not suffix:
         return literal
-    key = next(k for k in ("meg", suffix[0].lower(), "") if suffix.lower().startswith(k))
-    return repr(float(literal[: -len(suffix)]) * _SUFFIX.get(key, 1.0))
+    factor = next(value for key, value in _SUFFIX.items() if suffix.lower().startswith(key))
+    return repr(float(literal.removesuffix(suffix)) * factor)

@@ -1,0 +1,117 @@
+"""Expressions of cards: what they are worth, and that writing them anew changes nothing."""
+
+import operator
+
+import pytest
+
+from kc2spice.core.errors import UsageError
+from kc2spice.spice.expression import (
+    Binary,
+    Call,
+    Choice,
+    Name,
+    Number,
+    Probe,
+    Unary,
+    Writer,
+    parse,
+)
+
+OPERATORS = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "^": operator.pow, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
+    "==": operator.eq, "!=": operator.ne, "&&": lambda a, b: bool(a and b),
+    "||": lambda a, b: bool(a or b),
+}  # fmt: skip
+
+
+def worth(tree):
+    match tree:
+        case Number(text):
+            return float(text)
+        case Unary(op, value):
+            return {"-": operator.neg, "+": operator.pos, "!": operator.not_}[op](worth(value))
+        case Binary(op, left, right):
+            return OPERATORS[op](worth(left), worth(right))
+        case Choice(test, yes, no):
+            return worth(yes) if worth(test) else worth(no)
+    raise TypeError(tree)
+
+
+VALUES = [
+    ("1-2-3", 1 - 2 - 3, "1-2-3"),
+    ("1-(2-3)", 1 - (2 - 3), "1-(2-3)"),
+    ("8/4/2", 8 / 4 / 2, "8/4/2"),
+    ("8/{4/2}", 8 / (4 / 2), "8/(4/2)"),
+    ("8/(4*2)", 8 / (4 * 2), "8/(4*2)"),
+    ("1+2*3", 1 + 2 * 3, "1+2*3"),
+    ("(1+2)*3", (1 + 2) * 3, "(1+2)*3"),
+    ("((1*2))+(3)", 5, "1*2+3"),
+    ("-1+2", 1, "-1+2"),
+    ("1 - -2", 3, "1-(-2)"),
+    ("2*-3", -6, "2*(-3)"),
+    ("-(1+2)", -3, "-(1+2)"),
+    ("- -2", 2, "-(-2)"),
+    ("+2", 2, "+2"),
+    ("1<2+3", True, "1<2+3"),
+    ("(1<2)+3", 4, "(1<2)+3"),
+    ("5>=2 && 1!=1 || 2<=2", True, "5>=2&&1!=1||2<=2"),
+    ("1==1 || 1==2 && 1==2", True, "1==1||1==2&&1==2"),
+    ("(1==1 || 1==2) && 1==2", False, "(1==1||1==2)&&1==2"),
+    ("!(1>2)", True, "!(1>2)"),
+    ("1>2 ? 3 : 1<2 ? 4 : 5", 4, "(1>2 ? 3 : (1<2 ? 4 : 5))"),
+    ("1<2 ? 1>2 ? 3 : 4 : 5", 4, "(1<2 ? (1>2 ? 3 : 4) : 5)"),
+    ("'2*3'", 6, "2*3"),
+]
+
+
+@pytest.mark.parametrize(("text", "value", "written"), VALUES)
+def test_an_expression_keeps_its_value(text, value, written):
+    tree = parse(text)
+    assert worth(tree) == value
+    assert Writer().write(tree) == written
+    assert parse(written) == tree
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("2^3^2", 512), ("2**-1", 0.5), ("-2^2", -4), ("3*2^2", 12), ("2^2*3", 12)]
+)
+def test_a_power_binds_closest_and_from_the_right(text, value):
+    assert worth(parse(text)) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("3t", 3e12), ("3G", 3e9), ("3meg", 3e6), ("3MegOhm", 3e6), ("3k", 3e3), ("3m", 3e-3),
+     ("3mil", 3 * 25.4e-6), ("3u", 3e-6), ("3nF", 3e-9), ("3p", 3e-12), ("3f", 3e-15),
+     ("3V", 3.0), ("1.5e2k", 1.5e5), (".5", 0.5), ("2.", 2.0), ("1e-3", 1e-3), ("2E+1", 20.0)],
+)  # fmt: skip
+def test_scale_factors_are_ngspices(text, value):
+    tree = parse(text)
+    assert isinstance(tree, Number)
+    assert float(tree.text) == pytest.approx(value, rel=1e-15)
+    assert parse(f"max({text}, 1)").arguments == (tree, Number("1"))
+
+
+def test_names_probes_and_functions():
+    assert parse("V(a)") == Probe("v", ("a",))
+    assert parse("v( A , b )-I(Vx)") == Binary("-", Probe("v", ("A", "b")), Probe("i", ("Vx",)))
+    assert parse("Max(time, -2, - 3, 4k)") == Call(
+        "max", (Name("time"), Unary("-", Number("2")), Unary("-", Number("3")), Number("4000.0"))
+    )
+    assert parse("noise()") == Call("noise", ())
+    tree = parse("v(a,b)*i(V1)+sin(2*time)")
+    assert Writer().write(tree) == "V(a,b)*I(V1)+sin(2*time)"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("", "something expected"), ("1+", "something expected"), ("(1", r"\) expected"),
+     ("1)", "stray text"), ("1 2", "stray text"), ("1 ? 2", ": expected"),
+     ("V(", "a node expected"), ("V()", "a node expected"), ("V(a", "a node expected"),
+     ("max(1", r"\) expected"), ("max(1,)", "something expected"), ("*2", "something expected")],
+)  # fmt: skip
+def test_what_is_no_expression_is_refused(text, message):
+    with pytest.raises(UsageError, match=message) as caught:
+        parse(text, where="deck.cir:3")
+    assert caught.value.where == "deck.cir:3"
