@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
@@ -36,7 +36,7 @@ class Line:
     raw: str
 
 
-def flatten(path: Path, home: Path, *, trust: bool = False) -> list[Line]:
+def flatten(path: Path, home: Path, *, trust: bool) -> list[Line]:
     """Lines of ``path`` and of what it includes from below ``home``, in their places.
 
     ``trust`` takes lines as they stand and includes from anywhere; an include that cannot be read
@@ -60,8 +60,8 @@ class _Reader:
     main: Path
     home: Path
     trust: bool
-    files: int = field(default=0, init=False)
-    size: int = field(default=0, init=False)
+    files: int = 0
+    size: int = 0
 
     def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
         """Lines of the file ``path``, which is called ``name``, named at ``where``."""
@@ -161,15 +161,13 @@ def _canonical(raw: str, goes_on: bool) -> tuple[str, bool]:
         card = f"+ {card}"
     if not card:
         return f"* {note}".rstrip(), follows or goes_on
-    if line.startswith(card) and not follows and line[len(card) :].lstrip(" ")[:1] in ("", ";"):
-        return line, False  # it is so already
     return f"{card} ; {note}" if note else card, follows
 
 
 def _readable(path: Path) -> bool:
     try:
         return path.is_file() and path.stat().st_size <= LARGEST
-    except (OSError, ValueError):
+    except OSError:  # a name too long, a directory that is closed
         return False
 
 

@@ -91,13 +91,10 @@ def refuse(threats: Iterable[Threat], path: str) -> None:
 
 
 def _threats(lines: Sequence[Line]) -> Iterator[Threat]:
-    hidden = False
+    """First those of lines as they stood: cards are what they seem only if there is none."""
     for line in lines:
-        for threat in _raw_threats(line):
-            hidden = True
-            yield threat
-    if not hidden:  # else lines may not be what they seem
-        yield from _card_threats(lines)
+        yield from _raw_threats(line)
+    yield from _card_threats(lines)
 
 
 def _raw_threats(line: Line) -> Iterator[Threat]:
