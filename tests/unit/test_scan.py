@@ -8,8 +8,8 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.deck import Deck
 from kc2spice.spice import flat
+from kc2spice.spice.deck import Deck
 from kc2spice.spice.flat import flatten
 from kc2spice.spice.included import included_netlists
 from kc2spice.spice.lint import lint
