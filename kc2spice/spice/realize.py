@@ -310,7 +310,6 @@ def _resonators(
         ports=wired,
         modes=modes,
         silent=model.order - kept.order,
-        weighted=farads.min() < STATE,
         full=watch.full,
         power=watch.power,
         share=watch.share,
