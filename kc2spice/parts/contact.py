@@ -736,10 +736,10 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
     """
     (one, a), (other, _) = _names(part, build.scene)
     place, ports = _place(part, build, waves), kept_ports(part, build.scene)
-    own = normal(part, build.scene)
     found = [_height(one, a, port, build, waves) for port in ports]
     if place is None or any(each is None for each in found):
         return {}
+    own = normal(part, build.scene)
     missing, resting = np.zeros(waves["time"].size), 0.0
     turnover, stored, damped = 0.0, 0.0, 0.0
     for port, height, gap in zip(ports, found, gaps(part, build.scene), strict=True):

@@ -70,6 +70,8 @@ def test_nothing_is_thrown_without_a_drive_or_a_contact():
         (IMPACT, ["kick.damping.ratio=1e-5"], math.sqrt(0.05)),  # no less than of 2e-4
         (LOOP, ["kick.damping.ratio=1e-3"], 0.5),
         (LOOP, ["solver.ringing=coarse"], 1.0),  # 1.27 m/s
+        (LOOP, ["kick.drive.voltage=60"], 1.0),
+        (IMPACT, ["solver.ringing=coarse"], 1.0),
         (LOOP, ["solver.ringing=coarse", "kick.drive.voltage=60"], 0.0),
         (LOOP, ["solver.ringing=coarse", "kick.drive.voltage=40"], 0.03),
         ("amplifier_kick", ["solver.ringing=coarse"], 0.03),  # any kick may be a slow one
