@@ -625,7 +625,7 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
             expected=f"less than half the chip's smaller side, {half:g} m",
         )
     c11, c12, c13, c33, c44, c66 = keys.material.stiffness
-    if min(c11 - abs(c12), (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:
+    if min(c11 - c12, (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:
         limit = "C11 > |C12|, (C11 + C12) C33 > 2 C13^2, C33, C44 and C66 > 0"
         yield UsageError(
             "no such material", where=f"{part.name}.material.stiffness", expected=limit

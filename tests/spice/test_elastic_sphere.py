@@ -48,6 +48,9 @@ def test_an_elastic_sphere_has_one_contact():
     with pytest.raises(UsageError, match="one contact") as raised:
         load_scene("newtons_cradle", ["sphere2.elastic=true"])
     assert "sphere2.elastic" in str(raised.value.where)
+    with pytest.raises(UsageError, match="one contact") as raised:
+        load_scene({"name": "b", "sphere": {"elastic": True}, "analysis": {"type": "op"}})
+    assert raised.value.got == "none"
 
 
 @pytest.mark.parametrize("keys", [[], PRESSED[:1]])
@@ -115,7 +118,9 @@ def test_its_dents_follow_the_pressure_within_its_damping(bodies):
     assert found.pace == pytest.approx(2 * 0.02 / (2.65 * sound / 2e-3), rel=1e-6)
     assert (found.patch, found.compliance[1, 1]) == (3e-9, 2e-9)
     assert len(found.compliance) < 10
-    low, high = part.type.reduction(part, scene).band
+    chosen = part.type.reduction(part, scene)
+    low, high = chosen.band
+    assert chosen.tolerance == 1e-3
     assert (low, high) == (0.0, pytest.approx(2 * 2.65 * sound / 2e-3 / (2 * np.pi), rel=1e-2))
     own = load_scene(scene, {"sphere.elastic.rom.order": 7})
     assert part.type.reduction(own.parts["sphere_elastic"], own).order == 7

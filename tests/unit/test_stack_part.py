@@ -76,6 +76,7 @@ def test_nothing_is_thrown_without_a_drive_or_a_contact():
         (LOOP, ["solver.ringing=coarse", "kick.drive.voltage=40"], 0.03),
         ("amplifier_kick", ["solver.ringing=coarse"], 0.03),  # any kick may be a slow one
         (LOOP, ["kick.drive.voltage=-100"], 2e-3),
+        (LOOP, ["kick.drive.voltage=0"], 1.0),
         (LOOP, ["kick.drive.voltage=-100", "solver.ringing=coarse"], 2e-3),
     ],
 )
@@ -226,7 +227,8 @@ def test_the_pulse_of_a_drive_is_as_wide_at_half_its_height():
 @pytest.mark.parametrize(
     ("scene", "fits", "refused", "word"),
     [
-        (ALONE, ["kick.mesh.ring_spacing=299.9 um"], ["kick.mesh.ring_spacing=300.1 um"],
+        (ALONE, ["kick.mesh.ring_spacing=1.49 mm", "kick.mesh.rings=1"],
+         ["kick.mesh.ring_spacing=1.5 mm", "kick.mesh.rings=1"],
          "beyond the chip"),
         (LOOP, ["kick.drive.edge=25 us"], ["kick.drive.edge=25.1 us"], "longer than the pulse"),
         (LOOP, ["kick.drive.start=4.99 ms"], ["kick.drive.start=5 ms"], "after the simulation"),
@@ -348,6 +350,8 @@ def test_merged_layers_have_an_error_of_their_own():
     """The square of their share: of the number of layers in an element over all of them."""
     rows = mesh_row("kick.mesh.layers_per_element=3")
     assert rows["layers in an element"].expected == pytest.approx((3 / 33) ** 2)
+    rows = mesh_row("kick.layers=32", "kick.mesh.layers_per_element=2")
+    assert rows["layers in an element"].expected == pytest.approx((2 / 32) ** 2)
     assert "layers in an element" not in mesh_row("kick.mesh.layers_per_element=1")
 
 

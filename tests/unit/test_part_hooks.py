@@ -1,0 +1,545 @@
+"""What single parts refuse, measure and say, on scenes and waves made by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.pid import Control, compliance, sense_resistance, settling_time, tail_mean
+from kc2spice.parts.source import smooth_pieces
+from kc2spice.parts.sphere import integral
+from kc2spice.parts.throw import minimum
+from kc2spice.scene.gates import stepping
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+
+LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
+MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
+
+
+def wave(**data):
+    return Waveforms({k.replace("__", "."): np.asarray(v, float) for k, v in data.items()}, {})
+
+
+def part_of(scene, name, *keys, models=None):
+    """Its part of this name, its type, and a build."""
+    loaded = load_scene(scene, list(keys))
+    part = loaded.parts[name]
+    return part, part.type, Build(loaded, models or {})
+
+
+# --- throw and push -------------------------------------------------------------------------------
+
+
+def test_a_throw_goes_down_and_arrives_with_what_it_fell():
+    part, kind, build = part_of("impact", "impact", "impact.velocity=-0.3", "impact.gap=10 mm")
+    assert kind.speed(part, build.scene) == pytest.approx(0.3)  # no gravity
+    part, kind, build = part_of("impact", "impact", "gravity=9.81", "impact.velocity=-0.3",
+                                "impact.gap=10 mm")  # fmt: skip
+    assert kind.speed(part, build.scene) == pytest.approx(math.sqrt(0.09 + 2 * 9.81 * 0.01))
+    part, kind, build = part_of("impact", "impact", "impact.velocity=-1e-6")
+    assert kind.speed(part, build.scene) == 1e-3
+    part, kind, build = part_of("impact", "impact", "gravity=-9.81")
+    assert kind.speed(part, build.scene) == 1.0
+    for up in ("0", "0.1"):
+        with pytest.raises(UsageError, match="never arrives"):
+            load_scene("impact", [f"impact.velocity={up}"])
+
+
+def test_a_throw_is_judged_by_travel_rebound_and_separation():
+    part, kind, build = part_of("impact", "impact", "gates.position=3e-4")
+    travel, rebound, separation = kind.gates(part, build)
+    every = {"rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom"}
+    assert travel.limits == dict.fromkeys(every, 3e-4)
+    assert (travel.measure, travel.leads) == ("travel", True)
+    assert (rebound.of, set(rebound.limits)) == ("rebound_velocity_m_s", every)
+    assert (separation.measure, separation.unit) == ("absolute", "s")
+    assert kind.metrics(part, build, Waveforms({}, {})) == {}
+    assert kind.modelled(part, build.scene).detail == "-1 m/s from 1e-06 m"
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_the_lowest_point_of_a_parabola_is_between_its_samples(start):
+    """Uneven samples of a parabola with its vertex at 1.3: exact; at an end that end."""
+    t = np.array([start, 1.0, 1.25, 1.9, 2.0])
+    time, value = minimum(t, 5.0 + 2.0 * (t - 1.3) ** 2)
+    assert (time, value) == pytest.approx((1.3, 5.0), rel=1e-12)
+    assert minimum(t, -t) == (2.0, -2.0)
+    assert minimum(t, t) == (start, start)
+    assert minimum(np.arange(3.0), np.array([1.0, 1.0, 1.0]))[1] == 1.0
+    assert minimum(np.arange(4.0), np.array([2.0, 1.0, 1.0, 2.0])) == pytest.approx((1.5, 0.875))
+
+
+def test_a_push_needs_a_contact_and_stays_above_the_middle():
+    load_scene("imprint", ["imprint.depth=0.99 mm"])
+    with pytest.raises(UsageError, match="deeper than the sphere's radius"):
+        load_scene("imprint", ["imprint.depth=1 mm"])
+    with pytest.raises(UsageError, match="needs this part"):
+        load_scene({"name": "none", "kick": {}, "sphere": {}, "imprint": {}})
+
+
+def test_a_push_is_swept_and_solved_to_rounding():
+    part, kind, build = part_of("imprint", "imprint", "imprint.steps=10")
+    scene = build.scene
+    assert (scene.analysis.points, kind.sweep_range(part, scene)) == (11, (0.0, 50e-6))
+    assert kind.dc(part, "depth", build) == ("Vimprint", -1e6)
+    assert kind.dc(part, "steps", build) is None
+    vector = kind.vectors(part, build)["imprint.depth"]
+    assert vector.factor == -1e-6
+    assert kind.options(part, scene)["reltol"][0] == "1e-09"
+    (reach,) = kind.reach(part, scene)
+    assert (reach.depth, reach.prescribed) == (50e-6, True)
+    (gate,) = kind.gates(part, build)
+    assert (gate.measure, gate.leads) == ("relative", True)
+    assert gate.limits == {
+        "rom_vs_fom": 1e-12, "ngspice_vs_rom": 1e-11, "ngspice_vs_fom": 1e-11
+    }  # fmt: skip
+    assert kind.modelled(part, scene).detail == "10 steps down to 5e-05 m"
+
+
+def test_a_push_under_a_pressure_is_judged_by_its_hats(monkeypatch):
+    from kc2spice.parts import push
+
+    monkeypatch.setattr(push, "unresolved", lambda *_: 0.02)
+    part, kind, build = part_of("imprint", "imprint", "contact.shape=pressure")
+    assert kind.options(part, build.scene)["reltol"][0] == "1e-12"
+    (gate,) = kind.gates(part, build)
+    assert gate.measure == "largest"
+    assert gate.limits == {
+        "rom_vs_fom": 0.02, "ngspice_vs_rom": 1e-11, "ngspice_vs_fom": 0.02
+    }  # fmt: skip
+
+
+# --- sphere and mass ------------------------------------------------------------------------------
+
+
+def test_a_sphere_keeps_its_energy_balance():
+    """Lifted by 3 N against its weight at 1, 2 and 4 m/s in 0.5 s steps: by trapezoids."""
+    part, kind, build = part_of(LOOP, "sphere")
+    t, v, force = np.array([0.0, 0.5, 1.0]), np.array([1.0, 2.0, 4.0]), np.array([0.0, 3.0, 1.0])
+    waves = wave(time=t, sphere__v=v, contact__force=force, sphere__y=t)
+    found = kind.energy(part, build, waves)["sphere"]
+    lifted = 0.5 * (0 + 6) / 2 + 0.5 * (6 + 4) / 2
+    weight = -MASS * 9.81 * (0.5 * 1.5 + 0.5 * 3.0)
+    kinetic = MASS * (16 - 1) / 2
+    assert found.entries == pytest.approx({
+        "work of the weight": weight, "work of the contact": lifted, "kinetic": kinetic,
+    })  # fmt: skip
+    assert found.missing == pytest.approx(abs(kinetic - weight - lifted))
+    assert found.scale == pytest.approx(lifted - weight)
+    assert found.limit == 1e-4
+    np.testing.assert_allclose(integral(v, t), [0.0, 0.75, 2.25])
+    assert kind.energy(part, build, wave(sphere__v=v)) == {}
+
+
+def test_a_sphere_has_a_gate_of_its_height():
+    part, kind, build = part_of(LOOP, "sphere")
+    (gate,) = kind.gates(part, build)
+    assert gate.limits == {"ngspice_vs_rom": stepping(build.scene.solver)}
+    assert gate.measure == "travel"
+    part, kind, build = part_of(LOOP, "sphere", "gates.trajectory=3 um")
+    (gate,) = kind.gates(part, build)
+    assert (gate.limits, gate.unit) == ({"ngspice_vs_rom": 3e-6}, "m")
+    part, kind, build = part_of(LOOP, "sphere", "sphere.velocity=-1")
+    assert not list(kind.gates(part, build))
+
+
+def test_what_a_sphere_is_made_of():
+    part, kind, build = part_of(LOOP, "sphere", "sphere.elastic=false")
+    assert "sphere_elastic" not in build.scene.parts
+    assert kind.indentation_modulus(part) is None
+    assert part.keys.mass == pytest.approx(MASS)
+    part, kind, _ = part_of(LOOP, "sphere", "sphere.material=steel")
+    assert kind.indentation_modulus(part) == pytest.approx(211.9e9 / (1 - 0.291**2), rel=1e-6)
+    assert part.keys.density == 7860.0
+    part, _, _ = part_of(LOOP, "sphere", "sphere.material=steel", "sphere.density=5000")
+    assert part.keys.density == 5000.0
+    with pytest.raises(UsageError, match="steeel"):
+        load_scene(LOOP, ["sphere.material=steeel"])
+
+
+@pytest.mark.parametrize(
+    ("fits", "refused", "word"),
+    [("radius=0.1", "radius=0.101", "adhesion"), ("density=1", "density=0.99", "aerogel"),
+     ("density=22600", "density=22700", "osmium")],
+)  # fmt: skip
+def test_where_a_sphere_begins_to_be_refused(fits, refused, word):
+    alone = {"name": "ball", "sphere": {"velocity": -1.0}}
+    load_scene(alone, [f"sphere.{fits}"])
+    with pytest.raises(UsageError, match=word):
+        load_scene(alone, [f"sphere.{refused}"])
+    with pytest.raises(UsageError, match="nothing touches the sphere"):
+        load_scene({"name": "loose", "kick": {}, "sphere": {}})
+
+
+def test_a_sphere_begins_where_it_is_thrown_or_rests():
+    """A height alone counts as a start; the law's coordinate is that of its lowest point."""
+    for keys, speed, height in ((["sphere.height=2 mm"], 0.0, 2e-3), ([], 0.0, None),
+                                (["sphere.velocity=-3"], -3.0, 0.0)):  # fmt: skip
+        part, kind, build = part_of(LOOP, "sphere", *keys)
+        (law,) = kind.law(part, build).laws
+        assert law == type(law)("sphere", part.keys.mass, 9.81, height, speed)
+        assert kind.without_operating_point(part, build.scene) == bool(keys)
+    part, kind, build = part_of({"name": "ball", "sphere": {}}, "sphere")
+    assert set(kind.initial(part, build).values()) == {0.0}
+    assert len(kind.initial(part, build)) == 2
+    part, kind, build = part_of({"name": "ball", "sphere": {}}, "sphere", "sphere.height=1 mm")
+    assert kind.initial(part, build) == {}
+
+
+def test_a_mass_tells_its_inertia_against_what_pulls_it():
+    box = {"part": "mass", "mass": 2e-3, "weight": True}
+    pull = {"part": "source", "kind": "force", "dc": 1.0, "pins": {"out": "box.a"}}
+    scene = {"name": "m", "gravity": 9.81, "box": box, "pull": pull}
+    part, kind, build = part_of(scene, "box")
+    waves = wave(box__force=[0.0, 3.0])
+    np.testing.assert_allclose(kind.force_on(part, "a", build, waves), [-0.01962, -3.01962])
+    assert kind.force_on(part, "base", build, waves) is None
+    assert kind.force_on(part, "a", build, Waveforms({}, {})) is None
+    assert kind.law(part, build).laws[0].gravity == 9.81
+    part, kind, build = part_of(scene, "box", "box.weight=false")
+    np.testing.assert_allclose(kind.force_on(part, "a", build, waves), [0.0, -3.0])
+    assert kind.law(part, build).laws[0].gravity == 0.0
+    two = scene | {"other": {"part": "mass", "mass": 1e-3, "pins": {"base": "box.a"}},
+                   "push": {"part": "source", "kind": "force", "dc": 1.0,
+                            "pins": {"out": "other.a"}}}  # fmt: skip
+    part, kind, build = part_of(two, "other")
+    assert kind.law(part, build) is None  # its base moves
+
+
+def test_a_damper_is_a_law_of_the_speed():
+    scene = {"name": "d", "box": {"part": "mass", "mass": 1.0},
+             "brake": {"part": "damper", "damping": 0.25, "pins": {"a": "box.a"}}}  # fmt: skip
+    part, kind, build = part_of(scene, "brake")
+    (law,) = kind.law(part, build).laws
+    assert law == type(law)("brake", 0.25)
+    waves = wave(brake__force=[2.0])
+    assert [kind.force_on(part, pin, build, waves)[0] for pin in ("a", "b")] == [-2.0, 2.0]
+    assert kind.force_on(part, "a", build, Waveforms({}, {})) is None
+    assert kind.modelled(part, build.scene).detail == "damping 0.25"
+
+
+# --- electrical parts -----------------------------------------------------------------------------
+
+CELL = {"name": "cell", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "load.a"}},
+        "load": {"part": "resistor", "resistance": 5.0}}  # fmt: skip
+
+
+def test_a_diodes_current_leaves_what_feeds_its_anode():
+    scene = {"name": "d", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "one.anode"}},
+             "one": {"part": "diode", "pins": {"cathode": "gnd"}}}  # fmt: skip
+    part, kind, build = part_of(scene, "one")
+    assert [kind.current(part, pin, build).factor for pin in ("anode", "cathode")] == [-1.0, 1.0]
+
+
+def test_currents_of_resistors_and_sources_count_out_of_the_pin():
+    part, kind, build = part_of(CELL, "load")
+    assert [math.copysign(1, kind.current(part, pin, build).factor) for pin in "ab"] == [-1, 1]
+    part, kind, build = part_of(CELL, "cell")
+    assert [kind.current(part, pin, build).factor for pin in ("out", "ret")] == [-1.0, 1.0]
+    part, kind, build = part_of(CELL, "cell", "cell.kind=current")
+    assert kind.current(part, "out", build) is None
+
+
+def test_a_source_is_held_against_its_own_definition():
+    """Of its swing, or of its size where it is constant, or as it is where that is zero."""
+    pulse = {"high": 3.0, "low": 1.0, "width": 2.0, "edge": 1.0, "start": 1.0}
+    scene = CELL | {"cell": {"part": "source", "pulse": pulse, "pins": {"out": "load.a"}}}
+    part, kind, build = part_of(scene, "cell")
+    exact = np.array([1.0, 1.0, 3.0, 3.0, 1.0])
+    for off, dc in ((2e-3, None), (4e-3, 4.0), (1e-3, 0.0)):
+        if dc is not None:
+            part, kind, build = part_of(CELL, "cell", f"cell.dc={dc}")
+            exact = np.full(5, dc)
+        moved = exact + np.array([0.0, 0.0, off, 0.0, 0.0])
+        waves = wave(time=[0.0, 1.0, 2.0, 3.0, 4.0], cell__v=moved)
+        (check,) = kind.checks(part, build, waves)
+        assert check.value == pytest.approx(1e-3)
+        assert (check.limit, check.wiring) == (1e-3, True)
+    assert not list(kind.checks(part, build, Waveforms({}, {})))
+    assert not list(kind.checks(part, build, wave(cell__v=[0.0])))
+
+
+def test_the_integrator_gets_the_same_waves():
+    """Pulses of a train until the end, a sine from its start on, corners once each."""
+    train = {"high": 2.0, "width": 1e-3, "edge": 1e-4, "start": 1e-3, "period": 3e-3}
+    sine = {"amplitude": 2.0, "frequency": 500.0, "start": 1e-3}
+    for shape, given in (("pulse", train), ("sine", sine), ("pulse", train | {"count": 2})):
+        cell = {"part": "source", shape: given, "pins": {"out": "load.a"}}
+        part, _, build = part_of(CELL | {"cell": cell}, "cell")
+        wanted = part.keys.waveform(build.scene.home)
+        law = smooth_pieces(wanted, 11e-3)
+        t = np.linspace(0.0, 11e-3, 1111)[:-1] + 1e-6
+        np.testing.assert_allclose(law.value(t), wanted(t), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("shape", "word"),
+    [({"pulse": {"high": 1, "width": 1e-6, "edge": 1.1e-6}}, "longer than the pulse"),
+     ({"pulse": {"high": 1, "width": 1e-6, "edge": 1e-7, "period": 1.09e-6}}, "overlap"),
+     ({"pwl": [[0, 1]]}, "must rise"), ({"pwl": [[0, 1], [0, 2]]}, "must rise"),
+     ({"dc": 1, "sine": {"amplitude": 1, "frequency": 1}}, "two shapes")],
+)  # fmt: skip
+def test_what_is_no_waveform_is_refused(shape, word):
+    with pytest.raises(UsageError, match=word):
+        load_scene(CELL | {"cell": {"part": "source", "pins": {"out": "load.a"}, **shape}})
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [{"pulse": {"high": 1, "width": 1e-6, "edge": 1e-6}},
+     {"pulse": {"high": 1, "width": 1e-6, "edge": 1e-7, "period": 1.1e-6}},
+     {"pwl": [[0, 1], [1e-9, 2]]}],
+)  # fmt: skip
+def test_waveforms_at_their_limits_are_taken(shape):
+    load_scene(CELL | {"cell": {"part": "source", "pins": {"out": "load.a"}, **shape}})
+
+
+def test_a_table_of_a_file_is_read_with_or_without_a_head(tmp_path):
+    text = CELL | {"cell": {"part": "source", "file": "w.csv", "pins": {"out": "load.a"}}}
+    toml = "[cell]\npart='source'\nfile='w.csv'\npins={out='load.a'}\n"
+    toml += "[load]\npart='resistor'\nresistance=5\n"
+    (tmp_path / "s.toml").write_text(toml)
+    for rows in ("0,1\n2,3\n", "t,v\n0,1\n2,3\n"):
+        (tmp_path / "w.csv").write_text(rows)
+        scene = load_scene(tmp_path / "s.toml")
+        source = scene.parts["cell"].keys.waveform(scene.home)
+        np.testing.assert_allclose(source(np.array([0.0, 1.0, 2.0])), [1.0, 2.0, 3.0])
+    for rows in ("0,1,2\n1,2,3\n", "0\n1\n", "0,1\nx,2\n"):
+        (tmp_path / "w.csv").write_text(rows)
+        with pytest.raises(UsageError, match=r"is no table|must rise|cannot be read"):
+            load_scene(tmp_path / "s.toml")
+    assert text["cell"]["file"] == "w.csv"
+
+
+# --- pid ------------------------------------------------------------------------------------------
+
+
+def test_the_output_stage_has_a_supply_for_its_coils():
+    """1.2 times what the limit needs through coils and sense, in steps of 100 V from 400 V on."""
+    assert compliance(Control(), 3200.0) == 400.0  # 396
+    assert compliance(Control(), 3300.0) == 500.0  # 408
+    assert compliance(Control(current_limit=0.5), 3200.0) == 2000.0  # 20 Ohm: 1932
+    assert sense_resistance(Control()) == 100.0
+    assert sense_resistance(Control(current_limit=0.05)) == 100.0
+    assert sense_resistance(Control(current_limit=0.5)) == 20.0
+    assert sense_resistance(Control(current_limit=0.5), output=False) == 100.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "word"),
+    [
+        (["control.setpoint=7.49 mm"], None), (["control.setpoint=7.5 mm"], "outside the force"),
+        (["control.setpoint=-2.5 mm"], "outside the force"),
+        (["control.enable_at=[1e-3, 3e-3]", "control.disable_at=[2e-3]"], None),
+        (["control.enable_at=[1e-3]", "control.disable_at=[2e-3]"], None),
+        (["control.enable_at=[1e-3, 2e-3]"], "do not alternate"),
+        (["control.disable_at=[1e-4]"], "do not alternate"),
+        (["control.enable_at=-1e-6"], "do not alternate"),
+        (["control.enable_at=0"], None),
+        (["control.enable_at=4.9 ms"], None), (["control.enable_at=5 ms"], "after the simulation"),
+    ],
+)  # fmt: skip
+def test_when_a_controller_may_be_on(keys, word):
+    if word is None:
+        load_scene("kick_and_catch", keys)
+        return
+    with pytest.raises(UsageError, match=word):
+        load_scene("kick_and_catch", keys)
+
+
+def test_switching_is_a_signal_with_edges_of_ten_nanoseconds():
+    scene = load_scene(
+        "kick_and_catch", ["control.enable_at=[0, 3e-3]", "control.disable_at=[1e-3]"]
+    )
+    wave_ = scene.parts["control_enable"].keys.waveform(scene.home)
+    t = np.array([0.0, 1e-9, 1.1e-8, 1e-3, 1e-3 + 1.1e-8, 3e-3, 3e-3 + 1.1e-8, 5e-3])
+    np.testing.assert_allclose(wave_(t), [0, 0, 1, 1, 0, 0, 1, 1], atol=1e-6)
+    (law,) = scene.parts["control"].type.law(scene.parts["control"], Build(scene, {})).laws
+    assert tuple(
+        value for value in (getattr(law, f) for f in law.__dataclass_fields__)
+        if isinstance(value, tuple)
+    ) == ((0.0, 3e-3), (1e-3,))  # fmt: skip
+
+
+def test_a_controllers_signals_have_their_scale():
+    part, kind, build = part_of("kick_and_catch", "control")
+    assert kind.vectors(part, build)["control.error"].factor == pytest.approx(1 / 2000.0)
+    assert "coil.wanted" not in kind.vectors(part, build)
+    part, kind, build = part_of("coil_rails", "control")
+    assert kind.vectors(part, build)["coil.wanted"].factor == pytest.approx(0.01)
+    assert kind.law(part, build) is None  # its driver is a circuit of its own
+
+
+def test_a_controller_at_its_limit_is_counted_from_its_start():
+    """From 1 s on: 3 of 4 s at 99.95 % of the limit, by trapezoids; what was before does not
+    count."""
+    part, kind, build = part_of("kick_and_catch", "control", "control.enable_at=1 ms")
+    t = 1e-3 * np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
+    current = 0.1 * np.array([1.0, 1.0, 0.9995, -0.9995, 1.0, 0.998, 0.5])
+    waves = wave(time=t, coil__upper__current=current)
+    (check,) = kind.checks(part, build, waves)
+    assert check.value == pytest.approx((0.25 + 2 + 0.5) / 4)
+    assert (check.limit, check.action) == (0.9, "warn")
+    assert not list(kind.checks(part, build, wave(time=t)))
+    assert kind.metrics(part, build, wave(time=t)) == {}
+
+
+def test_a_sphere_is_caught_if_it_settles_in_nine_tenths_of_the_run():
+    part, kind, build = part_of("kick_and_catch", "control")
+    t = np.linspace(0.0, 1.0, 101)
+    for settled, caught in ((0.89, True), (0.91, False)):
+        y = np.where(t < settled, 1e-3, 2.5e-3)
+        found = kind.metrics(part, build, wave(time=t, sphere__y=y))
+        assert found["caught"] is caught
+        assert found["final_error_m"] == 0.0
+        assert found["hold_current_a"] is None
+    (goal,) = kind.goals(part, build.scene, build.scene.parts["sphere"])
+    assert goal[:2] == (2.5e-3, pytest.approx(0.05 * 1.5e-3))
+    assert not list(kind.goals(part, build.scene, part))
+
+
+def test_the_tail_is_the_last_twentieth():
+    t = np.linspace(1.0, 3.0, 201)
+    assert tail_mean(t, np.where(t < 2.895, 100.0, t)) == pytest.approx(2.95)
+    assert settling_time(t, np.where(t < 2.0, 0.0, 1.0), 1.0, 0.5) == pytest.approx(1.995, abs=6e-3)
+
+
+def test_errors_of_the_amplifiers_are_known_of_usual_gains():
+    for keys, expected in (
+        ([], 6.5e-5), (["control.current_limit=1"], 6.5e-5), (["control.current_limit=1.01"], None),
+        (["control.current_limit=0.09"], None), (["control.rolloff=1 us"], None),
+        (["control.form=ideal"], 0.0),
+    ):  # fmt: skip
+        part, kind, build = part_of("kick_and_catch", "control", *keys)
+        (row,) = kind.errors(part, build.scene)
+        assert (row.expected, row.share) == (expected, None)
+        form = "ideal" if keys == ["control.form=ideal"] else "op-amp"
+        assert kind.modelled(part, build.scene).detail.startswith(f"{form} PID, output clamped at")
+
+
+# --- port loads -----------------------------------------------------------------------------------
+
+
+def test_a_sweep_of_loads_begins_above_rest():
+    load_scene("harmonic", ["harmonic.start=499 kHz"])
+    with pytest.raises(UsageError, match="empty frequency range"):
+        load_scene("harmonic", ["harmonic.start=500 kHz"])
+    with pytest.raises(UsageError, match="which body it loads"):
+        load_scene({"name": "two", "harmonic": {}, "kick": {}, "other": {"part": "piezo_stack"}})
+    two = {"name": "two", "harmonic": {"of": "kick", "start": 1e5}, "kick": {},
+           "other": {"part": "piezo_stack"}}  # fmt: skip
+    part, kind, build = part_of(two, "harmonic")
+    scene = build.scene
+    assert (scene.analysis.start, scene.analysis.points) == (pytest.approx(1.02e5), 200)
+    assert kind.wants(part, scene)[:2] == ("kick.ring0", "kick.ring1")
+    assert kind.modelled(part, scene).detail == "200 frequencies, 100000 … 500000 Hz"
+
+
+@pytest.mark.parametrize(
+    ("keys", "rom"), [([], 1e-4), (["rom.tolerance=1e-6"], 1e-6), (["rom.tolerance=0.1"], 1e-4)]
+)
+def test_the_gate_of_a_response_is_what_was_asked_of_the_reduction(keys, rom):
+    part, kind, build = part_of("harmonic", "harmonic", *keys)
+    whole, low = kind.gates(part, build)
+    asked = {"rom_vs_fom": rom, "ngspice_vs_rom": 5e-9, "ngspice_vs_fom": rom}
+    if keys or build.scene.rom.tolerance is None:
+        assert whole.limits == asked
+    assert (low.limits, low.share, whole.share) == ({"rom_vs_fom": 5e-9}, 0.2, 1.0)
+    assert whole.leads
+
+
+# --- circuits of the user -------------------------------------------------------------------------
+
+
+def test_files_and_functions_of_controllers_are_their_own():
+    scene = {"name": "c", "brain": {"part": "controller", "inputs": ["x"], "file": "a.py",
+                                    "pins": {"x": "box.a", "out": "load.a"}},
+             "box": {"part": "mass", "mass": 1.0}, "load": {"part": "resistor", "resistance": 1.0},
+             "hold": {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a"}}}  # fmt: skip
+    part, kind, build = part_of(scene, "brain")
+    assert kind.files(part, build.scene) == ("a.py",)
+    scene["brain"].pop("file")
+    part, kind, build = part_of(scene, "brain", "brain.delay=9.9 us")
+    assert kind.files(part, build.scene) == ()
+    called = Build(build.scene, {}, functions={"brain": lambda t, x: 2 * t + x["x"]})
+    sampled = kind.sampled(part, called)
+    assert (sampled.period, sampled.delay) == (1e-5, 9.9e-6)
+    assert sampled.call(3.0, {build.net(part, "x"): 5e5}) == pytest.approx(6.5)
+    with pytest.raises(UsageError, match="after the next sample"):
+        load_scene(scene, ["brain.delay=10 us"])
+    with pytest.raises(UsageError, match="no function"):
+        kind.sampled(part, build)
+
+
+MINE = ".subckt mine a out x base\nR1 a out 1\nR2 x base 1\nR3 out base 1\n.ends\n"
+
+
+def test_pins_of_a_netlist_have_the_kinds_and_ratings_that_are_told(tmp_path):
+    (tmp_path / "mine.lib").write_text(MINE)
+
+    def load(**keys):
+        text = "[mine]\npart='netlist'\nfile='mine.lib'\nsubckt='mine'\n"
+        text += "pins={a='load.a', out='load.b', x='box.a'}\n"
+        text += "".join(f"{k} = {v}\n" for k, v in keys.items())
+        text += "[load]\npart='resistor'\nresistance=5\n[box]\npart='mass'\nmass=1.0\n"
+        (tmp_path / "s.toml").write_text(text)
+        scene = load_scene(tmp_path / "s.toml")
+        return scene.parts["mine"], scene
+
+    part, scene = load(units="{x='um/N'}", ratings="{out={low=-1, high=2, slew=4}}")
+    pins = {p.name: (p.unit, p.flow, p.default, p.required) for p in part.type.pins(part, scene)}
+    assert pins == {"a": ("V", "A", None, True), "out": ("V", "A", None, True),
+                    "x": ("um", "N", None, True), "base": ("V", "A", "gnd", False)}  # fmt: skip
+    waves = wave(time=[0.0, 1.0, 2.0], mine__out=[-1.5, 2.0, 7.0])
+    rails, slew = part.type.checks(part, Build(scene, {}), waves)
+    assert (rails.value, rails.limit) == (5.0, pytest.approx(7e-3))
+    assert slew.value == pytest.approx(1.0)  # 5 V in a second
+    assert not list(part.type.checks(part, Build(scene, {}), wave(mine__out=[1.0])))
+    assert not list(part.type.checks(part, Build(scene, {}), wave(time=[1.0])))
+    part, scene = load(units="{x='um/N'}", ratings="{out={slew=4}}")
+    rails, _ = part.type.checks(part, Build(scene, {}), waves)
+    assert rails.value == 0.0  # no rail is known
+    for wrong in ("{x='um'}", "{y='um/N'}"):
+        with pytest.raises(UsageError, match="not a kind of a pin"):
+            load(units=wrong)
+
+
+# --- drivers --------------------------------------------------------------------------------------
+
+
+def test_a_driver_says_what_it_is_and_measures_its_first_terminal():
+    part, kind, build = part_of("amplifier_kick", "kick_driver")
+    through = kind.current(part, "out", build)
+    assert (through.expression, through.factor) == ("@r.xkick_driver.rout[i]", 1.0)
+    assert kind.current(part, "command", build) is None
+    assert "slew 1e+08" in kind.modelled(part, build.scene).detail
+    assert kind.checks(part, build, wave(time=[0.0])) == ()
+    assert set(kind.vectors(part, build)) == {
+        "kick_driver.command", "kick_driver.out", "kick_driver.i"
+    }  # fmt: skip
+    ac = load_scene({"name": "ac", "amp": {"part": "amplifier", "pins": {"out": "load.a"}},
+                     "load": {"part": "resistor", "resistance": 1.0},
+                     "analysis": {"type": "ac", "start": 1.0, "stop": 10.0}})  # fmt: skip
+    assert ac.parts["amp"].type.vectors(ac.parts["amp"], Build(ac, {})) == {}
+
+
+def test_a_coil_driver_is_made_for_coils_at_the_set_point():
+    from kc2spice.fem.magnetics.table import EMTable
+
+    y = np.linspace(-2.5e-3, 7.5e-3, 5)
+    own = 4.0 + 100 * (y - 2.5e-3)
+    L = np.stack([np.stack([own, 0 * y + 1], -1), np.stack([0 * y + 1, 0 * y + 3], -1)], -1)
+    table = EMTable(y, 0 * y, 0 * y, 0 * y, 50 + 0 * y, 0 * y, 0 * y, np.zeros((5, 2)), L,
+                    np.array([5.0, 7.0]), 0)  # fmt: skip
+    part, kind, build = part_of("coil_rails", "catch_driver", models={"catch": table})
+    load = kind.load(part, build)
+    assert (load.inductance, load.resistance) == (pytest.approx(4 + 3 - 2 * 1), 12.0)
+    assert kind.current(part, "drive", build) is None
+    alone = load_scene({"name": "alone", "amp": {"part": "linear_drive",
+                                                 "pins": {"drive": "load.a", "ret": "load.b"}},
+                        "load": {"part": "resistor", "resistance": 1.0}})  # fmt: skip
+    with pytest.raises(UsageError, match="drives no coils"):
+        kind.load(alone.parts["amp"], Build(alone, {}))
