@@ -4,9 +4,28 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.operators import Schur, largest
-from kc2spice.rom.pencil import eliminated
+import kc2spice.rom.pencil as module
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.rom.linear import (
+    Certificate,
+    LinearModel,
+    Port,
+    half_stored,
+    negated,
+    with_potentials,
+)  # fmt: skip
+from kc2spice.rom.operators import (
+    SAME,
+    Schur,
+    Sum,
+    congruence,
+    factor,
+    largest,
+    same,
+    symmetric,
+    two_sided,
+)  # fmt: skip
+from kc2spice.rom.pencil import Pencil, eliminated, proportional
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 3), (3, 0)])
@@ -52,3 +71,496 @@ def test_elimination_leaves_the_response_as_it_is(form):
         P = s * held + K if form == "first order" else s**2 * held + 0.1 * s * held @ held + K
         exact = C @ np.linalg.solve(P, B) + D
         np.testing.assert_allclose(less.transfer(np.array([s]))[0], exact, rtol=1e-10)
+
+
+# ----------------------------------------------------------------------------------- operators
+
+
+def rng(seed=3):
+    return np.random.default_rng(seed)
+
+
+def spread(n, seed=3):
+    return rng(seed).standard_normal((n, n)) + 3 * n * np.eye(n)
+
+
+def held(n, seed=3):
+    return spread(n, seed) + spread(n, seed).T
+
+
+def complement(K, m, make=sparse.csc_array):
+    """``K`` with its last ``m`` unknowns eliminated: as blocks, and dense."""
+    uu, up, pu, pp = K[:-m, :-m], K[:-m, -m:], K[-m:, :-m], K[-m:, -m:]
+    return Schur(*map(make, (uu, up, pu, pp))), uu - up @ np.linalg.solve(pp, pu)
+
+
+def test_a_complement_is_symmetric_where_all_its_blocks_are():
+    K = held(5)
+    for i, j in ((0, 1), (1, 4), (3, 4)):
+        wrong = K.copy()
+        wrong[i, j] += 1.0
+        assert not symmetric(complement(wrong, 2)[0])
+    assert symmetric(complement(K, 2)[0])
+    scaled = complement(K, 2)[0]
+    factors = scaled.inner
+    assert scaled.scaled(np.ones(3)).inner is factors  # of the same block
+    assert scaled.shape == scaled.T.shape == (3, 3)
+
+
+def test_a_sum_is_applied_term_by_term():
+    A, B, x = spread(3), held(3, 5), rng().standard_normal((3, 2))
+    total = Sum(((2.0, A), (-0.5, sparse.csc_array(B))))
+    np.testing.assert_allclose(total @ x, (2 * A - 0.5 * B) @ x)
+    np.testing.assert_allclose(total.T @ x, (2 * A - 0.5 * B).T @ x)
+    np.testing.assert_allclose(total.toarray(), 2 * A - 0.5 * B)
+    np.testing.assert_allclose(congruence(total, x), x.T @ (2 * A - 0.5 * B) @ x)
+    assert total.shape == (3, 3)
+    assert not symmetric(total)
+    assert symmetric(Sum(((2.0, B), (1.0, np.eye(3)))))
+    assert largest(Sum(((2.0, np.eye(2)), (-5.0, 0.5 * np.eye(2))))) == 2.5
+    assert largest(complement(np.diag([1.0, -3.0, 50.0]), 1)[0]) == 3.0
+
+
+@pytest.mark.parametrize(("apart", "equal"), [(0.9, True), (1.1, False)])
+def test_the_same_matrix_but_for_rounding(apart, equal):
+    one = np.array([[4.0, 1.0], [1.0, 2.0]])
+    other = one + np.array([[0, apart * 4 * SAME], [0, 0]])
+    assert same(one, other) is equal
+    assert symmetric(other) is equal
+    assert not same(one, np.ones((2, 3)))
+
+
+def test_a_congruence_keeps_what_is_symmetric_or_skew_to_the_bit():
+    n, V = 6, rng(1).standard_normal((6, 3))
+    P, S = spread(n), held(n)
+    skew = P - P.T
+    for make in (np.asarray, sparse.csc_array):
+        np.testing.assert_allclose(congruence(make(P), V), V.T @ P @ V)
+        found = congruence(make(S), V)
+        np.testing.assert_array_equal(found, found.T)
+        np.testing.assert_allclose(found, V.T @ S @ V)
+        found = congruence(make(skew), V)
+        np.testing.assert_array_equal(found, -found.T)
+        np.testing.assert_allclose(found, V.T @ skew @ V, atol=1e-12)
+        found = congruence(make(S), V, known=True)
+        np.testing.assert_array_equal(found, found.T)
+    for K in (P, S):
+        small, exact = complement(K, 2)
+        found = congruence(small, V[:4])
+        np.testing.assert_allclose(found, V[:4].T @ exact @ V[:4])
+        assert np.array_equal(found, found.T) is (K is S)
+
+
+def test_factors_pivot_where_they_must():
+    """A saddle point has zeros on its diagonal; a singular matrix has no factor."""
+    saddle = np.array([[0.0, 2.0, 0], [2.0, 0.0, 1.0], [0, 1.0, 5.0]])
+    b = np.array([1.0, 2.0, 3.0])
+    found = factor(saddle, symmetric=True).solve(b)
+    np.testing.assert_allclose(saddle @ found, b)
+    P = spread(3)
+    forward, backward = two_sided(sparse.csc_array(P), symmetric=False, solver="scipy")
+    np.testing.assert_allclose(P @ forward.solve(b), b)
+    np.testing.assert_allclose(P.T @ backward.solve(b), b)
+    for known in (True, False):
+        with pytest.raises(SimulationError, match="cannot be factorised"):
+            factor(np.array([[1.0, 1.0], [1.0, 1.0]]), symmetric=known)
+
+
+# -------------------------------------------------------------------------------------- pencils
+
+N = 5
+FORMS = {
+    "second order": (spread(N), spread(N, 4), spread(N, 5)),
+    "symmetric": (held(N), held(N, 4), held(N, 5)),
+    "undamped": (held(N), np.zeros((N, N)), held(N, 5)),
+    "first order": (spread(N), spread(N, 5)),
+}
+
+
+def pencil(form, make=np.asarray, collocated=False, **more):
+    B = rng(9).standard_normal((N, 2))
+    C = B.T if collocated else rng(8).standard_normal((3, N))
+    D = np.full((len(C), 2), 0.25)
+    return Pencil(tuple(make(P) for P in FORMS[form]), B, C, D, **more)
+
+
+def at(form, s):
+    return sum(s**k * P for k, P in enumerate(FORMS[form]))
+
+
+def response(form, p, s):
+    return p.C @ np.linalg.solve(at(form, s) + 0j, p.B) + p.D
+
+
+@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_pencil_is_its_polynomial(form, make):
+    p, x = pencil(form, make), rng(7).standard_normal((N, 2))
+    assert p.degree == (1 if form == "first order" else 2)
+    assert p.size == N
+    assert p.symmetric is (form in ("symmetric", "undamped"))
+    assert p.undamped is (form == "undamped")
+    assert p.is_dense is (make is np.asarray)
+    for s in (0.0, 0.7, 3j, 1 - 2j):
+        found = p.at(s)
+        dense = found if make is np.asarray else found.toarray()
+        np.testing.assert_allclose(dense, at(form, s))
+        real = s in (0.0, 0.7) or (s == 3j and form == "undamped")
+        assert np.isrealobj(dense) is real
+        exact = sum(k * s ** (k - 1) * P for k, P in enumerate(FORMS[form]) if k) @ x
+        slope = p.slope(s, x)
+        # of an undamped model the derivative by s^2
+        np.testing.assert_allclose(slope, FORMS[form][2] @ x if form == "undamped" else exact)
+        assert np.isrealobj(slope) is (s in (0.0, 0.7) or form == "undamped")
+        forward, backward = p.solver(s)
+        np.testing.assert_allclose(at(form, s) @ forward.solve(p.B), p.B, atol=1e-12)
+        np.testing.assert_allclose(at(form, s).T @ backward.solve(p.B), p.B, atol=1e-12)
+    s = np.array([0.7, 3j, 1 - 2j])
+    exact = np.array([response(form, p, each) for each in s])
+    for each in (p, p.dense(), p.scaled(2.0), p.in_units(np.arange(1.0, N + 1))):
+        np.testing.assert_allclose(each.transfer(s), exact, rtol=1e-9)
+    np.testing.assert_allclose(p.transposed().transfer(s), exact.transpose(0, 2, 1), rtol=1e-9)
+
+
+def test_many_frequencies_are_solved_in_parts_of_bounded_memory(monkeypatch):
+    p, s = pencil("second order"), 1j * np.linspace(0.1, 3, 23)
+    whole = p.transfer(s)
+    for numbers in (1, N**2, 5 * N**2):  # less than one frequency, one, five
+        monkeypatch.setattr(module, "BATCH_BYTES", 16.0 * numbers)
+        np.testing.assert_allclose(p.transfer(s), whole, rtol=1e-12)
+
+
+@pytest.mark.parametrize("collocated", [False, True])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_projection_is_a_congruence(form, collocated):
+    p, V = pencil(form, collocated=collocated), rng(6).standard_normal((N, 3))
+    assert p.collocated is collocated
+    small = p.project(V)
+    for found, P in zip(small.coefficients, FORMS[form], strict=True):
+        np.testing.assert_allclose(found, V.T @ P @ V, atol=1e-12)
+    np.testing.assert_allclose(small.B, V.T @ p.B)
+    np.testing.assert_allclose(small.C, p.C @ V)
+    np.testing.assert_array_equal(small.D, p.D)
+    assert small.collocated is collocated
+    first = p.leading(2)
+    np.testing.assert_array_equal(first.coefficients[-1], FORMS[form][-1][:2, :2])
+    assert (first.B.shape, first.C.shape) == ((2, 2), (len(p.C), 2))
+    units = p.in_units(np.arange(1.0, N + 1))
+    assert units.collocated is collocated
+
+
+@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
+def test_rayleigh_damping_is_a_sum_of_the_others(make):
+    K, _, M = FORMS["symmetric"]
+    alpha, beta = 0.3, 0.02
+    B = rng(9).standard_normal((N, 2))
+    p = Pencil((make(K), None, make(M)), B, B.T, np.zeros((2, 2)), (alpha, beta))
+    E = alpha * M + beta * K
+    s = 0.4 + 2j
+    exact = B.T @ np.linalg.solve(s * s * M + s * E + K, B.astype(complex))
+    V = rng(6).standard_normal((N, 3))
+    np.testing.assert_allclose(p.transfer(np.array([s]))[0], exact, rtol=1e-10)
+    np.testing.assert_allclose(p.project(V).coefficients[1], V.T @ E @ V)
+    np.testing.assert_allclose(p.in_units(np.arange(1.0, 6)).transfer(np.array([s]))[0], exact)
+    np.testing.assert_allclose(p.scaled(3.0).transfer(np.array([s]))[0], exact)
+    dense = p.dense()
+    np.testing.assert_allclose(dense.coefficients[1], E)
+    assert dense.rayleigh is None
+    assert p.is_dense is (make is np.asarray)
+    found = p.bordered(2.0, 3.0, 5.0)
+    found = found if make is np.asarray else found.toarray()
+    np.testing.assert_allclose(found, 2 * K + 3 * E + 5 * M)
+
+
+def test_unknowns_are_scaled_to_equal_energies():
+    """Of diagonal matrices the sum at the frequency becomes one; a row of zeros stays."""
+    parts = np.diag([4.0, 0.0, 2.0]), np.diag([1.0, 0.0, -3.0]), np.diag([7.0, 0.0, 5.0])
+    B = np.ones((3, 1))
+    p = Pencil(parts, B, B.T, np.zeros((1, 1))).scaled(2.0)
+    total = sum(2.0**k * abs(P) for k, P in enumerate(p.coefficients))
+    np.testing.assert_allclose(np.diag(total), [1.0, 0.0, 1.0])
+    np.testing.assert_allclose(p.B[:, 0] ** -2.0, [4 + 2 + 28, 1.0, 2 + 6 + 20])
+    small, _ = complement(np.diag([2.0, 3.0, 9.0]), 1)
+    with_complement = Pencil((small, sparse.csc_array(np.eye(2))), B[:2], B[:2].T, np.zeros((1, 1)))
+    np.testing.assert_allclose(with_complement.scaled(2.0).B[:, 0] ** -2.0, [4.0, 5.0])
+
+
+def test_a_pencil_with_eliminated_unknowns_solves_as_the_dense_one():
+    K, M = held(7) * np.outer([1] * 5 + [1e-6] * 2, [1] * 5 + [1e-6] * 2), FORMS["symmetric"][2]
+    small, exact = complement(K, 2)
+    B = rng(9).standard_normal((N, 2))
+    p = Pencil((small, 0.1 * M, M), B, B.T, np.zeros((2, 2)))
+    for s in (0.0, 2j, 0.5 + 1j):
+        P = s * s * M + 0.1 * s * M + exact
+        np.testing.assert_allclose(P @ p.solver(s)[0].solve(B), B, atol=1e-9)
+        np.testing.assert_allclose(P @ p.solver(s)[0].solve(B[:, 0]), B[:, 0], atol=1e-9)
+    np.testing.assert_allclose(exact @ p.pencil_solver(0.0).solve(B), B, atol=1e-9)
+    np.testing.assert_allclose((exact - 3 * M) @ p.pencil_solver(3.0).solve(B), B, atol=1e-9)
+    block = p.at(0.0).toarray()  # the unit of potentials makes both diagonal blocks alike
+    assert abs(block[5:, 5:]).max() == pytest.approx(abs(block[:5, :5]).max())
+
+
+def test_a_stiffness_that_is_not_definite_has_no_factor_at_rest():
+    K = np.diag([1.0, -1.0])
+    p = LinearModel(M=np.eye(2), K=K, B=np.eye(2)).pencil
+    with pytest.raises(SimulationError):
+        p.pencil_solver(0.0)
+    np.testing.assert_allclose(p.pencil_solver(0.5).solve(np.ones(2)), [2.0, -1 / 1.5])
+
+
+@pytest.mark.parametrize("omega", [None, 3.0, 3e4])
+def test_poles_are_the_finite_ones(omega):
+    def poles(*parts):
+        one = np.eye(len(parts[0]))
+        found = Pencil(parts, one, one, 0 * one).poles(omega)
+        return found[np.argsort(found.imag + 1e-3 * found.real)]
+
+    K, E = np.diag([4.0, 100.0, 6.0]), np.diag([0.4, 2.0, 3.0])
+    found = poles(K, E, np.diag([1.0, 1.0, 0.0]))
+    low, high = np.sqrt(4 - 0.04), np.sqrt(99.0)
+    exact = [-1 - 1j * high, -0.2 - 1j * low, -2, -0.2 + 1j * low, -1 + 1j * high]
+    np.testing.assert_allclose(found, exact, atol=1e-6)
+    np.testing.assert_allclose(poles(np.diag([6.0, 2.0, 1.0]), np.diag([2.0, 2.0, 0.0])), [-3, -1])
+    np.testing.assert_allclose(poles(np.zeros((1, 1)), np.ones((1, 1))), [0.0])
+
+
+@pytest.mark.parametrize(
+    ("E", "found"),
+    [
+        (np.diag([1.0, 2.0]), (1.0, 0.0)), (-np.diag([1.0, 2.0]), None),
+        (np.diag([5.0, 4.0]), (0.0, 1.0)), (np.diag([1.0, 2.0 + 1e-9]), None),
+        (np.diag([1.0, 2.0 + 1e-13]), (1.0, 0.0)), (np.zeros((2, 2)), None),
+    ],
+)  # fmt: skip
+def test_damping_is_proportional_or_not(E, found):
+    M, K = np.diag([1.0, 2.0]), np.diag([5.0, 4.0])
+    given = LinearModel(M=M, E=E, K=K, B=np.ones((2, 1))).pencil
+    after = proportional(given)
+    if found is None:
+        assert after is given
+    else:
+        assert after.rayleigh == pytest.approx(found, rel=1e-9, abs=0)
+        np.testing.assert_allclose(after.coefficients[1], E, rtol=1e-9)
+
+
+def test_what_cannot_be_proportional_stays_as_it_is():
+    first = LinearModel(A=-np.eye(2), B=np.ones((2, 1))).pencil
+    assert proportional(first) is first
+    light = LinearModel(M=np.zeros((2, 2)), E=np.eye(2), K=np.eye(2), B=np.ones((2, 1))).pencil
+    assert proportional(light) is light
+    small, _ = complement(np.eye(4), 2)
+    with_complement = LinearModel(M=np.eye(2), E=np.eye(2), K=small, B=np.ones((2, 1))).pencil
+    assert proportional(with_complement) is with_complement
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"M": np.eye(2), "K": np.eye(2)},  # nothing is free
+        {"M": np.zeros((2, 2)), "K": np.eye(2)},  # all is
+        {"M": np.diag([1.0, 0]), "K": np.array([[1.0, 1], [1, 0]])},  # no block of its own
+        {"M": np.diag([1.0, 0, 0]), "K": np.array([[1.0, 1, 1], [1, 1, 1], [1, 1, 1]])},  # singular
+        {"M": np.diag([1.0, 0]), "E": np.array([[0, 0], [1.0, 0]]), "K": np.eye(2)},
+        {"M": np.diag([1.0, 0]), "E": np.array([[0, 1.0], [0, 0]]), "K": np.eye(2)},
+        {"M": np.diag([1.0, 0]), "K": np.eye(2), "rayleigh": (0.0, 1.0)},
+    ],
+)
+def test_what_cannot_be_eliminated_stays_as_it_is(parts):
+    model = LinearModel(**parts, B=np.ones((len(parts["K"]), 1)))
+    assert eliminated(model.pencil) is model.pencil
+
+
+def test_an_eliminated_symmetric_model_stays_collocated_to_the_bit():
+    K = held(6)
+    M = np.diag([1.0, 2, 3, 4, 0, 0])
+    less = eliminated(LinearModel(M=M, K=K, B=rng().standard_normal((6, 2))).pencil)
+    assert less.collocated
+    assert less.symmetric
+
+
+# --------------------------------------------------------------------------------------- models
+
+
+def test_letters_that_are_left_out_have_their_meaning():
+    K, B = held(3), rng().standard_normal((3, 2))
+    for make, kind in ((np.asarray, np.ndarray), (sparse.csr_array, sparse.csc_array)):
+        second = LinearModel(M=make(np.eye(3)), K=make(K), B=B)
+        assert isinstance(second.E, kind)
+        assert largest(second.E) == 0
+        np.testing.assert_array_equal(second.C, B.T)
+        np.testing.assert_array_equal(second.D, np.zeros((2, 2)))
+        first = LinearModel(A=make(-K), B=B, C=np.ones((1, 3)))
+        assert isinstance(first.E, kind)
+        np.testing.assert_array_equal(first.E @ np.eye(3), np.eye(3))
+        assert first.D.shape == (1, 2)
+        heat = LinearModel(E=make(np.eye(3)), K=make(K), B=B)
+        np.testing.assert_array_equal(heat.A @ np.eye(3), -K)
+        assert heat.first_order
+        assert not second.first_order
+    assert (second.inputs, second.outputs) == (("u1", "u2"), ("y1", "y2"))
+    assert second.order == 3
+    assert second.symmetric
+    assert not LinearModel(M=np.eye(3), K=K, B=B, C=2 * B.T).symmetric
+
+
+I2, B2 = np.eye(2), np.ones((2, 1))
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        ({"M": I2}, "is not a complete model"),
+        ({"K": I2}, "is not a complete model"),
+        ({"M": I2, "A": I2}, "is not a complete model"),
+        ({"K": I2, "A": I2}, "is not a complete"),
+        ({"M": I2, "K": I2, "E": I2, "rayleigh": (0, 1)}, "damping is given twice"),
+        ({"A": I2, "rayleigh": (0, 1)}, "damping is given twice"),
+        ({"M": np.eye(3), "K": I2}, "matrix M does not fit"),
+        ({"M": I2, "K": I2, "E": np.eye(3)}, "matrix E does not fit"),
+        ({"M": I2, "K": I2, "B": np.ones((3, 1))}, "matrix B does not fit"),
+        ({"M": I2, "K": I2, "B": np.ones((2, 0))}, "does not fit"),
+        ({"M": I2, "K": I2, "C": np.ones((1, 3))}, "matrix C does not fit"),
+        ({"M": I2, "K": I2, "D": np.ones((2, 1))}, "matrix D does not fit"),
+        ({"M": I2, "K": I2, "B": np.ones(2)}, "matrix B has 1 dimensions"),
+        ({"M": I2, "K": I2 * 1j}, "matrix K cannot be used"),
+        ({"M": I2 * np.nan, "K": I2}, "matrix M cannot be used"),
+        ({"M": I2, "K": sparse.csc_array(np.diag([1.0, np.inf]))}, "matrix K cannot be used"),
+        ({"M": I2, "K": I2, "ports": (Port("a", "input"),)}, "ports do not fit"),
+        ({"M": I2, "K": I2, "ports": (Port("a", "input"), Port("A", "output"))}, "ports do not"),
+    ],
+)
+def test_incomplete_models_are_refused(parts, says):
+    with pytest.raises(UsageError, match=says):
+        LinearModel(**{"B": B2} | parts)
+
+
+def test_a_complement_of_numbers_that_are_none_is_refused():
+    for block in range(4):
+        parts = [sparse.csc_array(np.eye(2)) for _ in range(4)]
+        parts[block] = parts[block] * np.nan
+        with pytest.raises(UsageError, match="matrix K cannot be used"):
+            LinearModel(M=I2, K=Schur(*parts), B=B2)
+
+
+def test_ports_say_what_they_are():
+    tip, anode, turn = Port("tip", "mechanical"), Port("a", "electrical"), Port("r", "rotational")
+    assert (tip.across, tip.flow, tip.terminals) == ("um", "N", ("tip",))
+    assert (anode.across, anode.flow, anode.terminals) == ("V", "A", ("a", "a_ret"))
+    assert (turn.across, turn.flow) == ("rad", "Nm")
+    base, signal = Port("b", "acceleration"), Port("u", "input", across="K")
+    assert (base.across, base.flow, base.conservative) == ("m/s2", "N", True)
+    assert (signal.across, signal.flow, signal.conservative) == ("K", "-", False)
+    assert Port("a", "electrical", pins=["p", "n"]).terminals == ("p", "n")
+    with pytest.raises(UsageError, match="unknown kind"):
+        Port("x", "magic")
+
+
+def test_a_model_shows_what_it_is():
+    ports = (Port("tip", "mechanical"), Port("<b>", "input"), Port("y", "output"))
+    model = LinearModel(M=I2, K=I2, B=np.ones((2, 2)), C=np.ones((2, 2)), ports=ports, name="m")
+    assert (
+        repr(model) == "LinearModel 'm': 2 unknowns, second order; ports tip [um], <b> [-], y [-]"
+    )
+    known = Certificate((0.0, 50.0), 1e-3, "told", True, True)
+    told = LinearModel(A=-I2, B=B2, certificate=known)
+    assert repr(told).endswith("first order; ports u1 [-], y1 [-]; "
+                               "error 0.001 over 0 to 50 Hz, stable, passive")  # fmt: skip
+    bad = Certificate((0.0, 50.0), 1e-3, "told", False, False)
+    assert repr(LinearModel(A=-I2, B=B2, certificate=bad)).endswith("50 Hz, UNSTABLE")
+    page = model._repr_html_()
+    assert page.count("<tr>") == 4
+    assert "<td>&lt;b&gt;</td><td>input</td><td>-</td><td>-</td>" in page
+    record = Certificate((0.0, 5.0), 1e-3, "m", True, False, ((10.0, 0.1), (20.0, 0.2))).record()
+    assert record == {
+        "band_hz": [0.0, 5.0], "error_estimate": 1e-3, "method": "m", "stable": True,
+        "passive": False, "above_band_hz": [10.0, 20.0], "above_band_compliance_error": [0.1, 0.2],
+    }  # fmt: skip
+    assert "above_band_hz" not in known.record()
+
+
+def test_a_selection_keeps_its_ports_answers():
+    ports = (Port("u", "input"), Port("tip", "mechanical"), Port("y", "output"))
+    B, C = rng(1).standard_normal((2, 2)), rng(2).standard_normal((2, 2))
+    D = np.array([[1.0, 2.0], [3.0, 4.0]])
+    model = LinearModel(M=I2, K=np.diag([1.0, 4.0]), B=B, C=C, D=D, ports=ports)
+    H = model.transfer(np.array([0.05]))[0]
+    kept = model.select(["y", "u"])
+    assert (kept.inputs, kept.outputs) == (("u",), ("y",))
+    np.testing.assert_allclose(kept.transfer(np.array([0.05]))[0], H[1:, :1])
+    with pytest.raises(UsageError, match="no such port"):
+        model.select(["none"])
+    assert model.with_facts({"mass_kg": 2.0}).facts == {"mass_kg": 2.0}
+
+
+def test_a_library_that_is_missing_is_named(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pymor.models.iosys", None)
+    with pytest.raises(MissingToolError, match="pyMOR is not installed"):
+        LinearModel(A=-I2, B=B2).to_pymor()
+
+
+@pytest.mark.parametrize("potentials", [0, 2])
+@pytest.mark.parametrize("damping", ["E", "rayleigh"])
+def test_free_potentials_are_eliminated_exactly(potentials, damping):
+    """Against the dense solution of all three equations; two electrodes between two forces."""
+    n, m, e = 4, potentials, 2
+    K, M, E = held(n), held(n, 4), 0.1 * held(n, 6)
+    up, pp = rng(1).standard_normal((n, m)), held(m, 7) if m else np.zeros((0, 0))
+    uV, pV, VV = rng(2).standard_normal((n, e)), rng(3).standard_normal((m, e)), held(e, 8)
+    B = rng(4).standard_normal((n, 2))
+    kinds = ("mechanical", "electrical", "mechanical", "electrical")
+    ports = tuple(Port(f"p{k}", kind) for k, kind in enumerate(kinds))
+    given = {"E": E} if damping == "E" else {"alpha": 0.3, "beta": 0.02}
+    if m:
+        given |= {"K_up": up, "K_pp": sparse.csc_array(pp), "k_pV": pV}
+    model = with_potentials(
+        M=M, K_uu=K, k_uV=uV, c_VV=VV, B=B, ports=ports, facts={"a": 1.0}, **given
+    )
+    assert model.facts == {"a": 1.0}
+    s = 0.3 + 1.5j
+    condensed = K + up @ np.linalg.solve(pp, up.T)
+    loss = E if damping == "E" else 0.3 * M + 0.02 * condensed
+    whole = np.block([[s * s * M + s * loss + K, up], [up.T, -pp]])
+    exact = np.empty((4, 4), dtype=complex)
+    for column in range(4):
+        f, V = np.zeros(2), np.zeros(e)
+        (V if column % 2 else f)[column // 2] = 1.0
+        u = np.linalg.solve(whole, np.r_[B @ f - uV @ V, pV @ V])
+        u, p = u[:n], u[n:]
+        exact[0::2, column] = B.T @ u
+        exact[1::2, column] = VV @ V + pV.T @ p - uV.T @ u
+    np.testing.assert_allclose(
+        model.pencil.transfer(np.array([s]))[0], exact, rtol=1e-9, atol=1e-12
+    )
+
+
+def test_one_electrode_may_leave_its_dimension_out():
+    port = (Port("a", "electrical"),)
+    parts = {"M": I2, "K_uu": 2 * I2, "B": np.zeros((2, 0)), "K_up": np.ones((2, 1)),
+             "K_pp": np.array([[4.0]])}  # fmt: skip
+    model = with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, k_pV=np.array([2.0]), ports=port)
+    assert model.D.tolist() == [[3.0 - 2 * 2 / 4]]
+    np.testing.assert_allclose(model.B[:, 0], 2 / 4 - 1.0)
+    without = with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, ports=port)
+    assert without.D.tolist() == [[3.0]]
+    for wrong in ((), (*port, Port("b", "electrical")), (*port, Port("b", "mechanical"))):
+        with pytest.raises(UsageError, match="ports do not fit"):
+            with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, ports=wrong)
+
+
+@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
+@pytest.mark.parametrize(
+    ("matrix", "half"),
+    [([[1.0, 2], [0, 1]], True), ([[1.0, 0], [2, 1]], True), ([[1.0, 2], [2, 1]], False),
+     ([[1.0, 0], [0, 1]], False), ([[1.0, 2], [3, 1]], False), ([[1.0]], False)],
+)  # fmt: skip
+def test_a_triangle_alone_is_half_stored(matrix, half, make):
+    assert half_stored(make(np.array(matrix))) is half
+
+
+def test_the_negative_of_a_complement_is_that_of_the_matrix():
+    small, exact = complement(spread(5), 2)
+    np.testing.assert_allclose(negated(small).toarray(), -exact)
+    assert not half_stored(small)
+    np.testing.assert_array_equal(negated(np.eye(2)), -np.eye(2))
