@@ -14,8 +14,10 @@ from typer.testing import CliRunner
 from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.archive import read_archive
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.matrix_market import indices, mirrored, numbers, read_market
 from kc2spice.rom.memory import factor_bytes
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.workflow.reduce import export_rom, reduce
@@ -431,3 +433,144 @@ def test_every_kind_of_reduced_model_is_refused_with_one_message(tmp_path, kind,
     assert ran.exit_code == 2, ran.output
     assert "Traceback" not in ran.stderr
     assert not (tmp_path / "out").exists()
+
+
+def market(text, head="coordinate real general"):
+    """A matrix of a Matrix Market file's content, and what its size was asked as."""
+    asked = []
+    found = read_market(
+        f"%%MatrixMarket matrix {head}\n{text}".encode(), lambda *a: asked.append(a)
+    )
+    return (found.toarray() if sparse.issparse(found) else found).tolist(), asked
+
+
+@pytest.mark.parametrize(
+    ("head", "text", "matrix", "entries"),
+    [
+        ("coordinate real general", "% a\n\n2 3 2\n1 3 5.0\n2 1 -1d1\n",
+         [[0, 0, 5], [-10, 0, 0]], 2),
+        ("coordinate integer symmetric", "2 2 2\n1 1 4\n2 1 3\n", [[4, 3], [3, 0]], 2),
+        ("coordinate real skew-symmetric", "2 2 1\n2 1 3\n", [[0, -3], [3, 0]], 1),
+        ("array real general", "2 3\n1\n2\n3\n4\n5\n6", [[1, 3, 5], [2, 4, 6]], 6),
+        ("array double symmetric", "2 2\n1\n2\n3\n", [[1, 2], [2, 3]], 3),
+        ("array real skew-symmetric", "3 3\n1\n2\n3\n", [[0, -1, -2], [1, 0, -3], [2, 3, 0]], 3),
+        ("coordinate real general", "2 2 0\n", [[0, 0], [0, 0]], 0),
+    ],
+)  # fmt: skip
+def test_market_files_hold_what_they_declare(head, text, matrix, entries):
+    found, asked = market(text, head)
+    assert found == matrix
+    assert asked == [((len(matrix), len(matrix[0])), entries)]
+
+
+@pytest.mark.parametrize(
+    ("head", "text", "says"),
+    [
+        ("coordinate real", "1 1 0\n", "first line"),
+        ("dense real general", "1 1\n1\n", "not read"),
+        ("array real hermitian", "1 1\n1\n", "not read"),
+        ("array complex general", "1 1\n1\n", "complex"),
+        ("coordinate real general", "1 1\n", "sizes is damaged"),
+        ("array real general", "1 1 1\n1\n", "sizes is damaged"),
+        ("coordinate real general", "1 -1 1\n1 1 1\n", "sizes is damaged"),
+        ("coordinate real symmetric", "2 3 1\n1 1 1\n", "but 2 x 3"),
+        ("coordinate real general", "% only\n", "sizes is missing"),
+        ("coordinate real general", "9 9 9\n1 1 1\n", "cut off"),
+        ("array real general", "1 2\n1\n2\n3\n", "3 numbers instead of 2"),
+        ("coordinate real general", "2 2 1\n3 1 1\n", "an index is 3"),
+        ("coordinate real general", "2 2 1\n0 1 1\n", "an index is 0"),
+        ("coordinate real general", "2 2 1\n1.5 1 1\n", "an index is 1.5"),
+        ("coordinate real symmetric", "2 2 1\n1 2 1\n", "not in the lower"),
+        ("coordinate real skew-symmetric", "2 2 1\n1 1 1\n", "not in the lower"),
+        ("array real general", "1 1\nx\n", "not a number"),
+    ],
+)  # fmt: skip
+def test_market_files_that_contradict_themselves_are_refused(head, text, says):
+    with pytest.raises(ValueError, match=says):
+        market(text, head)
+
+
+def test_numbers_and_indices_of_text_files():
+    assert numbers(b" 1,2 3.5D+1\n-4e0 ").tolist() == [1, 2, 35, -4]
+    assert numbers(b" \n").size == 0
+    assert indices(np.array([1.0, 3.0]), 3).tolist() == [0, 2]
+    half = sparse.csc_array(np.array([[1.0, 0], [2.0, 3.0]]))
+    assert mirrored(half).toarray().tolist() == [[1, 2], [2, 3]]
+    lower = sparse.csc_array(np.array([[0.0, 0], [2.0, 0]]))
+    assert mirrored(lower, -1).toarray().tolist() == [[0, -2], [2, 0]]
+
+
+def test_archives_are_read_within_their_limits(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, a=np.arange(6.0).reshape(2, 3), b=np.arange(3), c=np.array("word"))
+
+    def read(wanted="ab", **limits):
+        return read_archive(path, wanted.__contains__, **{"entries": 6, "total": 72} | limits)
+
+    found = read()
+    assert sorted(found) == ["a", "b"]
+    assert found["a"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert read("c", entries=1, total=16)["c"].item() == "word"
+    with pytest.raises(ValueError, match="6 entries, more than 5"):
+        read(entries=5)
+    with pytest.raises(ValueError, match="72 bytes unpacked, more than 71"):
+        read(total=71)
+    np.savez(path, a=np.array([None]))
+    with pytest.raises(ValueError, match="not a plain array"):
+        read()
+    np.savez(path, a=np.array("x" * 300_000))
+    with pytest.raises(ValueError, match="not a plain array"):
+        read(total=10**9)
+
+
+BAD_RECORDS = {
+    "kind": lambda r: r["ports"][0].update(kind="magic"),
+    "name of two words": lambda r: r["ports"][0].update(name="a b"),
+    "long name": lambda r: r["ports"][0].update(name="a" * 65),
+    "line break": lambda r: r["ports"][0].update(across="V\n.control"),
+    "name that is none": lambda r: r["ports"][0].update(name=5),
+    "empty unit": lambda r: r["ports"][0].update(flow=""),
+    "band": lambda r: r["certificate"].update(band_hz=[2.0, 1.0]),
+    "negative band": lambda r: r["certificate"].update(band_hz=[-1.0, 1.0]),
+    "endless band": lambda r: r["certificate"].update(band_hz=[0.0, float("inf")]),
+    "estimate": lambda r: r["certificate"].update(error_estimate=float("nan")),
+    "long method": lambda r: r["certificate"].update(method="a" * 1001),
+    "above": lambda r: r["certificate"].update(above=[[1.0, float("inf")]]),
+}
+
+
+@pytest.mark.parametrize("case", [None, *BAD_RECORDS])
+def test_records_of_reduced_models_are_judged(tmp_path, case):
+    known = Certificate((0.0, 0.1), 1e-3, "m" * 1000, True, False, ((0.2, 1e-2),))
+    ports = (Port("a" * 64, "mechanical"),)
+    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), ports=ports, certificate=known)
+    assert write_rom(rom, tmp_path, "r") == ["r.npz", "r.json", *(f"r.{k}" for k in "MEKBCD")]
+    record = json.loads((tmp_path / "r.json").read_text())
+    if case is None:
+        assert read_rom(tmp_path / "r.json").certificate == known
+        return
+    BAD_RECORDS[case](record)
+    (tmp_path / "r.json").write_text(json.dumps(record))
+    with pytest.raises(UsageError, match="not a reduced model"):
+        read_rom(tmp_path / "r.json")
+
+
+def test_only_reduced_models_are_written(tmp_path):
+    with pytest.raises(UsageError, match="not a reduced model"):
+        write_rom(LinearModel(A=-np.eye(1), B=np.eye(1)), tmp_path, "r")
+    with pytest.raises(UsageError, match="no such file"):
+        read_rom(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    ("letter", "values"),
+    [("K", np.eye(3)), ("B", np.ones((3, 1))), ("C", np.ones((1, 3))), ("D", np.ones((2, 1))),
+     ("M", np.eye(2, dtype=int)), ("E", np.full((2, 2), np.nan))],
+)  # fmt: skip
+def test_matrices_of_reduced_models_are_judged(tmp_path, letter, values):
+    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
+    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
+    object.__setattr__(rom, letter, values)
+    write_rom(rom, tmp_path, "r")
+    with pytest.raises(UsageError, match="not a reduced model"):
+        read_rom(tmp_path / "r.npz")

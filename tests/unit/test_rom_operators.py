@@ -201,7 +201,7 @@ def test_a_pencil_is_its_polynomial(form, make):
     assert p.symmetric is (form in ("symmetric", "undamped"))
     assert p.undamped is (form == "undamped")
     assert p.is_dense is (make is np.asarray)
-    for s in (0.0, 0.7, 3j, 1 - 2j):
+    for s in (0.0, 0.7, 0.7 + 0j, 3j, 1 - 2j):
         found = p.at(s)
         dense = found if make is np.asarray else found.toarray()
         np.testing.assert_allclose(dense, at(form, s))
@@ -225,9 +225,15 @@ def test_a_pencil_is_its_polynomial(form, make):
 def test_many_frequencies_are_solved_in_parts_of_bounded_memory(monkeypatch):
     p, s = pencil("second order"), 1j * np.linspace(0.1, 3, 23)
     whole = p.transfer(s)
-    for numbers in (1, N**2, 5 * N**2):  # less than one frequency, one, five
+    solve = np.linalg.solve
+    for numbers, most in ((1, 1), (N**2, 1), (5 * N**2, 5)):
+        sizes = []
         monkeypatch.setattr(module, "BATCH_BYTES", 16.0 * numbers)
+        monkeypatch.setattr(
+            np.linalg, "solve", lambda P, b, sizes=sizes: sizes.append(len(P)) or solve(P, b)
+        )
         np.testing.assert_allclose(p.transfer(s), whole, rtol=1e-12)
+        assert (max(sizes), sum(sizes)) == (most, s.size)
 
 
 @pytest.mark.parametrize("collocated", [False, True])

@@ -9,12 +9,27 @@ from scipy import sparse
 
 import kc2spice.rom.reduce as module
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.rom.band import natural_band
+from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.memory import factor_bytes, require_memory
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Reduction, ordered, reduce
-from kc2spice.rom.response import Response
+from kc2spice.rom.response import Response, grid
 from kc2spice.rom.structure import semidefinite, structure
-from kc2spice.rom.subspace import Subspace, _independent, _Sketch, subspace
+from kc2spice.rom.subspace import (
+    FLOOR,
+    Subspace,
+    _independent,
+    _modes,
+    _Search,
+    _Sketch,
+    _solution_error,
+    _telling_quickly,
+    is_definite,
+    subspace,
+)  # fmt: skip
+from kc2spice.rom.surrogate import surrogate
 
 RNG = np.random.default_rng(8)
 
@@ -24,10 +39,12 @@ def definite(n, rank=None):
     return root @ root.T
 
 
-def chain(n, dashpot=0.0, **more):
+def chain(n, dashpot=0.0, rayleighed=False, **more):
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     E = 1e-2 * K
     E[0, 0] += dashpot
+    if rayleighed:
+        return LinearModel(M=np.eye(n), K=K, B=np.eye(n)[:, [n // 5, n - 1]], rayleigh=(0.0, 1e-2))
     return LinearModel(M=np.eye(n), E=E, K=K, B=np.eye(n)[:, [n // 5, n - 1]], **more)
 
 
@@ -154,22 +171,21 @@ def test_the_subspace_is_far_more_accurate_than_asked(asked, target, monkeypatch
 def test_a_model_that_is_not_its_own_dual_takes_the_better_of_two_bases(form):
     """Of its inputs alone, and of inputs and outputs."""
     n, band = 14, (0.0, 0.3)
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        one_way = form != "symmetric"
-        A = -np.diag(np.geomspace(0.1, 30, n)) + 0.3 * one_way * np.diag(rng.standard_normal(13), 1)
-        B = rng.standard_normal((n, 2))
-        C = B.T if form == "collocated" else rng.standard_normal((1, n))
-        model = LinearModel(A=A, B=B, C=C)
-        space = subspace(model.pencil, band, 1e-9, np.inf, "scipy")
-        both = [ordered(model, space, band, side, 1e-5) for side in (False, True)]
-        orders = [each.smallest(1e-5) for each in both]
-        assert reduce(model, tolerance=1e-5, band=band).order == min(orders)
-        fixed = reduce(model, order=5, band=band).certificate.error_estimate
-        errors = [each.error(5) for each in
-                  (ordered(model, space, band, side, None) for side in (False, True))]  # fmt: skip
-        assert fixed == pytest.approx(min(errors), rel=1e-3)
-        assert errors[0] != pytest.approx(errors[1], rel=1e-2)
+    rng = np.random.default_rng(1)
+    one_way = form != "symmetric"
+    A = -np.diag(np.geomspace(0.1, 30, n)) + 0.3 * one_way * np.diag(rng.standard_normal(13), 1)
+    B = rng.standard_normal((n, 2))
+    C = B.T if form == "collocated" else rng.standard_normal((1, n))
+    model = LinearModel(A=A, B=B, C=C)
+    space = subspace(model.pencil, band, 1e-9, np.inf, "scipy")
+    both = [ordered(model, space, band, side, 1e-5) for side in (False, True)]
+    orders = [each.smallest(1e-5) for each in both]
+    assert reduce(model, tolerance=1e-5, band=band).order == min(orders)
+    fixed = reduce(model, order=5, band=band).certificate.error_estimate
+    errors = [each.error(5) for each in
+              (ordered(model, space, band, side, None) for side in (False, True))]  # fmt: skip
+    assert fixed == pytest.approx(min(errors), rel=1e-3)
+    assert errors[0] != pytest.approx(errors[1], rel=1e-2)
     with pytest.raises(UsageError, match="no model of this order") as caught:
         reduce(model, order=15, band=band)
     assert caught.value.expected == "1 to 14"
@@ -429,3 +445,267 @@ def test_a_whole_small_model_knows_whether_it_is_held(sparse_parts):
         assert space.static is static
         assert space.pencil.size == 2
         assert space.error < 1e-12
+
+
+def exact_response(model, frequency):
+    s = 2j * np.pi * np.asarray(frequency)[:, None, None]
+    parts = model.pencil.dense().coefficients
+    P = sum(s**k * each for k, each in enumerate(parts))
+    return model.C @ np.linalg.solve(P, model.B.astype(complex)[None]) + model.D
+
+
+def one_way(n):
+    """A chain of lags that is neither symmetric nor collocated."""
+    A = -np.diag(np.linspace(1, 3, n)) + 0.8 * np.eye(n, k=-1) + 0.3 * np.eye(n, k=1)
+    return LinearModel(A=A, B=np.eye(n)[:, [0]], C=np.eye(n)[[n // 2, 3]])
+
+
+def loose(n):
+    """A chain without walls with a dashpot inside."""
+    links = np.eye(n - 1, n) - np.eye(n - 1, n, k=1)
+    dash = np.outer(links[n // 2], links[n // 2])
+    return LinearModel(M=np.eye(n), E=0.3 * dash, K=links.T @ links, B=np.eye(n)[:, [0]])
+
+
+@pytest.fixture
+def sampled(monkeypatch):
+    """No model is small enough to be taken as a whole."""
+    for name in ("WHOLE", "WHOLE_DECOUPLED"):
+        monkeypatch.setattr(f"kc2spice.rom.subspace.{name}", -1)
+
+
+@pytest.mark.usefixtures("sampled")
+@pytest.mark.parametrize(
+    ("model", "band", "static"),
+    [(chain(60, dashpot=0.3), (0.0, 0.05), True), (chain(60, dashpot=0.3), (0.02, 0.05), True),
+     (one_way(60), (0.0, 0.5), True), (loose(60), (0.0, 0.04), False)],
+)  # fmt: skip
+def test_sampled_directions_reach_the_target(model, band, static):
+    """The last two checks were within it, at frequencies that the basis did not know."""
+    target = 1e-6
+    space = subspace(model.pencil, band, target, 1e-3, "scipy")
+    assert space.proof.startswith("checked against the full model at ")
+    assert space.static is static
+    assert space.error <= target
+    assert 10 < space.pencil.size < 58
+    frequency = np.linspace(max(band[0], 0.1 * band[1]), band[1], 97)
+    exact = exact_response(model, frequency)
+    size = np.maximum(abs(exact), FLOOR * abs(exact).max(axis=0))
+    error = abs(space.pencil.transfer(2j * np.pi * frequency) - exact) / size
+    assert error.max() < 20 * target
+    eps = np.finfo(float).eps
+    assert (space.rounding > 0.1 * eps) is not static
+    assert space.rounding < 1e4 * eps
+    assert space.floor < 1e-7
+
+
+@pytest.mark.usefixtures("sampled")
+def test_directions_that_do_not_settle_are_refused(monkeypatch):
+    monkeypatch.setattr("kc2spice.rom.subspace.MAX_POINTS", 4)
+    model, band = chain(60, dashpot=0.3), (0.0, 0.15)
+    with pytest.raises(SimulationError, match="does not settle") as caught:
+        subspace(model.pencil, band, 1e-12, 1e-9, "scipy")
+    assert caught.value.expected == "at most 1.0e-09"
+    assert "the band holds at least " in caught.value.got
+    assert subspace(model.pencil, band, 1e-12, np.inf, "scipy").error > 1e-9
+    monkeypatch.setattr("kc2spice.rom.subspace.STATES", 8)
+    with pytest.raises(SimulationError, match="does not settle"):
+        subspace(chain(60, rayleighed=True).pencil, band, 1e-12, 1e-9, "scipy")
+
+
+@pytest.mark.usefixtures("sampled")
+@pytest.mark.parametrize(("costly", "warned"), [(60, True), (61, False)])
+def test_many_factorisations_need_a_word(costly, warned, monkeypatch):
+    monkeypatch.setattr("kc2spice.rom.subspace.MANY", 4)
+    monkeypatch.setattr("kc2spice.rom.subspace.COSTLY", costly)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        subspace(chain(60, dashpot=0.3).pencil, (0.0, 0.1), 1e-9, np.inf, "scipy")
+    assert ["more than 4 factorisations" in str(each.message) for each in said] == [True] * warned
+
+
+@pytest.mark.usefixtures("sampled")
+@pytest.mark.parametrize("top", [0.01, 0.1, 0.25])
+def test_krylov_blocks_settle_at_zero_or_at_more_points(top):
+    """With one resonance in the band, with many, and with nearly all."""
+    model, band = chain(60, rayleighed=True), (0.0, top)
+    space = subspace(model.pencil, band, 1e-7, 1e-3, "scipy")
+    assert space.proof.startswith("settled to ")
+    assert space.static
+    assert space.error <= 1e-7
+    assert space.pencil.size <= 60
+    frequency = np.linspace(0.0, top, 97)
+    exact = exact_response(model, frequency)
+    size = np.maximum(abs(exact), FLOOR * abs(exact).max(axis=0))
+    error = abs(space.pencil.transfer(2j * np.pi * frequency) - exact) / size
+    assert error.max() < 2e-7
+
+
+def test_definite_is_what_krylov_vectors_need():
+    K, M, B = definite(4) + np.eye(4), definite(4) + np.eye(4), RNG.standard_normal((4, 1))
+
+    def of(undamped_too=False, **parts):
+        parts = {"K": K, "M": M, "B": B} | parts
+        return is_definite(LinearModel(**parts).pencil, "scipy", undamped_too=undamped_too)
+
+    assert of(rayleigh=(0.1, 0.0))
+    assert not of()
+    assert of(undamped_too=True)
+    assert not of(rayleigh=(0.1, 0.0), C=2 * B.T)
+    assert not of(rayleigh=(0.1, 0.0), M=M + 0.1 * np.eye(4, k=1))
+    assert not of(rayleigh=(0.1, 0.0), K=-K)
+    assert not of(E=K, undamped_too=True)
+    assert not is_definite(LinearModel(A=-K, B=B).pencil, "scipy", undamped_too=True)
+
+
+def test_solutions_in_two_orders_show_what_rounding_does():
+    """Of a Hilbert matrix, whose condition is 1e10."""
+    n = 8
+    K = 1 / (np.arange(n)[:, None] + np.arange(n) + 1.0)
+    model = LinearModel(M=1e-9 * np.eye(n), K=K, E=1e-10 * K, B=np.eye(n)[:, [n // 2]])
+    band = (0.0, 1e-3)
+    P = (2j * np.pi * 1e-3) ** 2 * model.M + 2j * np.pi * 1e-3 * model.E + K
+    one, other = (np.linalg.solve(each, np.ones(n) + 0j) for each in (P, P[::-1, ::-1]))
+    apart = abs(one.sum() / other.sum() - 1)
+    summed = LinearModel(M=model.M, E=model.E, K=K, B=np.ones((n, 1)))
+    found = _solution_error(Response(summed.pencil), band)
+    assert apart <= found * (1 + 1e-6)
+    assert 1e-15 < found < 1e-2
+    with pytest.raises(SimulationError, match="not that accurate") as caught:
+        subspace(summed.pencil, band, 1e-20, 1e-17, "scipy")
+    assert caught.value.expected == "at most 1.0e-17"
+    good = LinearModel(M=np.eye(2), K=np.diag([1.0, 2.0]), B=np.eye(2))
+    assert _solution_error(Response(good.pencil), (0.0, 1.0)) < 1e-11
+
+
+def test_a_quick_look_sees_the_grid_and_the_flanks_of_resonances():
+    w = 2 * np.pi * np.array([10.0, 200.0])
+    pencil = Pencil((np.diag(w**2), np.diag(0.02 * w), np.eye(2)), np.ones((2, 1)), np.ones((1, 2)),
+                    np.zeros((1, 1)))  # fmt: skip
+    found = _telling_quickly(Response(pencil), (5.0, 50.0), True)
+    pole = 10 * np.sqrt(1 - 1e-4)
+    expected = np.union1d(
+        grid((5.0, 50.0), 200, True), pole * (1 + 0.01 * np.array([-4, -1, 0, 1, 4]))
+    )
+    np.testing.assert_allclose(found, expected)
+
+
+def test_modes_of_a_projection_make_both_matrices_diagonal():
+    K, M = definite(4) + np.eye(4), definite(4) + np.eye(4)
+    one, zero = np.eye(4), np.zeros((4, 4))
+    T = _modes(Pencil((K, zero, M), one, one, zero))
+    np.testing.assert_allclose(T.T @ M @ T, one, atol=1e-12)
+    stiff = T.T @ K @ T
+    np.testing.assert_allclose(stiff, np.diag(np.diag(stiff)), atol=1e-10)
+    for parts in ((K, M), (K + np.eye(4, k=1), zero, M), (K, zero, -M)):
+        np.testing.assert_array_equal(_modes(Pencil(parts, one, one, zero)), one)
+
+
+@pytest.mark.parametrize("model", [chain(40, dashpot=0.3), one_way(40)])
+def test_a_check_is_the_error_before_its_answers_join(model):
+    band = (0.0, 0.1)
+    search = _Search(model.pencil, band, "scipy")
+    assert search.static
+    assert (search.points, search.change) == (1, np.inf)
+    before, s = search.response, 2j * np.pi * 0.07
+    frequency = search._candidates()
+    assert (frequency[0], frequency[-1]) == (0.0, 0.1)
+    peak = abs(before.transfer(2j * np.pi * frequency)).max(axis=0)
+    exact = exact_response(model, [0.07])[0]
+    apart = abs(before.transfer(np.array([s]))[0] - exact) / np.maximum(abs(exact), FLOOR * peak)
+    error, grown = search.check(s)
+    assert error == pytest.approx(apart.max(), rel=1e-6)
+    assert grown
+    assert search.points == 2
+    V = search.basis  # the answers, their slopes, and those of the dual
+    np.testing.assert_allclose(V.T @ V, np.eye(V.shape[1]), atol=1e-12)
+    for P, b in ((model.pencil.at(s), model.B), (model.pencil.at(s).T, model.C.T)):
+        answer = np.linalg.solve(P, b.astype(complex))
+        for each in (answer.real, answer.imag):
+            if model.first_order or b is model.B:
+                np.testing.assert_allclose(V @ (V.T @ each), each, atol=1e-10)
+    again, grown = search.check(s)
+    assert again < 1e-6
+    assert not grown
+    fresh = search.next_point()
+    assert abs(fresh - s) > 1e-6
+    assert search.change == 0.0  # the last point added nothing
+
+
+@pytest.mark.parametrize("order", [1, 5, 6, 7, 30])
+def test_krylov_vectors_are_nested_and_orthonormal_in_energy(order):
+    """Their span is that of ``K^-1 B``, ``K^-1 M K^-1 B``, …, until it is exhausted."""
+    n = 12
+    K, M, B = definite(n) + np.eye(n), definite(n) + np.eye(n), RNG.standard_normal((n, 3))
+    B[:, 2] = B[:, 0] - 2 * B[:, 1]  # a load that others make up
+    V = block_arnoldi(lambda v: K @ v, lambda v: np.linalg.solve(K, v), lambda v: M @ v, B, order)
+    q = min(order, n)
+    assert V.shape == (n, q)
+    np.testing.assert_allclose(V.T @ K @ V, np.eye(q), atol=1e-8)
+    blocks = [np.linalg.solve(K, B[:, :2])]
+    while len(blocks) < 6:
+        blocks.append(np.linalg.solve(K, M @ blocks[-1]))
+    span = np.hstack(blocks)[:, :q]
+    inside = V @ (V.T @ K @ span)
+    np.testing.assert_allclose(inside, span, atol=1e-7 * abs(span).max())
+
+
+def test_a_bands_end_counts_what_moves_alone():
+    """Of masses that nothing holds and of poles at zero no band is made."""
+    K = np.diag([0.0, 4.0, 9.0])
+    one = np.eye(3)
+    free = LinearModel(M=one, K=K, B=one).pencil
+    assert natural_band(free) == (0.0, pytest.approx(1.1 * 3.0 / (2 * np.pi)))
+    lags = LinearModel(A=-K, B=one).pencil
+    assert natural_band(lags) == (0.0, pytest.approx(1.1 * 9.0 / (2 * np.pi)))
+    for parts in ({"M": 0 * one, "K": K}, {"M": one, "K": 0 * K}):
+        with pytest.raises(UsageError, match="no natural frequency"):
+            natural_band(LinearModel(**parts, B=one).pencil)
+
+
+def test_memory_is_asked_for_by_the_band_of_the_best_order(monkeypatch):
+    """A chain in any order has a bandwidth of 2; the estimate is 24 bytes x 34 n sqrt(2)."""
+    n = 50
+    order = RNG.permutation(n)
+    links = sparse.csc_array(
+        (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))[np.ix_(order, order)]
+    )
+    pencil = LinearModel(M=sparse.eye_array(n, format="csc"), K=links, B=np.eye(n)[:, [0]]).pencil
+    estimate = 24 * 34 * n * np.sqrt(2)
+    assert factor_bytes(pencil) == pytest.approx(estimate)
+    full = LinearModel(M=np.eye(n), K=np.ones((n, n)) + n * np.eye(n), B=np.eye(n)[:, [0]]).pencil
+    assert factor_bytes(full) == pytest.approx(24 * 34 * n * np.sqrt(n))
+    for free, fits in ((3 * estimate, True), (0.5 * estimate, False)):
+        monkeypatch.setattr("kc2spice.linalg.memory.available_bytes", lambda free=free: free)
+        if fits:
+            require_memory(pencil, "scipy")
+        else:
+            with pytest.raises(UsageError, match="too large") as caught:
+                require_memory(pencil, "scipy")
+            assert "50 factorised equations" in str(caught.value)
+            require_memory(pencil, "pardiso")
+
+
+def test_a_surrogate_is_measured_against_direct_solutions():
+    model, asked = chain(40, rayleighed=True), []
+    band = (0.01, 0.03)
+
+    class Watched(LinearModel):
+        def transfer(self, frequency):
+            asked.append(np.asarray(frequency))
+            return super().transfer(frequency)
+
+    watched = Watched(**{name: getattr(model, name) for name in ("M", "K", "B", "rayleigh")})
+    found = surrogate(watched, band, blocks=8, checks=5)
+    (frequency,) = asked
+    assert found.solved == frequency.size == 5
+    assert (np.diff(frequency) > 0.1 * (band[1] - band[0]) / 5).all()
+    assert band[0] < frequency[0] < frequency[-1] < band[1]
+    assert found.model.order == 16
+    error = abs(found.model.transfer(frequency) / exact_response(model, frequency) - 1).max()
+    assert found.error == pytest.approx(error, rel=0.5, abs=1e-14)
+    assert found.error < 1e-10
+    assert 0 < found.seconds < 1
+    with pytest.raises(SimulationError, match="cannot replace") as caught:
+        surrogate(model, band, blocks=3, checks=5)
+    assert "with 6 states" in caught.value.got
