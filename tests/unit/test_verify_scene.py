@@ -26,7 +26,8 @@ TIME = np.array([0.0, 1.0])
 
 
 def part(reduced=False, gates=()):
-    return SimpleNamespace(type=SimpleNamespace(reduced=reduced, gates=lambda *_: gates))
+    own = {"reduced": reduced, "gates": lambda *_: gates, "metrics": lambda *_: {}}
+    return SimpleNamespace(type=SimpleNamespace(**own))
 
 
 @pytest.fixture
@@ -552,3 +553,155 @@ def test_a_reading_is_a_sum_with_a_constant_or_a_charge():
     small = circuit._read(own, {k: v + 0j for k, v in waves.items()}, scale)
     np.testing.assert_allclose(small["u"], [1.0, 5.0])
     np.testing.assert_allclose(small["q"], np.array([1.0, 3.0]) / (2j * np.pi * scale))
+
+
+# ------------------------------------------------------------------- parts that have no law
+
+FILTER = "* a filter of somebody's\n.subckt rc in out\nR1 in out 1k\nC1 out 0 1n\n.ends\n"
+FILTERED = {
+    "name": "filtered",
+    "amp": {"part": "source", "pwl": [[0, 0], [1e-4, 6]], "pins": {"out": "rc.in"}},
+    "rc": {"part": "netlist", "file": "rc.lib", "subckt": "rc"},
+    "r": {"part": "resistor", "resistance": 100.0, "pins": {"a": "rc.out"}},
+    "c": {"part": "capacitor", "capacitance": 1e-7, "pins": {"a": "r.b"}},
+    "solver": {"stop": 1e-4},
+}
+
+
+@pytest.fixture
+def filtered(tmp_path, monkeypatch):
+    """A scene with a subcircuit of the user's own between a source and a load."""
+    (tmp_path / "rc.lib").write_text(FILTER)
+    monkeypatch.chdir(tmp_path)
+
+    def make(**more):
+        tables = {k: v for k, v in (FILTERED | more).items() if v is not None}
+        return build_models(load_scene(tables), Clock(silent))
+
+    return make
+
+
+def test_nets_where_a_part_without_law_meets_others_are_taken(filtered):
+    build = filtered()
+    assert circuit.without_law(build) == ("rc",)
+    net = build.net(build.scene.parts["r"], "a")
+    assert circuit.taken_nets(build) == {net: "electrical"}  # the amplifier holds its own
+    weak = FILTERED["amp"] | {"kind": "current"}
+    both = circuit.taken_nets(filtered(amp=weak))
+    assert sorted(both.values()) == ["electrical", "electrical"]
+    assert net in both
+
+
+def test_the_others_are_given_what_ngspice_has_there(filtered):
+    """A ramp into R and C: ``v = k (t - T (1 - exp(-t / T)))``."""
+    build = filtered()
+    ((net, kind),) = circuit.taken_nets(build).items()
+    t = np.linspace(0.0, 1e-4, 41)
+    waves = Waveforms({"time": t, f"net {net}": 4e4 * t}, {})
+    found = circuit.solve(build, waves, {net: kind})
+    T, s = 1e-5, found.results["time"]
+    exact = 4e4 * (s - T * (1 - np.exp(-s / T)))
+    np.testing.assert_allclose(found.results["c.v"], exact, atol=1e-5)
+    assert found.imbalance < 1e-5
+    bare = filtered(c=None, r=FILTERED["r"] | {"pins": {"a": "rc.out", "b": "gnd"}})
+    given = circuit.solve(bare, waves, {net: kind})  # nothing is left to integrate
+    assert given.imbalance is None
+    assert list(given.results.data) == ["time"]
+
+
+@pytest.mark.parametrize("analysis", ["transient", "op"])
+def test_what_is_left_out_is_told(filtered, analysis, monkeypatch, tmp_path):
+    build = filtered(**({"analysis": {"type": "op"}} if analysis == "op" else {}))
+    net = build.net(build.scene.parts["r"], "a")
+    t = np.linspace(0.0, 1e-4, 41)
+    ran = []
+
+    def run(deck, folder, progress):
+        ran.append(deck)
+        zero = dict.fromkeys(deck.vectors, 0 * t)
+        given = {name: 4e4 * t for name in zero if name.startswith("net ")}
+        return Waveforms({"time": t} | zero | given | {"c.v": -1.0 + 0 * t}, {})
+
+    monkeypatch.setattr(module, "run_deck", run)
+    found = module._Verification(build, Clock(silent), tmp_path, False, None).findings()
+    (note,) = found.notes
+    assert note.startswith("left out, for they have no law: rc; ")
+    assert found.left_out == ("rc",)
+    assert (f"net {net}" in ran[0].vectors) is (analysis == "transient")
+    if analysis == "transient":
+        assert note.endswith(f"on the nets where they meet them: {net}")
+        assert any(check.name.startswith("every wave (rms), worst c.v") for check in found.checks)
+        assert found.errors["ngspice_vs_rom"] > 0.9
+        assert [cost.name for cost in found.costs] == [
+            "laws, reference integrator",
+            "netlist, ngspice",
+        ]
+    else:
+        assert note.endswith("the scene as a whole is not compared, its bodies are")
+        assert found.errors == {}
+        assert found.costs == ()
+    assert found.passed is not any(not check.passed for check in found.checks)
+
+
+def test_a_full_solution_of_a_piece_is_compared_with_netlist_and_laws_of_the_piece(
+    under_way, monkeypatch
+):
+    """Every pair has the wave's own error; the laws and the netlist of the piece are made anew."""
+    way, piece = under_way({"a": part(), "b": part()}), under_way().build
+    t = TIME
+    solved = {"full": 1.0, "laws": 1.01, "ngspice": 1.03, "whole": 9.0}
+    waves = {k: Waveforms({"time": t, "u": v + t}, {}) for k, v in solved.items()}
+    told = module.FullSolution(waves["full"], piece, 3.0, " of a piece", {"refactor": 4.0})
+    for name, found in (("a", None), ("b", told)):
+        kind = way.build.scene.parts[name].type
+        kind.full_solution = lambda *_, found=found: found
+    asked = []
+    monkeypatch.setattr(
+        way,
+        "_ngspice",
+        lambda build, deck, folder: (asked.append((build, folder)) or waves["ngspice"], 2.0),
+    )
+    monkeypatch.setattr(
+        way, "_reference", lambda build, _: (SimpleNamespace(results=waves["laws"]), 0.1)
+    )
+    monkeypatch.setattr(
+        module, "comparison", lambda name, title, curves, units: [(name, title, sorted(curves))]
+    )
+    way._full(Solution(waves["whole"], {}), 0.5)
+    assert asked == [(piece, "piece")]
+    assert {o.pair: o.largest for o in way.outputs} == {
+        "rom_vs_fom": pytest.approx(0.01 / 2), "ngspice_vs_rom": pytest.approx(0.02 / 2.01),
+        "ngspice_vs_fom": pytest.approx(0.03 / 2),
+    }  # fmt: skip
+    assert set(way.errors) == {"rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom"}
+    assert way.checks == []
+    assert way.speedup == {"refactor": 2.0}
+    titles = [("full", "s of a piece", ["full model", "laws", "netlist, ngspice"])]
+    assert way.figures == titles
+    asked.clear()
+    whole = under_way({"b": way.build.scene.parts["b"]})
+    own = module.FullSolution(waves["full"], whole.build, 3.0, "", {"refactor": 4.0})
+    whole.build.scene.parts["b"].type.full_solution = lambda *_: own
+    monkeypatch.setattr(
+        whole, "_reference", lambda build, _: (SimpleNamespace(results=waves["laws"]), 0.1)
+    )
+    whole._full(Solution(waves["whole"], {}), 0.5)
+    assert asked == []
+    assert {o.pair for o in whole.outputs} == {"rom_vs_fom", "ngspice_vs_fom"}
+    assert whole.speedup == {"refactor": 8.0}
+
+
+def test_the_first_part_with_a_mesh_study_has_its_table():
+    table, asked = object(), []
+
+    def study(found):
+        return lambda *words: asked.append(words[3]) or found
+
+    kinds = [
+        SimpleNamespace(type=SimpleNamespace(mesh_study=study(f))) for f in (None, table, table)
+    ]
+    scene = SimpleNamespace(parts=dict(enumerate(kinds)), name="s")
+    assert module._mesh_study(SimpleNamespace(scene=scene), None, True) == {"s": table}
+    assert asked == [True, True]
+    none = SimpleNamespace(scene=SimpleNamespace(parts={0: kinds[0]}, name="s"))
+    assert module._mesh_study(none, None, False) == {}
