@@ -127,7 +127,7 @@ def _size(sides: dict[str, list[tuple[int, Pin]]]) -> tuple[int, int]:
     left, right, below = (max([0, *(len(pin.name) for _, pin in sides[s])])
                           for s in ("left", "right", "bottom"))  # fmt: skip
     columns = len(sides["bottom"])
-    rows = max(len(sides["left"]), len(sides["right"]), 1)
+    rows = max(len(sides["left"]), len(sides["right"]))
     # names along the bottom stand upright between those of both sides
     width = ceil(max(_LETTER * left, _LETTER * right) + 0.6 + 0.5 * columns)
     return max(3, width), max(ceil((rows + 1) / 2), ceil((_LETTER * below + 0.8) / 2))
