@@ -123,7 +123,8 @@ def _dropped(line: str, speaker: Dialect) -> bool:
 def _merged(cards: list[Statement], joined: frozenset[str]) -> list[Statement]:
     """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``.
 
-    All cards of the commands ``joined`` become one where the last of them stands.
+    All cards of the commands ``joined`` become one where the first of them stands, with the
+    comments of all: the deck's title may be among them.
     """
     merged: list[Statement] = []
     for s in cards:
@@ -136,7 +137,7 @@ def _merged(cards: list[Statement], joined: frozenset[str]) -> list[Statement]:
         whole = [s for s in merged if s.keyword == key]
         if len(whole) > 1:
             together = reduce(_with, whole)
-            merged[merged.index(whole[-1])] = together
+            merged[merged.index(whole[0])] = together
             merged = [s for s in merged if s.keyword != key or s is together]
     return merged
 

@@ -235,6 +235,74 @@ def test_constructs(source, xyce, ltspice):
     assert ltspice in translate(one(source), "ltspice").files["one.cir"]
 
 
+DECK = """a title
+* Run it with:  ngspice -b one.cir
+* or ngspice -i one.cir
+*        a reason of an option
+.options reltol=1e-4 trtol=1
+R1 a 0 1
+.print tran v(a)
+.include zz.lib
+.save v(a)
+.save i(v1) v(b)
+* why
+.save v(c)
+*        another
+.options method=gear
+.tran 1u 1m uic
+.end
+"""
+XYCE = """a title
+* Run it with:  Xyce one.cir
+.options timeint reltol=1e-4 method=gear
+* Xyce has no option trtol=1
+R1 a 0 1
+.include zz.lib
+.print TRAN format=raw
++ V(a)
++ I(v1)
++ V(b)
+* why
+.print TRAN format=raw
++ V(c)
+.tran 1u 1m 0 1e-06 uic
+.end
+"""
+LTSPICE = """a title
+* Run it with:  LTspice -b one.cir
+*        a reason of an option
+.options reltol=1e-4 trtol=1
+R1 a 0 1
+.include zz.lib
+.save
++ V(a)
++ I(v1)
++ V(b)
+* why
+.save
++ V(c)
+*        another
+.options method=gear
+.tran 1u 1m uic
+.end
+"""
+
+
+@pytest.mark.parametrize(("dialect", "expected"), [("xyce", XYCE), ("ltspice", LTSPICE)])
+def test_a_whole_deck_line_by_line(dialect, expected):
+    library = {"zz.lib": "B1 a 0 V=log(V(b))\nR2 a 0 1\n"}
+    vectors = {"sum": ("v(a)+i(v1)", 2.0)}
+    deck = translate(Deck(name="one", text=DECK, more=library, vectors=vectors), dialect)
+    assert deck.files["one.cir"] == expected
+    law = "{ln(V(b))}" if dialect == "xyce" else "ln(V(b))"
+    assert deck.files["zz.lib"] == f"B1 a 0 V={law}\nR2 a 0 1\n"
+    assert deck.vectors == {"sum": ("V(a)+I(v1)", 2.0)}
+
+
+def test_a_library_has_no_title():
+    assert translate_text("L1 a 0 1\n", "coil.lib", "ltspice") == "L1 a 0 1 Rser=0\n"
+
+
 REFUSED = [
     "B1 a 0 I=pwl(V(c), 0, 0, 1, 1)",  # ngspice goes on with the slope, a table stays flat
     "B1 a 0 I=limit(V(c), 0, 1)",
