@@ -374,6 +374,79 @@ def test_words_of_the_language_and_double_names_are_renamed(tmp_path):
     openvaf.compile_va(str(tmp_path / "part.va"))
 
 
+NESTED = """* part: title
+* @pin 1 a unit=V flow=A
+
+.subckt part a b k=2 unused=1
+* first
+*second
+
+R1 a b {k*half}
+.param half={k/2}
+* third
+X1 a b inner g=3
+.ends part
+* behind
+.subckt inner p q g=1 h={2*3}
+C1 p mid {g*1e-6} IC=0.5
+V1 mid q 0
+F1 q p V1 2
+.param used={g+h}
+R1 p q {used}
+.ends inner
+* the end
+"""
+MODULE = """// part: title
+// @pin 1 a unit=V flow=A
+
+// A transient starts from its operating point, in which initial conditions hold.
+`include "disciplines.vams"
+
+module part(a, b);
+  inout a, b;
+  electrical a, b;
+  electrical x1_mid;
+  parameter real k = 2.0;  // -: gain
+  real half;
+  real x1_g;
+  real x1_h;
+  real x1_used;
+  real charge_x1_c1;
+  branch (x1_mid,b) br_x1_v1;
+  analog begin
+    half = (k/2.0);
+    // first
+    // second
+    BLANK
+    I(a,b) <+ V(a,b)/(k*half);
+    // third
+    x1_g = 3.0;
+    x1_h = (2.0*3.0);
+    x1_used = (x1_g+x1_h);
+    charge_x1_c1 = (x1_g*1e-6)*V(a,x1_mid);
+    I(a,x1_mid) <+ ddt(charge_x1_c1);
+    I(a,x1_mid) <+ (SEARCH ? 1000000000.0 : 0.0)*(V(a,x1_mid) - 0.5);
+    V(br_x1_v1) <+ 0.0 + 1e-15*I(br_x1_v1);
+    I(b,a) <+ 2.0*I(br_x1_v1);
+    I(a,b) <+ V(a,b)/x1_used;
+  end
+endmodule
+"""
+
+
+def test_a_module_line_by_line():
+    pins = (Pin("a", "V", "A"), Pin("b", "V", "A"))
+    params = (Param("k", 2.0, "-", "gain"), Param("unused", 1.0, "-", ""))
+    text = library([Subcircuit("part", pins, params, NESTED)])["part.va"]
+    search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
+    assert text == MODULE.replace("SEARCH", search).replace("BLANK", "")
+
+
+def test_an_instance_has_the_pins_of_its_subcircuit():
+    with pytest.raises(UsageError, match="no such subcircuit"):
+        library([part_of("X1 a b inner\n.subckt inner p\nR1 p p 1\n.ends")])
+
+
 def part_of(cards_):
     text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
     return Subcircuit("part", (Pin("a", "V", "A"), Pin("b", "V", "A")),
