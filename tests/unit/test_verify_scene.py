@@ -262,6 +262,16 @@ def test_poles_of_a_reduced_model_are_told_by_their_damping():
     assert len(signals) == 1
 
 
+@pytest.mark.parametrize("hertz", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize(("turn", "power"), [(-0.1j, 0.0), (0.1j, 0.1 / abs(1 + 0.1j))])
+def test_power_that_is_given_is_a_share_at_any_frequency(hertz, turn, power):
+    """``Re (s H)`` of ``H = 1 + j a`` is ``-a`` of ``|s H|``; the scale of H does not matter."""
+    H = np.full((2, 1, 1), 1e-12 * (1 + turn))
+    (found,) = bodies.structure("x", np.array([0.5, 1.0]) * hertz, H, 1e-9)
+    assert found.name == "x, active power over all frequencies"
+    assert found.value == pytest.approx(power, abs=1e-12)
+
+
 def test_frequencies_of_a_sample_begin_with_the_resonances():
     at = bodies._sampled(body(["tip"], (10.0, 70.0, 300.0)), (0.0, 200.0))
     np.testing.assert_allclose(sorted(at[:2]), [10.0, 70.0], rtol=1e-3)
