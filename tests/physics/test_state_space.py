@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.spice.realize import subcircuit
 
 N = 6
@@ -96,3 +96,58 @@ def test_kinds_of_ports_that_files_spell_are_known():
     ports = [Port(name, "".join(spelled)) for name, spelled in kinds.items()]
     model = LinearModel(M=M, K=K, B=B, C=C[:2], ports=tuple(ports))
     assert (model.inputs, model.outputs) == (("u1", "tip"), ("tip", "y1"))
+
+
+def scaled_blocks(K, top=None, **more):
+    """A of unit masses on ``K``; ``top`` [Hz] is the end of a certificate's band."""
+    known = None if top is None else Certificate((0.0, top), 1e-3, "told", True, True)
+    one = np.eye(len(K))
+    parts = {"M": one, "K": np.asarray(K, dtype=float), "B": one, "C": one} | more
+    return LinearModel(**parts, certificate=known).state_space()[0]
+
+
+def test_positions_are_scaled_by_their_own_frequency_or_the_band():
+    """Both states of a mode are velocities: ``w z`` and ``z'``; of a free mass ``2 pi f z``."""
+    np.testing.assert_allclose(scaled_blocks([[9.0]], 5.0), [[0, 3], [-3, 0]])
+    np.testing.assert_allclose(scaled_blocks([[0.0]], 5.0), [[0, 10 * np.pi], [0, 0]])
+    np.testing.assert_allclose(scaled_blocks([[0.0]]), [[0, 1], [0, 0]])
+    both = scaled_blocks(np.diag([0.0, 16.0]))
+    exact = np.zeros((4, 4))
+    exact[0, 1] = exact[2, 3] = 4.0  # the root of the largest stiffness over mass
+    exact[3, 2] = -4.0
+    np.testing.assert_allclose(both, exact, atol=1e-12)
+    growing = scaled_blocks([[-9.0]])
+    np.testing.assert_allclose(growing, [[0, 3], [3, 0]])
+    circulating = np.array([[4.0, 1.0], [0.0, 4.0]])
+    A = scaled_blocks(circulating, 0.5)
+    np.testing.assert_allclose(A[[0, 2], [1, 3]], np.pi)
+    np.testing.assert_allclose(A[np.ix_([1, 3], [0, 2])], -circulating / np.pi)
+    M = np.array([[1.0, 0.5], [0.0, 2.0]])
+    A = scaled_blocks(np.diag([4.0, 9.0]), 0.5, M=M, E=0.1 * np.eye(2))
+    np.testing.assert_allclose(A[:2], [[0, 0, np.pi, 0], [0, 0, 0, np.pi]])
+    np.testing.assert_allclose(M @ A[2:, :2], -np.diag([4.0, 9.0]) / np.pi)
+    np.testing.assert_allclose(M @ A[2:, 2:], -0.1 * np.eye(2))
+
+
+@pytest.mark.parametrize(("mass", "states"), [(0.9e-13, 3), (1.1e-13, 4)])
+def test_a_mass_that_is_rounding_of_another_is_none(mass, states):
+    """A damped coordinate without mass is of first order."""
+    A = scaled_blocks(np.diag([4.0, 1.0]), M=np.diag([1.0, mass]), E=np.diag([0.1, 0.5]))
+    assert len(A) == states
+    assert np.abs(np.linalg.eigvals(A) + 2.0).min() < (1e-6 if states == 3 else 1e-3)
+
+
+def test_low_modes_keep_their_digits_beside_stiff_ones():
+    """Fourteen decades of stiffness in coordinates that mix them."""
+    turn = np.linalg.qr(RNG.standard_normal((3, 3)))[0]
+    K = turn @ np.diag([1.0, 1e6, 1e12]) @ turn.T
+    A = scaled_blocks(0.5 * (K + K.T))
+    poles = np.sort(np.linalg.eigvals(A).imag)[3:]
+    np.testing.assert_allclose(poles, [1.0, 1e3, 1e6], rtol=1e-4)
+
+
+def test_coupling_that_is_rounding_is_left_out():
+    for between, whole in ((1e-11, False), (1e-9, True)):
+        E = np.array([[0.1, between], [between, 0.1]])
+        A = scaled_blocks(np.diag([1.0, 4.0]), E=E)
+        assert bool(A[1, 3]) is whole
