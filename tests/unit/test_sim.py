@@ -1,5 +1,6 @@
 """What is made of a simulator's words, files and failures, without running one."""
 
+import ctypes
 import os
 import struct
 import subprocess
@@ -14,7 +15,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim import loop, ngspice, retries
+from kc2spice.sim import loop, ngspice, retries, shared
 from kc2spice.sim.failure import FailedRunError, Failure, belongs_to, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.ngspice import run_deck
@@ -691,3 +692,113 @@ def test_a_library_that_gave_nothing_or_an_error_has_failed(monkeypatch):
     monkeypatch.setattr(loop, "_library", dead)
     monkeypatch.setattr(loop, "Library", lambda: "anew")
     assert loop._fresh() == "anew"
+
+
+# ----------------------------------------------------------------------- what the library calls
+
+
+@pytest.fixture
+def called():
+    """The callbacks of a library that is not there."""
+    library = object.__new__(shared.Library)
+    library._lines, library.dead = [], False
+    library._forget()
+    return library
+
+
+def test_words_of_both_streams_are_kept_in_order(called):
+    for line in (b"stdout one", b"stderr two", b"three stdout", b"\xff"):
+        assert called._on_text(line, 0, None) == 0
+    assert called.said == "one\ntwo\nthree stdout\n\ufffd\n"
+    assert called._on_exit(0, False, False, 0, None) == 0
+    assert called.dead
+    assert not called.command("echo")
+
+
+def test_a_source_gets_its_volts_by_its_name_in_lower_case(called):
+    value = (ctypes.c_double * 1)(7.0)
+    assert called._on_source(value, 1.5, b"VExt", 0, None) == 0
+    assert value[0] == 7.0
+    called._source = lambda time, name: {"vext": 2 * time}[name]
+    called._on_source(value, 1.5, b"VExt", 0, None)
+    assert value[0] == 3.0
+    called._on_source(value, 1.5, b"other", 0, None)
+    assert isinstance(called.broken, KeyError)
+    called._on_source(value, 9.0, b"vext", 0, None)  # after a failure nothing is asked
+    assert value[0] == 3.0
+
+
+def test_a_step_is_never_longer_than_the_limit(called):
+    step = (ctypes.c_double * 1)(4.0)
+
+    def on_step(time):
+        assert called._on_step(time, step, 0.0, 0, 0, 0, None) == 0
+        return step[0]
+
+    assert on_step(0.0) == 4.0
+    called._limit = lambda time, step: time
+    assert [on_step(5.0), on_step(3.0), on_step(3.5)] == [4.0, 3.0, 3.0]
+    called._limit = lambda time, step: {}[time]
+    assert on_step(1.0) == 3.0
+    assert isinstance(called.broken, KeyError)
+    called._limit = lambda time, step: 1.0
+    assert on_step(1.0) == 3.0
+
+
+def test_a_point_has_its_time_and_its_values(called):
+    def entry(name, value, is_scale=False):
+        return SimpleNamespace(contents=SimpleNamespace(name=name, real=value, is_scale=is_scale))
+
+    vectors = [entry(b"V(A)", 2.0), entry(b"time", 0.5, True), entry(b"beyond", 9.0)]
+    data = SimpleNamespace(contents=SimpleNamespace(vectors=vectors, count=2))
+    assert called._on_point(data, 2, 0, None) == 0
+    seen = []
+    called._sampler = lambda time, values: seen.append((time, values()))
+    called._on_point(data, 2, 0, None)
+    data.contents.vectors = vectors[:1] + vectors[2:]
+    called._on_point(data, 2, 0, None)
+    assert seen == [(0.5, {"v(a)": 2.0, "time": 0.5}), (0.0, {"v(a)": 2.0, "beyond": 9.0})]
+    called._sampler = lambda time, values: 1 / 0
+    called._on_point(data, 2, 0, None)
+    assert isinstance(called.broken, ZeroDivisionError)
+    called._sampler = lambda time, values: seen.append("more")
+    called._on_point(data, 2, 0, None)
+    assert len(seen) == 2
+
+
+def test_real_and_complex_vectors_are_copied():
+    real = (ctypes.c_double * 3)(1.0, 2.0, 3.0)
+    vector = shared._Vector(real=ctypes.cast(real, ctypes.POINTER(ctypes.c_double)), length=2)
+    found = shared._copied(vector)
+    real[0] = 9.0
+    assert found.tolist() == [1.0, 2.0]
+    both = (shared._Complex * 2)((1.0, -2.0), (3.0, 4.0))
+    vector = shared._Vector(complex=ctypes.cast(both, ctypes.POINTER(shared._Complex)), length=2)
+    assert shared._copied(vector).tolist() == [1 - 2j, 3 + 4j]
+
+
+def test_start_up_files_and_surroundings_of_the_user_come_back(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SPICE_SCRIPTS", "mine")
+    monkeypatch.delenv("SPICE_USERINIT_DIR", raising=False)
+    asked = []
+    library = SimpleNamespace(ngSpice_nospiceinit=lambda: asked.append("no files"))
+    with shared._no_start_up_files(library):
+        folder = os.getcwd()
+        names = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
+        assert {os.environ[name] for name in names} == {folder}
+        assert sorted(os.listdir(folder)) == [".spiceinit", "spinit"]
+    assert asked == ["no files"]
+    assert os.getcwd() == str(tmp_path)
+    assert os.environ["SPICE_SCRIPTS"] == "mine"
+    assert "SPICE_USERINIT_DIR" not in os.environ
+    assert not os.path.exists(folder)
+
+
+def test_a_library_that_cannot_be_loaded_is_named(monkeypatch, tmp_path):
+    (tmp_path / "libngspice.so").write_bytes(b"no library")
+    name = str(tmp_path / "libngspice.so")
+    monkeypatch.setattr(shared.ctypes.util, "find_library", lambda _: name)
+    with pytest.raises(MissingToolError, match="cannot be loaded") as caught:
+        shared.Library()
+    assert caught.value.where == name

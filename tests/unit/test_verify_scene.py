@@ -19,7 +19,7 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.realize import LEAK
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import bodies, circuit
-from kc2spice.workflow.verify.compare import OutputError, Solution
+from kc2spice.workflow.verify.compare import OutputError, Solution, solution
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
 TIME = np.array([0.0, 1.0])
@@ -96,6 +96,17 @@ def test_a_metric_that_one_solution_reaches_is_missed(under_way):
         ("metric a, reached by one of both", None), ("every metric, worst b, ngspice to laws", 0.0),
     ]  # fmt: skip
     assert generic(under_way(), {}, {}) == []
+
+
+def test_a_solution_has_the_metrics_that_its_waves_tell():
+    def lost(*_):
+        raise KeyError("ball.y")
+
+    kinds = {"a": lambda *_: {"x": 1}, "b": lost, "c": lambda *_: {"y": 2}}
+    parts = {k: SimpleNamespace(type=SimpleNamespace(metrics=each)) for k, each in kinds.items()}
+    waves = Waveforms({"time": TIME}, {})
+    found = solution(waves, SimpleNamespace(scene=SimpleNamespace(parts=parts)))
+    assert found == Solution(waves, {"x": 1, "y": 2})
 
 
 def pair(way, name, everything=True):
