@@ -593,10 +593,10 @@ def test_functions_are_asked_at_their_instants_and_held_after_the_delay():
 
 
 @pytest.mark.parametrize(
-    ("time", "step"), [(0.0, 0.25), (0.25, 0.75), (0.2, 0.05), (1.1, 0.15), (1.6, 0.4), (3.0, 0.25)]
+    ("time", "step"), [(0.0, 0.25), (0.25, 0.45), (0.2, 0.05), (0.8, 0.15), (1.8, 0.2), (2.8, 0.25)]
 )
 def test_a_step_ends_at_the_next_instant(time, step):
-    one = Sampled("vq", 1.0, 0.25, lambda *_: 0.0)
+    one = Sampled("vq", 0.7, 0.25, lambda *_: 0.0)
     other = Sampled("vs", 2.0, 0.0, lambda *_: 0.0)
     assert loop._Sampler([one, other], 4.0, None).limit(time, 9.0) == pytest.approx(step)
 
@@ -641,6 +641,8 @@ class Said:
 
     def run(self, *callbacks):
         self.asked = callbacks
+        if callbacks[0] is not None:
+            callbacks[0](0.25e-3, dict)
         return True
 
     def vectors(self):
@@ -662,10 +664,18 @@ def test_results_of_the_library_are_in_si(monkeypatch):
     np.testing.assert_allclose(waves["b"], [3e-6, 6e-6])
     assert waves.stats == {"accepted": 2.0}
     assert (library.cleared, library.asked) == (1, (None, None, None))
-    loop.run_shared(deck(vectors={}), progress=lambda share: None)
+    shares = []
+    loop.run_shared(deck(vectors={}), progress=shares.append)
+    assert shares == [0.25]
     assert [each is not None for each in library.asked] == [True, False, False]
     loop.run_shared(deck(vectors={}), [Sampled("v", 1.0, 0.0, lambda *_: 0.0)])
     assert all(library.asked)
+
+
+@pytest.mark.parametrize("last", [1e-3 * (1 - 5e-10), 1e-3 * (1 + 5e-10)])
+def test_a_library_may_stop_within_rounding(last, monkeypatch):
+    monkeypatch.setattr(loop, "_library", Said({"time": np.array([0.0, last])}))
+    assert loop.run_shared(deck(vectors={}))["time"][-1] == last
 
 
 @pytest.mark.parametrize("last", [1e-3 * (1 - 2e-9), 1e-3 * (1 + 2e-9)])

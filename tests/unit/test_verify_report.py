@@ -246,6 +246,10 @@ def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
     assert found["u"].largest == found["c.y"].largest == pytest.approx(0.5 / 16.25)
     power = (0.25**2 + 0.5**2) / 2 + (0.5**2 + 0.25**2), (1.25**2 + 4.5**2) / 2 + 4.5**2 + 16.25**2
     assert found["u"].rms == pytest.approx(np.sqrt(power[0] / power[1]))
+    swapped = output_errors("p", Waveforms(exact, {}), Waveforms(ours, {}))
+    (one,) = (e for e in swapped if e.output == "u")  # at the points of the coarser one
+    assert one.largest == pytest.approx(0.5 / 16)
+    assert one.rms == pytest.approx(np.sqrt(power[0] / ((1 + 4**2) / 2 + 4**2 + 16**2)))
     more = {k: v[:-1] for k, v in exact.items()}
     back = {e.output: e for e in output_errors("p", Waveforms(exact, {}), Waveforms(more, {}))}
     assert all(e.largest < 1e-12 for e in back.values())

@@ -1,6 +1,7 @@
 """What ``verify`` looks at in a scene and in each body, on solutions made by hand."""
 
 import importlib
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -726,3 +727,41 @@ def test_the_first_part_with_a_mesh_study_has_its_table():
     assert asked == [True, True]
     none = SimpleNamespace(scene=SimpleNamespace(parts={0: kinds[0]}, name="s"))
     assert module._mesh_study(none, None, False) == {}
+
+
+@pytest.mark.parametrize(("meshes", "asked"), [(False, []), (True, ["a", "b"])])
+def test_the_record_of_all_scenes_is_written_with_one_mesh_study(
+    meshes, asked, monkeypatch, tmp_path
+):
+    """The first scene that has one; of two scenes one fails, and so do both together."""
+    studied = []
+    table = module.Table("t", ("h",), (("1",),), "note", ({"size": 1.0},))
+
+    def study(build, clock, full):
+        studied.append(build.scene.name)
+        return {"b": table} if build.scene.name == "b" else {}
+
+    def findings(way):
+        limit = 1.0 if way.build.scene.name == "b" else 0.5
+        return module.Findings((Limit("x", 0.7, limit),), {}, {}, (), {}, notes=("n",))
+
+    monkeypatch.setattr(module, "find_ngspice", lambda: None)
+    monkeypatch.setattr(module, "build_models", lambda scene, _: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(module, "_mesh_study", study)
+    monkeypatch.setattr(module._Verification, "findings", findings)
+    scenes = [SimpleNamespace(name=name) for name in "abc"]
+    found = module.verify(scenes, tmp_path / "out", meshes=meshes)
+    assert studied == asked
+    assert [record["passed"] for record in found.values()] == [False, True, False]
+    assert ("meshes" in found["b"]) is meshes
+    written = json.loads((tmp_path / "out" / "verify.json").read_text())
+    assert written["passed"] is False
+    assert written["scenes"] == json.loads(json.dumps(found))
+    assert found["a"]["checks"] == [
+        {"name": "x", "value": 0.7, "limit": 0.5, "unit": "1", "passed": False}
+    ]
+    assert found["a"]["notes"] == ["n"]
+    good = module.verify(scenes[1:2], tmp_path / "good")
+    assert good["b"]["passed"]
+    assert json.loads((tmp_path / "good" / "verify.json").read_text())["passed"] is True
+    assert (tmp_path / "good" / "verify.html").is_file()
