@@ -181,7 +181,7 @@ class LinearModel:
             put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
             raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
-        shapes = {"M": (n, n), "E": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+        shapes = dict.fromkeys("MEKA", (n, n)) | {"B": (n, m), "C": (p, n), "D": (p, m)}
         for letter, shape in shapes.items():
             matrix = getattr(self, letter)
             if matrix is not None and (matrix.shape != shape or 0 in shape):

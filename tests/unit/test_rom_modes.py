@@ -1,6 +1,7 @@
 """Resonators, their answers in time, states without inertia, blocks: against closed forms."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.signal import StateSpace, lsim
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.blocks import BlockModel, block_model
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.march import chip_response
+from kc2spice.rom.march import _steps, chip_response
 from kc2spice.rom.massless import _beyond, without_inertia
 from kc2spice.rom.modal import Resonators, resonators
 
@@ -99,7 +100,7 @@ RATIOS = {"undamped": 0.0, "light": 0.01, "critical": 1.0, "nearly critical": 1 
 @pytest.mark.parametrize("name", RATIOS)
 def test_modes_answer_loads_that_are_linear_between_the_times(name):
     """Against scipy's ``lsim``; steps of a thousandth of a radian to three, and a block's end."""
-    n, h = 4500, 0.1
+    n, h = 4098, 0.1  # one step more than a block
     t = h * np.arange(n)
     load = 0.3 + np.interp(t, np.linspace(0, t[-1], 12), RNG.standard_normal(12))
     for omega in (0.01, 30.0):
@@ -115,6 +116,20 @@ def test_modes_answer_loads_that_are_linear_between_the_times(name):
                                    atol=close * 3 * size)  # fmt: skip
         stored = (states[:, 1] ** 2 + omega**2 * states[:, 0] ** 2) / 2 + load**2
         np.testing.assert_allclose(found.stored, stored, rtol=0, atol=close * stored.max())
+
+
+@pytest.mark.parametrize("size", [9e-3, 1.1e-2, 1.0])
+@pytest.mark.parametrize("turn", [-1.0, 1j, 0.6 - 0.8j])
+def test_a_step_is_exact_to_ten_digits_however_short(size, turn):
+    """``h sum s^k / (k + 1)!`` of the load, ``h sum s^k / (k + 2)!`` of its increase."""
+    h, s = 0.5, size * turn
+    grow, push = _steps(np.array([s / h]), np.array([0.0, h]), np.array([[3.0], [3.0]]))
+    assert grow[0, 0] == pytest.approx(np.exp(s), rel=1e-14)
+    one = sum(s**k / math.factorial(k + 1) for k in range(20))
+    assert push[0, 0] == pytest.approx(3 * h * one, rel=2e-10)
+    _, push = _steps(np.array([s / h]), np.array([0.0, h]), np.array([[0.0], [3.0]]))
+    two = sum(s**k / math.factorial(k + 2) for k in range(20))
+    assert push[0, 0] == pytest.approx(3 * h * two, rel=2e-10)
 
 
 def test_states_without_inertia_relax_or_follow_at_once():
@@ -266,6 +281,7 @@ BLOCKS = {
     "pairs and real poles": (turned(pair(-1, 3), -2.0, pair(-0.1, 9)), [1, 2, 2]),
     "symmetric": (-SKEW @ SKEW.T, [1] * 5),
     "lossless": (SKEW - SKEW.T, [1, 2, 2]),
+    "lossless but for rounding": (1e3 * (SKEW - SKEW.T) * (1 + 1e-15 * SKEW), [1, 2, 2]),
     "defective": (turned(-1.0, -1.0, -1.0, upper=1.0), [3]),
     "all but defective": (turned(-1.0, -1.0 - 1e-9, -50.0, upper=1.0), [1, 2]),
     "close and apart": (turned(-1.0, -1.1, -50.0, upper=1.0), [1, 1, 1]),
@@ -289,7 +305,7 @@ def test_blocks_are_as_small_as_the_poles_allow(name):
     exact = C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)[None]) + D
     np.testing.assert_allclose(found.response(frequency), exact, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(block_model(model, dense=True).response(frequency), exact, rtol=1e-9)
-    if name == "lossless":
+    if name.startswith("lossless"):
         assert all(np.array_equal(block, -block.T) for block in found.blocks)
 
 
