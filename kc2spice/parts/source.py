@@ -171,13 +171,14 @@ class Source(PartType):
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         shape = part.keys.waveform(build.scene.home)
+        told = keys.kind == "voltage" and _unloaded(part, build)
         law = laws.Source(
             n,
-            keys.kind,
+            "signal" if told else keys.kind,
             smooth_pieces(shape, build.scene.stop),
             complex(quantity(keys.ac, keys.unit)),
         )
-        signal = keys.kind == "acceleration"
+        signal = told or keys.kind == "acceleration"
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         across = {"voltage": "v", "current": "v", "acceleration": "a"}.get(keys.kind, "x")
         results = {f"{n}.{across}": laws.reading(f"{n}.out")}
@@ -189,6 +190,17 @@ class Source(PartType):
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         shape = next((name for name in SHAPES if getattr(part.keys, name) is not None), "dc")
         return Modelled(part.name, "ideal source", f"{part.keys.kind}, {shape}")
+
+
+def _unloaded(part: Part, build: Build) -> bool:
+    """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
+    found = [
+        terminal.flow
+        for name, pin in build.scene.joined(part.name, "out")
+        for terminal in build.scene.parts[name].type.pins(build.scene.parts[name], build.scene)
+        if terminal.name == pin
+    ]
+    return bool(found) and set(found) == {"-"} and build.net(part, "ret") == "0"
 
 
 def smooth_pieces(wave: Waveform, stop: float) -> laws.Waveform:

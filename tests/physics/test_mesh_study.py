@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from kc2spice.bodies.pressure import Pressed, hats, pressing
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.contact import contact_surface
@@ -11,7 +12,16 @@ from kc2spice.fem.piezo.memory import factor_bytes
 from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.transient import Ball, transient
 from kc2spice.parts import _mesh_study
-from kc2spice.parts._mesh_study import STOP, Load, MeshPoint, mesh_study, mesh_table
+from kc2spice.parts._mesh_study import (
+    STOP,
+    Load,
+    MeshPoint,
+    hat_study,
+    mesh_study,
+    mesh_table,
+)
+from kc2spice.parts.piezo_stack import top_material
+from kc2spice.rom.linear import LinearModel, Port
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 LOAD = Load(radius=1e-3, mass=32.88e-6)
@@ -45,6 +55,71 @@ def test_a_mesh_beyond_the_memory_is_refused_at_once():
 
 def test_memory_estimate_of_the_default_is_what_its_band_takes():
     assert factor_bytes(Chip()) == pytest.approx(16721 * 534 * 8, rel=0.15)
+
+
+def test_a_force_under_hats_gives_with_the_patch_on_an_open_anode():
+    """``u = T_pp - T_pa T_ap / T_aa`` of the patch on top of each hat's dent."""
+    shape = hats(20e-6, 200e-6)
+    n = shape.nodes.size - 1
+    own = Pressed(np.full(n, 1 / n), 2e-9 * np.eye(n), 0.0)
+    T = np.array([[6e-9, 4e-8], [4e-8, 8e-7]])  # m/N, m/V, C/N, F: give 4e-9
+    ports = (Port("patch", "mechanical"), Port("anode", "electrical"))
+    root = np.linalg.cholesky(T)
+    rom = LinearModel(M=1e-12 * np.eye(2), K=np.eye(2), B=root.T, C=root, ports=ports)
+    found = _mesh_study._under_pressure(rom, shape, own, Load(1e-3, 1e-5, depth=5e-6))
+    gap = shape.distances**2 / 2e-3
+    exact = pressing(own.compliance + 4e-9, gap, np.array([5e-6])).sum()
+    assert found == pytest.approx(exact, rel=0.05)
+
+
+def test_hats_and_meshes_are_varied_each_by_itself(monkeypatch):
+    asked, said = [], []
+
+    def point(label, chip, load, step):
+        asked.append((label, chip.mesh.rings, load.spacing, step))
+        return label
+
+    monkeypatch.setattr(_mesh_study, "_mesh_point", point)
+    labels = hat_study(Chip(), Load(1e-3, 1e-5, spacing=8e-6), step=2e-9, progress=said.append)
+    assert labels == said == [label for label, *_ in asked]
+    assert [row[1:] for row in asked] == [
+        (5, 16e-6, 2e-9), (5, 8e-6, 2e-9), (5, 4e-6, 2e-9), (3, 8e-6, 2e-9), (10, 8e-6, 2e-9),
+    ]  # fmt: skip
+    asked.clear()
+    mesh_study(Chip(), LOAD, variants={"fine": {"refine": 2}}, progress=said.append)
+    assert (asked, said[-1]) == ([("fine", 5, None, 50e-9)], "fine")
+
+
+def test_the_table_leaves_out_what_takes_minutes(monkeypatch):
+    """Texts in the units of the head, the numbers beside them."""
+    asked = []
+
+    def study(chip, load, *, variants, progress):
+        asked.append(list(variants))
+        return [MeshPoint("one", 9, 2.0, 1.25e5, 2.5e5, -3e-6, 1.5, 0.25)]
+
+    monkeypatch.setattr(_mesh_study, "mesh_study", study)
+    table = mesh_table(Chip(), LOAD, False, print)
+    mesh_table(Chip(), LOAD, True, print)
+    assert [len(each) for each in asked] == [4, 6]
+    assert table.rows == (("one", "9", "2 N", "125 kHz", "250 kHz", "-3 µm", "1.5 m/s", "0.25 s"),)
+    assert "force at 20 µm, quarter" in table.head
+    assert table.records[0]["unknowns"] == 9
+    assert "line load" in table.note
+
+
+def test_a_mesh_under_hats_is_solved_as_one_under_rings(monkeypatch):
+    """On a chip of two layers: Hertz's force of the depth, and an impact that returns."""
+    monkeypatch.setattr(_mesh_study, "STOP", 8e-6)
+    chip = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})
+    load = Load(1e-3, 32.88e-6, spacing=25e-6, depth=4e-6)
+    (point,) = [_mesh_study._mesh_point("hats", chip, load, 50e-9)]
+    modulus = top_material(chip).indentation_modulus
+    hertz = 4 / 3 * modulus * np.sqrt(1e-3) * load.depth**1.5
+    assert 4 * point.imprint_force_n == pytest.approx(hertz, rel=0.2)
+    assert 0.9 < point.rebound_velocity_m_s < 1.0
+    assert -6e-6 < point.min_position_m < -2e-6
+    assert 0 < point.wall_s < 60
 
 
 def test_the_table_of_hats_says_what_halving_moves(monkeypatch):

@@ -175,6 +175,26 @@ def test_signals_in_and_out_are_a_law_of_first_order(body):
     np.testing.assert_allclose(found, 1 / (2j * np.pi * f * 2 + 3), rtol=1e-9)
 
 
+def test_a_voltage_that_only_signals_listen_to_is_a_signal(body):
+    """What draws a current too keeps it electrical."""
+    ports = (kc.Port("drive", "input", across="V"), kc.Port("seen", "output", across="V"))
+    first = kc.LinearModel(E=2 * np.eye(1), A=-3 * np.eye(1), B=np.ones((1, 1)), C=np.eye(1),
+                           ports=ports)  # fmt: skip
+    source = {"part": "source", "ac": 2.0, "pins": {"out": "beam.drive"}}
+    sweep = {"analysis": {"type": "ac", "start": 0.1, "stop": 1.0}}
+    _, _, build = body(first, source=source, **sweep)
+    f = np.array([0.2, 0.5])
+    found = solve(build, Waveforms({"frequency": f}, {})).results
+    np.testing.assert_allclose(found["beam.seen"], 2 / (2j * np.pi * f * 2 + 3), rtol=1e-9)
+    np.testing.assert_allclose(found["source.v"], 2.0)
+    load = {"part": "resistor", "resistance": 5.0, "pins": {"a": "source.out"}}
+    for more in ({"load": load}, {"cell": {"part": "source", "dc": 1.0,
+                                           "pins": {"out": "source.ret"}}}):  # fmt: skip
+        _, _, build = body(first, source=source, **sweep, **more)
+        (law,) = build.scene.parts["source"].type.law(build.scene.parts["source"], build).laws
+        assert law.kind == "voltage"
+
+
 def test_damping_that_couples_the_modes_is_a_law_of_the_matrices(body):
     full = kc.LinearModel(
         M=np.diag([1.0, 2.0]), E=np.array([[0.9, -0.2], [-0.2, 0.3]]),

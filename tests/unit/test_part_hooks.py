@@ -185,8 +185,13 @@ def test_a_sphere_begins_where_it_is_thrown_or_rests():
     part, kind, build = part_of({"name": "ball", "sphere": {}}, "sphere")
     assert set(kind.initial(part, build).values()) == {0.0}
     assert len(kind.initial(part, build)) == 2
+    assert kind.modelled(part, build.scene).detail.startswith("32.88 mg, vertical motion")
     part, kind, build = part_of({"name": "ball", "sphere": {}}, "sphere", "sphere.height=1 mm")
     assert kind.initial(part, build) == {}
+    seen = {"part": "sensor", "pins": {"of": "sphere.bottom"}}
+    for more in ({"catch": {}}, {"seen": seen}):  # at its pin v, and at its pin bottom
+        part, kind, build = part_of({"name": "ball", "sphere": {}, **more}, "sphere")
+        assert kind.initial(part, build) == {}
 
 
 def test_a_mass_tells_its_inertia_against_what_pulls_it():
