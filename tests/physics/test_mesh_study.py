@@ -108,9 +108,8 @@ def test_the_table_leaves_out_what_takes_minutes(monkeypatch):
     assert "line load" in table.note
 
 
-def test_a_mesh_under_hats_is_solved_as_one_under_rings(monkeypatch):
+def test_a_mesh_under_hats_is_solved_as_one_under_rings():
     """On a chip of two layers: Hertz's force of the depth, and an impact that returns."""
-    monkeypatch.setattr(_mesh_study, "STOP", 8e-6)
     chip = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})
     load = Load(1e-3, 32.88e-6, spacing=25e-6, depth=4e-6)
     (point,) = [_mesh_study._mesh_point("hats", chip, load, 50e-9)]

@@ -288,8 +288,26 @@ def test_a_take_that_does_not_exist_is_refused():
     assert math.isfinite(len(str(caught.value)))
 
 
-@pytest.mark.parametrize("part", [{"part": "spring", "stiffness": "1 N/m"},
-                                  {"part": "damper", "damping": "1 N s/m"}])  # fmt: skip
-def test_the_first_pin_of_a_spring_must_be_joined(part):
-    with pytest.raises(UsageError, match="pin a of x is not joined"):
-        load_scene({"name": "x", "x": part, "m": {"part": "mass", "mass": "1 g"}})
+@pytest.mark.parametrize(
+    ("part", "pin"),
+    [
+        ({"part": "spring", "stiffness": "1 N/m"}, "a"),
+        ({"part": "damper", "damping": "1 N s/m"}, "a"),
+        ({"part": "resistor", "resistance": "1 Ohm"}, "a"),
+        ({"part": "mass", "mass": "1 g"}, "a"),
+        ({"part": "source"}, "out"),
+        ({"part": "diode", "pins": {"anode": "gnd"}}, "cathode"),
+        ({"part": "diode", "pins": {"cathode": "gnd"}}, "anode"),
+        ({"part": "sensor"}, "of"),
+        ({"part": "amplifier"}, "out"),
+        ({"part": "charge_drive"}, "anode"),
+        ({"part": "controller", "inputs": ["y"], "pins": {"y": "x_seen.out"}}, "out"),
+        ({"part": "controller", "inputs": ["y"], "pins": {"out": "x_load.a"}}, "y"),
+    ],
+)
+def test_a_pin_without_a_default_must_be_joined(part, pin):
+    around = {"x_push": {"part": "source", "kind": "displacement", "pins": {"out": "x_seen.of"}},
+              "x_seen": {"part": "sensor"}, "x_load": {"part": "resistor", "resistance": 1.0},
+              "x_cell": {"part": "source", "pins": {"out": "x_load.a"}}}  # fmt: skip
+    with pytest.raises(UsageError, match=f"pin {pin} of x is not joined"):
+        load_scene({"name": "x", "x": part, **around})

@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kc2spice.bodies import pressure
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts import piezo_stack
+from kc2spice.parts import _mesh_study, piezo_stack
+from kc2spice.parts._meshed import Recovered
 from kc2spice.parts.piezo_stack import (
     Drive,
     chip_of,
@@ -400,3 +402,61 @@ def test_stresses_under_the_hats_are_those_of_the_largest_force():
     assert kind._under_pressure(part, build, none) == {}
     part, scene, kind = kick_of(*small[:-1], scene=IMPACT)
     assert kind._under_pressure(part, Build(scene, {}), waves) == {}
+
+
+def test_the_mesh_study_is_that_of_the_scenes_sphere_and_contact(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        _mesh_study, "mesh_table", lambda chip, load, whole, say: asked.append((chip, load, whole))
+    )
+    hit = {**IMPACT, "sphere": {"velocity": -1, "radius": 2e-3}}
+    part, scene, kind = kick_of("contact.penalty=3e8", scene=hit)
+    kind.mesh_study(part, Build(scene, {}), Clock(), True)
+    part, scene, kind = kick_of("contact.shape=pressure", "contact.spacing=20 um", scene=hit)
+    kind.mesh_study(part, Build(scene, {}), Clock(), False)
+    mass = 4 / 3 * np.pi * 8e-9 * 7850
+    (chip, rings, whole), (_, hats_, little) = asked
+    assert chip == chip_of(part.keys)
+    assert (rings.radius, rings.mass, rings.stiffness) == (2e-3, pytest.approx(mass), 3e8)
+    assert (rings.spacing, rings.depth, whole) == (None, 20e-6, True)
+    assert (hats_.spacing, hats_.depth, little) == (20e-6, 10e-6, False)
+    part, scene, kind = kick_of("contact.gap=1 um", scene=hit)
+    assert kind.mesh_study(part, Build(scene, {}), Clock(), True) is None
+
+
+def test_the_error_of_the_graded_mesh_is_that_of_halved_cells(monkeypatch):
+    """Compliances of 1 + 0.04 / k^2 on cells divided by k: about 0.04 on the coarser."""
+    asked = []
+
+    def dents(chip, shape, cells):
+        asked.append(cells)
+        k = cells / pressure.CELLS
+        return (1 + 0.04 / k**2) * 1e-9 * np.eye(shape.nodes.size - 1)
+
+    monkeypatch.setattr(pressure, "dents", dents)
+    monkeypatch.setattr(piezo_stack, "cached", lambda _name, _key, make, **_: (make(), 0))
+    part, scene, kind = kick_of("contact.shape=pressure", "contact.spacing=20 um")
+    found = kind.mesh_error(part, scene)
+    assert asked == [pressure.CELLS, 2 * pressure.CELLS]
+    assert 0.02 < found.error < 0.06
+    part, scene, kind = kick_of()
+    assert kind.mesh_error(part, scene) is None  # of rings a mesh study knows it
+
+
+def test_fields_ask_for_instants_of_the_run():
+    load_scene(ALONE, ["kick.fields=[0, 5e-3]"])
+    for instants in ("[-1e-6]", "[5.01e-3]"):
+        with pytest.raises(UsageError, match="outside the run"):
+            load_scene(ALONE, [f"kick.fields={instants}"])
+    with pytest.raises(UsageError, match="waveforms over time"):
+        load_scene({"name": "h", "kick": {"fields": True}, "harmonic": {}})
+
+
+def test_the_worst_stress_is_the_nearest_to_its_limit():
+    def stress(value, limit, quantity="principal_stress"):
+        return SimpleNamespace(quantity=quantity, value=value, limit=limit)
+
+    low, high, none = stress(4.0, 5.0), stress(6.0, 10.0), stress(99.0, None)
+    field = stress(1e9, 1.0, "electric_field")
+    assert Recovered(None, (high, low, none, field)).worst is low
+    assert Recovered(None, (stress(1.0, None), none, field)).worst is none
