@@ -86,15 +86,14 @@ class _Reader:
         self, raw: str, name: str, path: Path, where: str, chain: tuple[Path, ...]
     ) -> Iterator[Line]:
         target = self._target(raw, where)
+        file = path.parent / target
         if self.trust:
-            file = path.parent / target
             if not target or not _readable(file):
                 yield Line(raw, where, raw)
                 return
             inner = target
         else:
             inner = str(PurePosixPath(name).parent / target)
-            file = self.home / inner
         begin, end = f"* begin of {comment(inner)}", f"* end of {comment(inner)}"
         yield Line(begin, where, begin)
         yield from self.lines(inner, file, where, chain)

@@ -10,6 +10,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.array import array_deck
+from kc2spice.spice.deck import Block, Deck
 from kc2spice.spice.dialect import translate
 
 
@@ -38,6 +39,24 @@ def test_sweeps_and_wrong_numbers_are_refused(model, table):
         array_deck(deck_of(load_scene("imprint"), model, table), 2)
     with pytest.raises(UsageError, match="copies"):
         array_deck(deck_of(load_scene("impact"), model, table), 0)
+
+
+def test_as_many_copies_as_asked():
+    deck = Deck(name="one", blocks=(Block("", ("R1 a 0 1",)),), vectors={"a": ("v(a)", 2.0)},
+                initial={"a": 3.0}, units={"a": "m"})  # fmt: skip
+    for count in (1, 2, 10_000):
+        array = array_deck(deck, count)
+        copies = array.blocks[-1].cards
+        assert copies == tuple(f"X{k} 0 one_unit" for k in range(1, count + 1))
+        assert len(array.vectors) == len(array.initial) == count
+    for count in (-1, 0, 10_001):
+        with pytest.raises(UsageError, match="copies"):
+            array_deck(deck, count)
+    array = array_deck(deck, 2)
+    assert array.vectors == {"1.a": ("v(x1.a)", 2.0), "2.a": ("v(x2.a)", 2.0)}
+    assert (array.initial, array.units) == ({"x1.a": 3.0, "x2.a": 3.0}, {"1.a": "m", "2.a": "m"})
+    text = array.files["one.cir"]
+    assert text.index(".subckt one_unit common") < text.index("R1 a 0 1") < text.index(".ends one")
 
 
 def test_a_current_of_a_source_is_that_of_the_copys(model, table):

@@ -476,6 +476,54 @@ def test_elements(card, law, tmp_path):
     openvaf.compile_va(str(tmp_path / "part.va"))
 
 
+TABLE = """  analog function real table_b1_0;
+    input x;
+    real x;
+    begin
+      if (x < 2.0) begin
+        table_b1_0 = 1.0 + (1.0)*(x - (0.0));
+      end else begin
+        if (x < 5.0) begin
+          table_b1_0 = 3.0 + (-0.5)*(x - (2.0));
+        end else begin
+          table_b1_0 = 1.5 + (2.0)*(x - (5.0));
+        end
+      end
+    end
+  endfunction
+"""
+
+
+@pytest.mark.parametrize(
+    ("card", "laws"),
+    [
+        ("R1 a b 2k", ["I(a,b) <+ V(a,b)/2000.0;"]),
+        ("V1 a b DC 2", ["V(br_v1) <+ 2.0;"]),
+        ("V1 a b PWL(0 0, 1 0)", ["V(br_v1) <+ 0.0;"]),
+        ("I1 a b {2*k}", ["I(a,b) <+ (2.0*k);"]),
+        ("V1 a b 2\nB1 a b I=I(V1)", ["V(br_v1) <+ 2.0;", "I(a,b) <+ I(br_v1);"]),
+        ("B1 a b I=uramp(V(a))", ["I(a,b) <+ max(0.0, V(a));"]),
+        ("G1 a b b a 2", ["I(a,b) <+ 2.0*V(b,a);"]),
+        ("E1 a b b a 2", ["V(br_e1) <+ 2.0*V(b,a);"]),
+        ("V1 a b 0\nH1 b a V1 3",
+         ["V(br_v1) <+ 0.0 + 1e-15*I(br_v1);", "V(br_h1) <+ 3.0*I(br_v1);"]),
+        ("S1 a b b a m\n.model m SW()", ["I(a,b) <+ V(a,b)/(V(b,a) > 0.0 ? 1.0 : 1e12);"]),
+        ("S1 a b b a m\n.model M SW(vt=2 vh=0 ron=3 roff=4)",
+         ["I(a,b) <+ V(a,b)/(V(b,a) > 2.0 ? 3.0 : 4.0);"]),
+        ("B1 a b I=pwl(V(a), 0, 1, 2, 3, 5, 1.5, 6, 3.5)", ["I(a,b) <+ table_b1_0(V(a));"]),
+        ("L1 a b 1\nL2 b a 4\nK1 L1 L2 0.5",
+         ["V(br_l1) <+ ddt(1.0*I(br_l1));", "V(br_l2) <+ ddt(4.0*I(br_l2));",
+          "V(br_l1) <+ ddt(0.5*sqrt(1.0*4.0)*I(br_l2));",
+          "V(br_l2) <+ ddt(0.5*sqrt(1.0*4.0)*I(br_l1));"]),
+    ],
+)  # fmt: skip
+def test_laws_of_elements(card, laws):
+    text = library([part_of(card)])["part.va"]
+    inside = text.partition("  analog begin\n")[2].partition("  end\n")[0]
+    assert [line.strip() for line in inside.splitlines()] == laws
+    assert (TABLE in text) == ("pwl(" in card)
+
+
 @pytest.mark.parametrize(
     "card",
     [
@@ -487,6 +535,10 @@ def test_elements(card, law, tmp_path):
         "B1 a b I=V(a)*time",
         "B1 a b I=V(a)^3",
         "X1 a b unknown",
+        "V1 a b PWL(0 0 1 2)",
+        "V1 a b 1 2",
+        "S1 a b a b m",
+        "R1 a b {nothing}",
     ],
 )
 def test_what_a_module_cannot_say_is_refused(card):

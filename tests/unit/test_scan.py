@@ -11,7 +11,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.spice import flat
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.flat import flatten
-from kc2spice.spice.included import included_netlists
+from kc2spice.spice.included import included_netlists, included_sources
 from kc2spice.spice.lint import lint
 from kc2spice.spice.read import read_deck
 from kc2spice.spice.scan import third_party
@@ -220,6 +220,40 @@ def test_text_has_one_spelling(tmp_path):
         "my_amp__old_.lib": "R1 a b 1k ; text\nR2 a b 2k ; text\nR3 a b\n+ 3k ; text\n"
         "* text \\\\\nR4 a b 4k\n* .END\n* text\n"
     }
+
+
+def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "user.cir").write_text(".include inner.lib\n")
+    (tmp_path / "sub" / "inner.lib").write_text("R1 a 0 1\n")
+    (tmp_path / "inner.lib").write_text("R1 another 0 1\n")
+    expected = "* begin of inner.lib\nR1 a 0 1\n\n* end of inner.lib\n"
+    assert included_netlists(["sub/user.cir"], tmp_path) == {"user.cir": expected}
+    assert included_sources(["sub/user.cir"], tmp_path) == {"sub/user.cir": expected}
+
+
+def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
+    (tmp_path / "user.cir").write_text(".control\n.endc\n")
+    with pytest.raises(UsageError, match="control"):
+        included_sources(["user.cir"], tmp_path)
+
+
+def test_trust_reaches_what_lies_beside_a_circuit_elsewhere(tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "user.cir").write_text(".include inner.lib\n.control\n")
+    (tmp_path / "inner.lib").write_text("R1 a 0 1\n")
+    files = included_netlists(["../user.cir"], tmp_path / "home", trust=True)
+    assert "\nR1 a 0 1\n" in files["user.cir"]
+
+
+@pytest.mark.parametrize("names", [["a b.lib", "a_b.lib"], ["a_b.lib", "a b.lib"]])
+def test_two_files_that_would_have_one_name_are_refused(names, tmp_path):
+    (tmp_path / "a b.lib").write_text("R1 a b 1\n")
+    (tmp_path / "a_b.lib").write_text("R1 a b 1\n")
+    assert list(included_netlists(names, tmp_path)) == ["a_b.lib"]
+    (tmp_path / "a_b.lib").write_text("R1 a b 2\n")
+    with pytest.raises(UsageError, match="one name"):
+        included_netlists(names, tmp_path)
 
 
 def test_a_card_that_goes_on_over_two_files_is_seen_whole(tmp_path):
