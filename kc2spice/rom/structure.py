@@ -39,11 +39,11 @@ def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
     rest = pencil.coefficients[0]
     inertia = pencil.coefficients[-1]
     damping = pencil.coefficients[1] if pencil.degree == 2 else rest
-    dissipative = semidefinite(inertia) and semidefinite(0.5 * (damping + damping.T))
+    dissipative = semidefinite(inertia) and semidefinite(damping + damping.T)
     if pencil.degree == 2:
         dissipative = dissipative and semidefinite(rest)
     if dissipative:
-        passive = pencil.collocated and semidefinite(0.5 * (pencil.D + pencil.D.T))
+        passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
         return Structure(True, passive, "definite matrices")
     omega = 2 * np.pi * band[1]
     values = pencil.poles(omega)
@@ -58,4 +58,4 @@ def semidefinite(matrix: np.ndarray) -> bool:
     if largest(matrix - matrix.T) > ROUNDING * largest(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ROUNDING * max(abs(values[-1]), abs(values[0])))
+    return bool(values[0] >= -ROUNDING * abs(values[-1]))

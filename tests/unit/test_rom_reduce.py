@@ -391,7 +391,8 @@ def test_what_the_form_proves():
     ("matrix", "yes"),
     [
         (np.zeros((0, 0)), True), (np.zeros((2, 2)), True), (np.diag([1.0, -0.9e-12]), True),
-        (np.diag([1.0, -1.1e-12]), False), (np.diag([-1.0, -1.0]), False),
+        (np.diag([1.0, 1e-3, -0.9e-12]), True), (np.diag([1.0, -1.1e-12]), False),
+        (np.diag([0.0, -1e-300]), False), (np.diag([-1.0, -1.0]), False),
         (np.array([[1.0, 0.9e-12], [0.0, 1.0]]), True),
         (np.array([[1.0, 1.1e-12], [0.0, 1.0]]), False),
     ],

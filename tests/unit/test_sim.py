@@ -203,6 +203,12 @@ def test_the_simulator_tells_its_version(fake, tmp_path):
     assert found.path == str(tmp_path / "ngspice")
 
 
+def test_a_version_counts_whatever_the_exit_code(fake, tmp_path):
+    fake("")
+    script(tmp_path / "ngspice", 'echo "** ngspice-7+ : Circuit"; exit 1')
+    assert ngspice.find_ngspice().version == "7+"
+
+
 @pytest.mark.parametrize(
     ("text", "words", "got"),
     [("echo hello", "does not tell its version", "hello"),

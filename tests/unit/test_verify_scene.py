@@ -243,6 +243,23 @@ def test_the_leak_is_a_share_of_the_clamped_capacitances_charge():
     assert bodies.leakage(bare, np.array([5.0])).tolist() == [0.0]
 
 
+def test_each_electrode_is_judged_by_its_own_leak():
+    rom = body(["base", "anode", "tip"])
+    exact = rom.transfer(np.array([50.0, 60.0]))
+    wrong = exact * (1 + 1e-4)
+    for leak, passed in ((1e-6, False), (0.6e-4, True)):
+        checks = bodies.electrical_checks("b", rom, wrong, exact, 1e-8, np.array([leak]))
+        assert [c.name for c in checks] == [
+            "b: capacitance of anode", "b: charge by loads of anode",
+        ]  # fmt: skip
+        assert [c.passed for c in checks] == [passed] * 2
+        assert checks[0].limit == pytest.approx(2 * leak)
+    alone = body(["anode"])
+    H = alone.transfer(np.array([50.0]))
+    (only,) = bodies.electrical_checks("b", alone, H, H, 1e-8, np.zeros(1))
+    assert (only.name, only.limit) == ("b: capacitance of anode", 1e-8)
+
+
 def test_the_band_is_the_certificates_or_the_scenes():
     def scene(kind):
         analysis = SimpleNamespace(type=kind, stop=70.0)
