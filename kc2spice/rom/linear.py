@@ -242,8 +242,8 @@ class LinearModel:
 
     def state_space(self) -> ABCD:
         """Arrays A, B, C, D without E; see :func:`kc2spice.rom.statespace.state_space`."""
-        band = self.certificate.band_hz if self.certificate else (0.0, None)
-        return state_space(self.pencil, band[1])
+        known = self.certificate
+        return state_space(self.pencil, known.band_hz[1] if known else None)
 
     def to_statespace(self) -> StateSpace:
         """scipy's ``x' = A x + B u``, ``y = C x + D u``; see :meth:`state_space`."""

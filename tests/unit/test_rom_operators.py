@@ -417,6 +417,18 @@ def test_letters_that_are_left_out_have_their_meaning():
     assert not LinearModel(M=np.eye(3), K=K, B=B, C=2 * B.T).symmetric
 
 
+@pytest.mark.parametrize("make", [np.ndarray.tolist, sparse.csr_array, sparse.coo_array])
+def test_matrices_may_be_lists_or_sparse(make):
+    K, B = held(3), rng().standard_normal((3, 2))
+    plain = LinearModel(M=np.eye(3), K=K, B=B, D=np.eye(2))
+    found = LinearModel(
+        M=make(np.eye(3)), K=make(K), B=make(B), C=make(B.T.copy()), D=make(np.eye(2))
+    )
+    assert isinstance(found.B, np.ndarray)
+    assert isinstance(found.K, np.ndarray if make is np.ndarray.tolist else sparse.csc_array)
+    np.testing.assert_allclose(found.transfer(np.ones(1)), plain.transfer(np.ones(1)))
+
+
 I2, B2 = np.eye(2), np.ones((2, 1))
 
 
