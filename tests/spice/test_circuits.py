@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device import chip
+from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Resistance, Section
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Terminal
@@ -126,6 +128,26 @@ def test_op_is_the_resting_circuit(tmp_path):
     assert waves["coil.i"] == pytest.approx(8 / (4 * R), rel=1e-6)
 
 
+def test_currents_and_voltages_count_from_a_to_b(tmp_path):
+    """A supply of 8 V over 50 and 150 Ohm to ground, the second with its pins the other way."""
+    tables = {
+        "supply": {"part": "source", "dc": 8.0, "pins": {"out": "ohm.a"}},
+        "ohm": {"part": "resistor", "resistance": 50.0, "pins": {"b": "load.b"}},
+        "load": {"part": "resistor", "resistance": 150.0, "pins": {"a": "gnd"}},
+        "analysis": {"type": "op"},
+    }
+    build = build_models(load_scene(tables), Clock(silent))
+    waves = simulate(build, make_deck(build), tmp_path).waves
+    found = [waves[name][0] for name in ("ohm.v", "ohm.i", "load.v", "load.i")]
+    assert found == pytest.approx([2.0, 0.04, -6.0, -0.04], rel=1e-6)
+    for name in ("ohm", "load"):  # what a part draws from its pins sums to nothing
+        part = build.scene.parts[name]
+        through = part.type.through(part, build)
+        ends = [part.type.current(part, pin, build) for pin in "ab"]
+        assert [end.factor / through.factor for end in ends] == [-1.0, 1.0]
+        assert {end.expression for end in ends} == {through.expression}
+
+
 # --------------------------------------------------------------------------------- mechanics
 
 MASS, SPRING, DAMPER = 2e-3, 8e3, 0.8  # 318 Hz, 10 % of critical damping
@@ -160,6 +182,66 @@ def test_a_pushed_oscillator_rings_as_the_textbook_says(tmp_path):
     np.testing.assert_allclose(waves["oil.force"], DAMPER * v, atol=2e-3 * DAMPER * static * w0)
     peak = static * (1 + np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)))
     assert found["weight_peak_m"] == pytest.approx(peak, rel=1e-3)
+    assert found["weight_speed_m_s"] == pytest.approx(np.abs(v).max(), rel=1e-3)
+    inertia = 0.4 - SPRING * x - DAMPER * v
+    pushed = waves["time"] > 1.1e-4
+    np.testing.assert_allclose(waves["weight.force"][pushed], inertia[pushed], atol=2e-3)
+
+
+def test_forces_on_a_joint_are_in_balance(tmp_path):
+    tables = oscillator({"dc": "0.4 N"}, {"stop": 2e-3}, gravity=9.81, solver={"max_step": 1e-5})
+    tables["weight"]["weight"] = True
+    build = build_models(load_scene(tables), Clock(silent))
+    waves = simulate(build, make_deck(build), tmp_path).waves
+    parts = [build.scene.parts[name] for name in ("weight", "coil", "oil")]
+    forces = [part.type.force_on(part, "a", build, waves) for part in parts]
+    np.testing.assert_allclose(sum(forces), -0.4, atol=1e-5)
+    assert parts[0].type.force_on(parts[0], "base", build, waves) is None
+    np.testing.assert_array_equal(parts[1].type.force_on(parts[1], "b", build, waves), -forces[1])
+    for part in parts:
+        assert part.type.force_on(part, "a", build, Waveforms({}, {})) is None
+
+
+# --------------------------------------------------------------------------------- junctions
+
+
+@pytest.mark.parametrize("volts", [-5.0, 0.4, 0.75])
+def test_a_diode_follows_its_law(volts, tmp_path):
+    """``i = IS (exp((v - RS i) / (N k T / q)) - 1)`` at 27 C, with a 1N4148's published model."""
+    tables = {
+        "supply": {"part": "source", "dc": volts, "pins": {"out": "first.anode"}},
+        "first": {"part": "diode", "pins": {"cathode": "gnd"}},
+        "analysis": {"type": "op"},
+    }
+    build = build_models(load_scene(tables), Clock(silent))
+    deck = make_deck(build)
+    waves = simulate(build, deck, tmp_path).waves
+    thermal = 1.752 * 1.380649e-23 * 300.15 / 1.602176634e-19
+
+    def law(i):
+        return 2.52e-9 * np.expm1((volts - 0.568 * i) / thermal) - i
+
+    exact = brentq(law, -1e-8, 1.0, xtol=1e-16)
+    assert waves["first.i"][0] == pytest.approx(exact, rel=2e-5, abs=1e-11)
+    part = build.scene.parts["first"]
+    for pin, sign in (("anode", -1.0), ("cathode", 1.0)):
+        assert part.type.current(part, pin, build).factor == sign
+    assert "BV={bv}" in deck.files["diode.lib"]
+    assert "bv=100.0" in deck.files["diode.lib"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "files"),
+    [(({}, {}, {}), ["diode.lib"]), (({}, {"emission": 2.0}, {}), ["a.lib", "b.lib"])],
+)
+def test_diodes_alike_share_a_library(keys, files):
+    pins = {"anode": "supply.out", "cathode": "gnd"}
+    tables = {"supply": {"part": "source", "dc": 1.0}}
+    for name, own in zip("abc", keys, strict=True):
+        tables[name] = {"part": "diode", "pins": pins, **own}
+    build = build_models(load_scene({**tables, "analysis": {"type": "op"}}), Clock(silent))
+    libraries = [name for name in make_deck(build).files if name.endswith(".lib")]
+    assert sorted(libraries) == files
 
 
 def test_its_frequency_response_is_that_of_the_equation(tmp_path):

@@ -221,6 +221,17 @@ CONSTRUCTS = [
      ".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n", "KP={k} IS=1e-14)\nM1 a b"),
     ("D1 a 0 d\n.model d D(IS=1e-14 RS=1)", "D1 a 0 d\n.model d D(", "D1 a 0 d\n.model d D("),
     ("C1 a 0 1u IC=2", "C1 a 0 1u IC=2", "C1 a 0 1u IC=2"),
+    (".model m SW(VT=2)", "VSWITCH(VON=2.001 VOFF=1.999 RON=1 ROFF=1e12)",
+     "SW(VT=2 VH=0 RON=1 ROFF=1e12)"),
+    (".model m SW(RON=2 ROFF=3)", "VSWITCH(VON=0.001 VOFF=-0.001 RON=2 ROFF=3)", "RON=2 ROFF=3)"),
+    (".model d D(IS=1 RS=1 N=1 TT=1 CJO=1 VJ=1 M=1 EG=1 XTI=1 FC=1 BV=1 IBV=1)",
+     "IBV=1)", "IBV=1)"),
+    ("B1 a 0 I=pwl(V(c), 0, 1, 2, 1)", "{table(V(c),\n+ 0,1,\n+ 2,1)}",
+     "table(V(c),\n+ 0,1,\n+ 2,1)"),
+    ("B1 a 0 I=uramp(V(b))", "I={max(0, V(b))}", "I=uramp(V(b))"),
+    ("B1 a 0 V=time*pi*K", "V={time*pi*K}", "V=time*pi*({K})"),
+    (".save i(v1) i(v.xa.v1) v(n)", "I(v1)\n+ I(v:xa:v1)\n+ V(n)", "I(v1)\n"),
+    (".options trtol=1", "* Xyce has no option trtol=1\n", ".options trtol=1\n"),
 ]  # fmt: skip
 
 
@@ -322,6 +333,14 @@ REFUSED = [
     "A1 a b c",
     ".save @m1[gm]",
     "V1 a 0 PWL(file=x)",
+    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 2, 3)",
+    "B1 a 0 I=pwl(V(c), 0, 0, 1, 1, 2, 1)",
+    "B1 a 0 I=pwl(V(c), 0, 1)",
+    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 2)",
+    "B1 a 0 I=V(b) && V(c) ? 1 : 2",
+    "B1 a 0 I=e*V(b)",
+    ".model d D(IS=1e-14 XX=3)",
+    ".save nothing",
 ]
 
 
@@ -331,6 +350,22 @@ def test_what_a_dialect_cannot_say_is_refused(source, dialect):
     with pytest.raises(UsageError) as caught:
         translate(one(source), dialect)
     assert "one.cir:2" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("card", "expected"),
+    [
+        (".tran 1u 1m", ".tran 1u 1m 0 1e-06"),
+        (".tran 1u 1m 2u", ".tran 1u 1m 2u 1e-06"),
+        (".tran 1u 1m 0 5e-7 uic", ".tran 1u 1m 0 5e-7 uic"),
+        (".tran 1u 1m 0 2e-6", ".tran 1u 1m 0 1e-06"),
+        (".tran 1u 1m 0 1u", ".tran 1u 1m 0 1u"),
+        (".tran 1u 1m 0 2u uic", ".tran 1u 1m 0 1e-06 uic"),
+    ],
+)
+def test_xyce_never_steps_further_than_a_microsecond(card, expected):
+    deck = translate(Deck(name="one", text=f"* title\n{card}\n.end\n"), "xyce")
+    assert deck.files["one.cir"] == f"* title\n{expected}\n.end\n"
 
 
 def test_hysteresis_is_refused_where_switches_have_none():
