@@ -328,3 +328,35 @@ def test_the_balance_of_a_pressed_body_ends_with_its_load():
             stored, damped = found.entries["stored"], found.entries["damped"]
             assert stored + damped == pytest.approx(taken, rel=1e-6)
             assert damped > 0
+
+
+def test_results_have_the_names_and_units_of_the_ports(body):
+    """The first electrical port speaks for the body; acceleration and rotation are SI."""
+    ports = (ANODE, kc.Port("sense", "electrical", pins=("sense", "cathode")), TIP,
+             kc.Port("turn", "rotational"), kc.Port("frame", "acceleration"))  # fmt: skip
+    B = np.array([[1.0, 0.5, 0.3, 0.2, 0.1], [0.1, 0.4, 0.2, 0.3, 0.6]])
+    model = kc.LinearModel(M=np.eye(2), E=0.1 * np.eye(2), K=2 * np.eye(2), B=B, C=B.T, ports=ports)
+    beam, kind, build = body(
+        model, cell={"part": "source", "dc": 1.0, "pins": {"out": "beam.anode"}}, push=push(),
+        load={"part": "resistor", "resistance": 1e3, "pins": {"a": "beam.sense"}},
+        shake={"part": "source", "kind": "acceleration", "pins": {"out": "beam.frame"}},
+    )  # fmt: skip
+    found = kind.vectors(beam, build)
+    units = {name: (v.factor, v.unit) for name, v in found.items()}
+    assert units["beam.u.tip"] == (1e-6, "m")
+    assert units["beam.a.frame"] == (1.0, "m/s2")
+    assert units["beam.voltage"] == units["beam.sense.voltage"] == (1.0, "V")
+    assert "beam.current" in found
+    assert found["beam.sense.current"].factor == -1e-3  # v over 1 kOhm leaves it
+    rows = kind.static_compliance(beam, build, ("tip",))
+    assert rows[0, 0] == pytest.approx((0.3**2 + 0.2**2) / 2)
+    told = kind.rom(beam, build)
+    assert (told["order"], told["massless"], told["ports"][2]) == (2, 0, "tip")
+    assert kind.energy(beam, build, Waveforms({"time": np.arange(2.0)}, {})) == {}
+
+
+def test_massless_states_are_counted(body):
+    model = kc.LinearModel(M=np.diag([1.0, 0.0]), E=np.zeros((2, 2)), K=np.eye(2),
+                           B=np.eye(2)[:, :1], ports=(TIP,))  # fmt: skip
+    beam, kind, build = body(model, push=push())
+    assert kind.rom(beam, build)["massless"] == 1

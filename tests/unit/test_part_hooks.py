@@ -283,6 +283,7 @@ def test_the_integrator_gets_the_same_waves():
 @pytest.mark.parametrize(
     ("shape", "word"),
     [({"pulse": {"high": 1, "width": 1e-6, "edge": 1.1e-6}}, "longer than the pulse"),
+     ({"pulse": {"high": 1, "width": 1e-6, "edge": 0}}, "longer than the pulse"),
      ({"pulse": {"high": 1, "width": 1e-6, "edge": 1e-7, "period": 1.09e-6}}, "overlap"),
      ({"pwl": [[0, 1]]}, "must rise"), ({"pwl": [[0, 1], [0, 2]]}, "must rise"),
      ({"dc": 1, "sine": {"amplitude": 1, "frequency": 1}}, "two shapes")],
