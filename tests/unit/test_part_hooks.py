@@ -271,7 +271,10 @@ def test_the_integrator_gets_the_same_waves():
     """Pulses of a train until the end, a sine from its start on, corners once each."""
     train = {"high": 2.0, "width": 1e-3, "edge": 1e-4, "start": 1e-3, "period": 3e-3}
     sine = {"amplitude": 2.0, "frequency": 500.0, "start": 1e-3}
-    for shape, given in (("pulse", train), ("sine", sine), ("pulse", train | {"count": 2})):
+    touching = {"high": 2.0, "width": 2**-10, "edge": 2**-13, "period": 2**-10 + 2**-13}
+    for shape, given in (
+        ("pulse", train), ("sine", sine), ("pulse", train | {"count": 2}), ("pulse", touching)
+    ):  # fmt: skip
         cell = {"part": "source", shape: given, "pins": {"out": "load.a"}}
         part, _, build = part_of(CELL | {"cell": cell}, "cell")
         wanted = part.keys.waveform(build.scene.home)
