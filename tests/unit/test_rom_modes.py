@@ -186,6 +186,15 @@ def test_modes_that_decide_nothing_in_the_band_are_counted_from_the_highest():
     assert of(0.12, 0.0, (ANODE, TIP)) == 2
 
 
+@pytest.mark.parametrize(("soft", "ringing"), [(0.3, 2), (0.36, 1)])
+def test_modes_that_ring_may_hold_a_hundredth(soft, ringing):
+    """A fifth of the band's end squared, times the share: 9.2e-3 and 1.06e-2 of the compliance."""
+    hertz = np.array([1.5, 5.0, 100.0])
+    gain = 2 * np.pi * hertz * np.sqrt([1.0, soft, 0.0])
+    assert _beyond(modes(hertz, gain, ratio=0.019), 1.0) == ringing
+    assert _beyond(modes(hertz, gain, ratio=0.021), 1.0) == 1
+
+
 def test_no_mode_below_twice_the_band_is_left_out():
     gain = [2 * np.pi, 1e-9, 1e-9]
     assert _beyond(modes([1.0, 1.99, 50.0], gain), 1.0) == 1

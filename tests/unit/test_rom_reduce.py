@@ -501,6 +501,17 @@ def test_sampled_directions_reach_the_target(model, band, static):
 
 
 @pytest.mark.usefixtures("sampled")
+def test_a_basis_of_all_directions_is_checked_twice():
+    """Static answers and those of the band's end are all that two unknowns have."""
+    model = LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), E=np.array([[0.1, 0.05], [0.05, 0.1]]),
+                        B=np.ones((2, 1)))  # fmt: skip
+    space = subspace(model.pencil, (0.0, 0.5), 1e-20, 1e-9, "scipy")
+    assert space.proof.startswith("checked against the full model at 4 frequencies")
+    assert space.pencil.size == 2
+    assert space.error < 1e-12
+
+
+@pytest.mark.usefixtures("sampled")
 def test_directions_that_do_not_settle_are_refused(monkeypatch):
     monkeypatch.setattr("kc2spice.rom.subspace.MAX_POINTS", 4)
     model, band = chain(60, dashpot=0.3), (0.0, 0.15)

@@ -114,7 +114,9 @@ def raw(points, values, names=("time", "v(a)"), *, flags="real", more=""):
 
 def test_a_header_says_what_follows(tmp_path):
     path = tmp_path / "a.raw"
-    path.write_bytes(raw(3, [], ("time", "V(A)", "i(B)"), flags="complex", more="Command: a: b\n"))
+    path.write_bytes(
+        raw(3, [], ("time", "V(A)", "i(B)"), flags="complex", more="Command: a: b\nno colon\n")
+    )
     header = read_header(path)
     assert header.plot == "Transient Analysis"
     assert header.names == ("time", "v(a)", "i(b)")
@@ -221,6 +223,27 @@ def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, tmp_pat
     with pytest.raises(MissingToolError, match=words) as caught:
         ngspice.find_ngspice()
     assert got in caught.value.got
+
+
+@pytest.mark.parametrize(
+    ("platform", "text", "words"),
+    [("linux", 'test "$*" = "--pdeathsig KILL -- true"', 4), ("linux", "exit 1", 0),
+     ("linux", None, 0), ("darwin", "exit 0", None)],
+)  # fmt: skip
+def test_a_program_dies_with_this_process_by_setpriv_or_by_a_call(
+    platform, text, words, tmp_path, monkeypatch
+):
+    if text is not None:
+        script(tmp_path / "setpriv", text)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(ngspice.sys, "platform", platform)
+    ngspice._mortal.cache_clear()
+    try:
+        before, call = ngspice._mortal()
+    finally:
+        ngspice._mortal.cache_clear()
+    assert len(before) == (words or 0)
+    assert (call is not None) is (words == 0)
 
 
 RAW = 'for last; do :; done; raw=$(echo "$*" | sed "s/.*-r \\\\([^ ]*\\\\).*/\\\\1/")\n'

@@ -5,17 +5,20 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+import pytest
 
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.workflow.verify.bodies import _first
 
 
-def test_ports_that_do_not_answer_each_other_choose_as_well() -> None:
-    """Two resonators of 1 and 2 Hz at a port each: both peaks are taken, without a warning."""
-    unit = np.eye(2)
+@pytest.mark.parametrize("weak", [1.0, 1e-6])
+def test_ports_that_do_not_answer_each_other_choose_as_well(weak: float) -> None:
+    """Two resonators of 1 and 2 Hz at a port each, however strong: both peaks are taken, without a
+    warning."""
+    unit = np.diag([1.0, weak])
     omega = 2 * np.pi * np.array([1.0, 2.0])
     ports = tuple(Port(name, "mechanical") for name in "ab")
-    model = LinearModel(M=unit, E=np.diag(0.01 * omega), K=np.diag(omega**2), B=unit, C=unit,
+    model = LinearModel(M=np.eye(2), E=np.diag(0.01 * omega), K=np.diag(omega**2), B=unit, C=unit,
                         D=0 * unit, ports=ports)  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("error")

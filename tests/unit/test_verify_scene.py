@@ -680,6 +680,7 @@ def test_what_is_left_out_is_told(filtered, analysis, monkeypatch, tmp_path):
         assert note.endswith("the scene as a whole is not compared, its bodies are")
         assert found.errors == {}
         assert found.costs == ()
+    assert all(0 <= cost.wall_s < 60 for cost in found.costs)
     assert found.passed is not any(not check.passed for check in found.checks)
 
 
@@ -779,7 +780,7 @@ def test_the_record_of_all_scenes_is_written_with_one_mesh_study(
         {"name": "x", "value": 0.7, "limit": 0.5, "unit": "1", "passed": False}
     ]
     assert found["a"]["notes"] == ["n"]
-    good = module.verify(scenes[1:2], tmp_path / "good")
+    good = module.verify(scenes[1:2], tmp_path / "good", deck=Deck(name="d"))
     assert good["b"]["passed"]
     assert json.loads((tmp_path / "good" / "verify.json").read_text())["passed"] is True
     assert (tmp_path / "good" / "verify.html").is_file()
