@@ -54,6 +54,25 @@ def test_inputs_are_si_and_the_output_is_held_from_the_delay_on(output, factor):
     np.testing.assert_allclose(waves["digits.y"], 3e-6, rtol=1e-9)
 
 
+def test_an_input_in_volts_is_seen_in_volts():
+    tables = {
+        "name": "controlled", "solver": {"stop": 25e-6, "max_step": 1e-6},
+        "supply": {"part": "source", "dc": 0.25},
+        "load": {"part": "resistor", "resistance": 2e3, "pins": {"a": "digits.out", "b": "gnd"}},
+        "digits": {"part": "controller", "period": PERIOD, "inputs": ["y"], "units": {"y": "V"},
+                   "file": "own.py", "pins": {"y": "supply.out"}},
+    }  # fmt: skip
+    seen = []
+    loaded = load_scene(tables)
+    part = loaded.part("digits")
+    assert part.type.files(part, loaded) == ("own.py",)
+    assert part.type.files(scene().part("digits"), loaded) == ()
+    waves = ran(loaded, lambda time, inputs: seen.append(inputs["y"]) or 0.0)
+    assert seen == pytest.approx(3 * [0.25])
+    np.testing.assert_allclose(waves["digits.y"], 0.25)
+    assert make_deck(built(loaded)).units["digits.y"] == "V"
+
+
 def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     (tmp_path / "law.py").write_text("def control(time, inputs):\n    return 7.0\n")
     loaded = replace(scene(file="law.py"), home=tmp_path)

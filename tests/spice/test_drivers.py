@@ -1,6 +1,7 @@
 """Drivers against closed forms, and all parts for passivity, in decks that include libraries."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
 from kc2spice.parts.linear_drive import LinearKeys, linear_subcircuit
 from kc2spice.parts.pwm_drive import PwmKeys, pwm_subcircuit
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import part_types
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
@@ -250,3 +252,13 @@ def test_driven_kicks_launch_and_are_caught(model, table, tmp_path, name):
     found = metrics(waves, build)
     assert 0.5 < found["launch_velocity_m_s"] < 1.5
     assert found["caught"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "file"), [("charge_drive", "charge"), ("pwm_drive", "pwm"), ("linear_drive", "linear")]
+)
+def test_a_driver_alone_has_a_plain_name(kind, file):
+    part = SimpleNamespace(name="mine")
+    for several, name in ((1, file), (2, "mine")):
+        scene = SimpleNamespace(of=lambda found, several=several: [found] * several)
+        assert part_types()[kind].library(part, scene) == name

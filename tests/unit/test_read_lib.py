@@ -8,7 +8,9 @@ from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.spice import read_lib
+from kc2spice.spice.circuit import Param, Pin
 from kc2spice.spice.header import Header
+from kc2spice.spice.read import read_deck
 
 HEADER = Header("test", "0")
 RADII = np.array([0.0, 5e-5])
@@ -44,6 +46,55 @@ def test_libraries_of_others_have_what_their_cards_say(tmp_path):
     (found,) = read_lib(tmp_path / "amp.lib")
     assert [(p.name, p.unit, p.flow) for p in found.pins] == [("in", "V", "A"), ("out", "V", "A")]
     assert [(p.name, p.default) for p in found.params] == [("gain", 1e3)]
+
+
+def test_what_stands_inside_of_another_is_no_part(tmp_path):
+    text = (
+        ".subckt\n.ends\n.subckt Outer a b k=-1k g={2*3} PARAMS: h=5\n.subckt inside c\n"
+        "R1 c 0 1\n.ends\nX1 a inside\nXlast b called params: x=1\n.ends\n"
+        ".subckt called p x=2\nR1 p 0 1\n.ends\n.subckt second q\nR1 q 0 1\n.ends\n"
+    )
+    (tmp_path / "theirs.lib").write_text(text)
+    outer, second = read_lib(str(tmp_path / "theirs.lib"))
+    assert (outer.name, second.name, outer.filename) == ("Outer", "second", "theirs.lib")
+    assert [pin.name for pin in outer.pins] == ["a", "b"]
+    found = {p.name: p.default for p in outer.params}
+    assert found == pytest.approx({"k": -1e3, "g": float("nan"), "h": 5.0}, nan_ok=True)
+    assert [(p.unit, p.doc, p.low, p.high) for p in outer.params] == 3 * [
+        ("-", "", -np.inf, np.inf)
+    ]
+
+
+def test_parts_with_a_head_hide_those_without(tmp_path):
+    text = ".subckt plain a\nR1 a 0 1\n.ends\n* @pin 1 a unit=um flow=N\n* @pin 2 b unit=V flow=-\n"
+    text += "* @param K=2 unit=N/m range=1..3 how stiff\n* @param u=1 unit=-\n"
+    text += ".subckt told A b k=-2 u=4\nR1 a b 1\n.ends\n"
+    (tmp_path / "a.lib").write_text(text)
+    (told,) = read_lib(tmp_path / "a.lib")
+    assert told.pins == (Pin("a", "um", "N"), Pin("b", "V", "-"))
+    assert told.params == (Param("k", -2.0, "N/m", "how stiff", 1.0, 3.0), Param("u", 4.0, "-", ""))
+
+
+def test_a_library_without_parts_is_refused(tmp_path):
+    (tmp_path / "a.lib").write_text("R1 a 0 1\n")
+    with pytest.raises(UsageError, match="no subcircuit in this library"):
+        read_lib(tmp_path / "a.lib")
+
+
+def test_decks_are_read_with_all_that_they_include(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "main.cir").write_bytes(
+        b"title\r\n.include sub/a.lib\r\n.INC 'sub/b c.lib'\r\n.include\r\n.include none.lib\r\n"
+    )
+    (tmp_path / "sub" / "a.lib").write_text('.include "b c.lib"\n.include a.lib\n')
+    (tmp_path / "sub" / "b c.lib").write_text("R1 a 0 1\n")
+    deck = read_deck(tmp_path / "main.cir")
+    assert (deck.name, deck.main) == ("main", "main.cir")
+    assert deck.text.splitlines()[:2] == ["title", ".include sub/a.lib"]
+    assert "\r" not in deck.text
+    assert set(deck.more) == {"sub/a.lib", "sub/b c.lib"}
+    with pytest.raises(UsageError, match="cannot read netlist"):
+        read_deck(tmp_path / "none.cir")
 
 
 def test_a_head_that_does_not_fit_is_refused(tmp_path):
