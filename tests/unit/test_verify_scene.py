@@ -41,7 +41,7 @@ def under_way(monkeypatch):
         gates = SimpleNamespace(metrics=metrics, waves=waves)
         scene = SimpleNamespace(
             parts=parts or {}, gates=gates, solver=solver, name="s",
-            analysis=SimpleNamespace(type=kind, points=4),
+            analysis=SimpleNamespace(type="".join(list(kind)), points=4),
         )  # fmt: skip
         build = SimpleNamespace(scene=scene, model=lambda name: scene.models[name])
         return module._Verification(build, None, None, False, None, taken=dict.fromkeys(taken, "x"))
@@ -671,6 +671,8 @@ def test_what_is_left_out_is_told(filtered, analysis, monkeypatch, tmp_path):
     if analysis == "transient":
         assert note.endswith(f"on the nets where they meet them: {net}")
         assert any(check.name.startswith("every wave (rms), worst c.v") for check in found.checks)
+        (energy,) = (c for c in found.checks if c.name == "energy of the reference integration")
+        assert energy.limit == 1e-5  # recorded voltages are as good as their samples
         assert found.errors["ngspice_vs_rom"] > 0.9
         assert [cost.name for cost in found.costs] == [
             "laws, reference integrator",
@@ -682,6 +684,26 @@ def test_what_is_left_out_is_told(filtered, analysis, monkeypatch, tmp_path):
         assert found.costs == ()
     assert all(0 <= cost.wall_s < 60 for cost in found.costs)
     assert found.passed is not any(not check.passed for check in found.checks)
+
+
+def test_a_scene_of_laws_is_compared_as_a_whole(monkeypatch, tmp_path):
+    """Of a divider that charges, ngspice in place of which the closed form answers."""
+    amp = {"part": "source", "pwl": [[0, 0], [1e-12, 6], [1, 6]], "pins": {"out": "top.a"}}
+    build = built(amp=amp, solver={"stop": "0.2 ms"})
+    t = np.linspace(0.0, 2e-4, 401)
+    exact = 4 * (1 - np.exp(-t / (1e-6 * 200 / 3)))
+
+    def run(deck, folder, progress):
+        return Waveforms({"time": t, "store.v": exact, "load.v": 3 + 0 * t}, {})
+
+    monkeypatch.setattr(module, "run_deck", run)
+    found = module._Verification(build, Clock(silent), tmp_path, False, None).findings()
+    assert (found.notes, found.left_out, found.shipped) == ((), (), False)
+    (energy,) = (c for c in found.checks if c.name == "energy of the reference integration")
+    assert energy.limit == build.scene.gates.energy
+    assert energy.passed
+    assert found.errors["ngspice_vs_rom"] < 1e-4
+    assert {"store.v", "load.v"} == {o.output for o in found.outputs}
 
 
 def test_a_full_solution_of_a_piece_is_compared_with_netlist_and_laws_of_the_piece(
