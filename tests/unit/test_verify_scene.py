@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.laws import LinearBody, Reading, Source
+from kc2spice.core.laws import Diode, Equations, LinearBody, Reading, Source
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -630,6 +630,19 @@ def test_nets_where_a_part_without_law_meets_others_are_taken(filtered):
     both = circuit.taken_nets(filtered(amp=weak))
     assert sorted(both.values()) == ["electrical", "electrical"]
     assert net in both
+
+
+@pytest.mark.parametrize("coils", [False, True])
+@pytest.mark.parametrize("elastic", [False, True])
+def test_coils_that_follow_an_elastic_body_are_not_given(coils, elastic, filtered, monkeypatch):
+    """Their flux makes every step of its ringing one of Newton's method."""
+    build, known = filtered(), circuit._equations
+    shape = object.__new__(LinearBody)
+    shape.__dict__.update(name="shape", ports=())
+    more = (shape,) * elastic + (Diode("stands for a coil"),) * coils
+    monkeypatch.setattr(circuit, "_equations", lambda b: known(b) | {"more": Equations(more)})
+    monkeypatch.setattr(circuit, "has_store", lambda law: True)
+    assert (circuit.taken_nets(build) is None) is (coils and elastic)
 
 
 def test_the_others_are_given_what_ngspice_has_there(filtered):
