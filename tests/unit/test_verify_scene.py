@@ -545,6 +545,25 @@ def test_circuits_share_ground_alone():
         assert all(law in own for law, _ in each.sweeps)
 
 
+def test_nets_that_share_a_pin_of_a_law_are_one():
+    """Two nets of the scene on one pin of a law; another that a law ties to ground."""
+    nets = {("a", "p"): "1", ("a", "q"): "2", ("b", "p"): "2", ("b", "g"): "0", ("c", "g"): "0",
+            ("d", "p"): "3", ("e", "p"): "3", ("f", "p"): "4"}  # fmt: skip
+    found = {
+        "a": Equations(pins=(("p", "x.a"), ("q", "x.a"))),
+        "b": Equations(pins=(("p", "y.a"), ("g", "y.b"))),
+        "c": Equations(pins=(("g", "z.b"),), nets=(("z.a", "w.a"),)),
+        "d": Equations(pins=(("p", "y.b"),)), "e": Equations(pins=(("p", "v.a"),)),
+        "f": Equations(pins=(("p", "u.a"),)),
+    }  # fmt: skip
+    build = SimpleNamespace(scene=SimpleNamespace(nets=nets))
+    assert circuit._joins(build, found) == {
+        "n0": ("w.a", "z.a"), "n1": ("x.a", "y.a"), "gnd": ("v.a", "y.b", "z.b"),
+    }  # fmt: skip
+    held = circuit._joins(build, found, {"4": Source("net_4", "voltage", None)})
+    assert held["n0"] == ("net_4.out", "u.a")
+
+
 def test_what_was_recorded_is_replayed_in_steps_that_are_more_than_rounding():
     times = np.array([0.0, 0.5e-6, 1e-6, 1e-6 + 1e-13, 0.5, 1.0])
     waves = Waveforms({"time": times, "net a": np.array([1.0, 9.0, 2.0, 9.0, 3.0, 4.0])}, {})
