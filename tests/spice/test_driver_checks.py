@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ from device import built
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.parts._driver_checks import Stage, slewing
+from kc2spice.parts._drivers import CARRIER, Load
+from kc2spice.parts.pwm_drive import PwmKeys
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import part_types
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
@@ -196,3 +200,33 @@ def test_the_arithmetic_of_the_checks():
     assert lag == pytest.approx(0.111 * (1 - np.exp(-1)) / (1 - np.exp(-2e-6 / tau)), rel=0.1)
     ramp = np.minimum(1.1e8 * t, 110.0)
     assert slewing("d", t, ramp, 1e8, 1.0).value == pytest.approx(10.0, rel=1e-3)
+
+
+def test_the_duty_that_a_modulator_is_judged_by(monkeypatch):
+    """Of a constant error ``e`` the controller makes ``u = c + k e (1 + t R / L)``, ``k = 2 pi f L
+    CARRIER / (100 Ohm rail)``; its mean against the triangle is ``(1 + u / CARRIER) / 2``."""
+    kind, keys = part_types()["pwm_drive"], PwmKeys(edge=2e-7)
+    coil = Load(73e-3, 3192.0)
+    monkeypatch.setattr(type(kind), "load", lambda *_: coil)
+    part = SimpleNamespace(keys=keys)
+    count, periods = 400, 5
+    time = np.arange(count * periods) / count / keys.frequency
+    command, error = 0.2, 0.02
+
+    def duty(error):
+        wave = {"i": np.full(time.size, (command - error) / 100), "command": time * 0 + command}
+        return kind._duty(part, None, time, wave)
+
+    found = duty(error)
+    assert (found.min(), found.max()) == (0.0, 1.0)
+    ramp = (found > 0) & (found < 1)
+    assert ramp.sum() / (2 * periods) == pytest.approx(count * keys.frequency * keys.edge, rel=0.25)
+    k = 2 * np.pi * keys.bandwidth * coil.inductance * CARRIER / (100 * keys.rail)
+    u = command + k * error * (1 + time * (coil.resistance + 2 * keys.resistance + 1) / 73e-3)
+    mean = (1 + u / CARRIER).reshape(periods, count).mean(axis=1) / 2
+    np.testing.assert_allclose(found.reshape(periods, count).mean(axis=1), mean, atol=2e-3)
+    # the triangle begins at zero and rises 4 CARRIER a period; an edge takes as long as told
+    assert found[0] == pytest.approx(0.5 + u[0] / (4 * CARRIER * keys.frequency * keys.edge))
+    assert found[count // 4] == 0.0
+    assert duty(100.0).min() == 1.0
+    assert duty(-100.0).max() == 0.0
