@@ -460,6 +460,17 @@ def test_the_gate_of_a_response_is_what_was_asked_of_the_reduction(keys, rom):
     assert whole.leads
 
 
+@pytest.mark.parametrize(("electrical", "meter", "unit"), [("open", "anode", "V"),
+                                                         ("short", "charge", "C")])  # fmt: skip
+def test_responses_are_displacements_and_the_anodes_charge_or_voltage(electrical, meter, unit):
+    part, kind, build = part_of("harmonic", "harmonic", f"kick.electrical={electrical}")
+    found = kind.vectors(part, build)
+    told = found["ring0>anode"], found["anode>ring1"]
+    assert [(v.expression, v.factor, v.unit) for v in told] == [
+        (f"v({meter}_ring0)", 1.0, unit), ("v(ring1_anode)", 1e-6, "m"),
+    ]  # fmt: skip
+
+
 # --- circuits of the user -------------------------------------------------------------------------
 
 
