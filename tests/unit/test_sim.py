@@ -563,6 +563,13 @@ def test_one_check_that_no_tolerance_cures_ends_it(tmp_path):
     with pytest.raises(RetriesFailedError) as caught:
         run_with_retries(PLAIN, tmp_path, retries=3, engine=run, judge=lambda _: Verdict(some))
     assert caught.value.mends == {}
+    assert caught.value.attempts[0].cause == "left: 2 J"  # the first of two
+
+
+def test_a_failure_at_a_time_is_farther_than_one_without():
+    none, early = Failure("stuck", None), Failure("stuck", None, time=1e-6)
+    assert retries._farther(none, early) is early
+    assert retries._farther(early, none) is early
 
 
 def test_a_retry_is_announced(tmp_path):
