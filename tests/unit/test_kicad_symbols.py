@@ -127,3 +127,40 @@ def test_fields_stand_above_their_place_on_a_sheet_too():
     assert placed["Value"] == (10 + left, 20 - top)
     assert placed["Reference"] == (10 + left, 20 - top - 2)
     assert placed["Description"] == (10, 20)
+
+
+TWO_POLE = (((0, 2, "top"), (0, -2, "bottom")), (GRID + 0.8, -0.9), False)
+CONTROLLED = (
+    ((3, 1, "right"), (3, -1, "right"), (-3, 1, "left"), (-3, -1, "left")),
+    (-2 * GRID, 2 * GRID + 1.3), True,
+)  # fmt: skip
+PLACES = dict.fromkeys("VIRCLFHB", TWO_POLE) | dict.fromkeys("EG", CONTROLLED)
+PLACES |= {
+    "GND": (((0, 0, "top"),), (0.0, -4.0), False),
+    "PWR_FLAG": (((0, 0, "bottom"),), (0.0, 3.0), False),
+    "PROBE": (((0, 0, "bottom"),), (1.5, 2.4), False),
+}
+
+
+def test_sheets_of_users_find_pins_and_words_where_they_were():
+    """A moved pin would tear the wires off sheets that stand."""
+    assert {k: (s.ends, s.text, s.named_pins) for k, s in SYMBOLS.items()} == PLACES
+    drawn = {name: numbers("".join(map(write, SYMBOLS[name].drawing)), "xy") for name in SYMBOLS}
+    assert drawn["L"] == [(0, GRID), (0, -GRID)]
+    low, side, tip = (0, -1.27), (0.9, -1.27), (0, -2.2)
+    assert drawn["GND"] == [(0, 0), low, side, tip, (-0.9, -1.27), low]
+    low, side, tip = (0, 1.27), (-1.0, 1.9), (0, 2.54)
+    assert drawn["PWR_FLAG"] == [(0, 0), low, side, tip, (1.0, 1.9), low]
+
+
+def test_a_part_is_a_box_with_its_words_above():
+    pins = (Pin("a", "V", "A"), Pin("b", "V", "A"))
+    symbol = part_symbol(
+        layout(Subcircuit("part", pins, (), "* part\n.subckt part a b\nR1 a b 1\n.ends\n"))
+    )
+    drawing = "".join(map(write, symbol.drawing))
+    assert numbers(drawing, "start") == [(-3 * GRID, GRID)]
+    assert numbers(drawing, "end") == [(3 * GRID, -GRID)]
+    assert symbol.text == (-3 * GRID, GRID + 1.3)
+    assert symbol.ends == ((-4, 0, "left"), (4, 0, "right"))
+    assert symbol.named_pins
