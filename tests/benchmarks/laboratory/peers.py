@@ -90,10 +90,11 @@ def integrate(law: Law, scene: Scene, method: str, rtol: float) -> Waveforms:
     for segment in segments(law, scene.stop):
         peer = Peer(law, segment, linear)
         options = {"jac": peer.jacobian} if method in IMPLICIT else {}
-        solution = solve_ivp(
-            peer.rhs, (segment.start, segment.end), x, method=method, rtol=rtol, atol=atol,
-            **options,
-        )  # fmt: skip
+        with np.errstate(divide="ignore"):  # scipy divides by an error that is zero at rest
+            solution = solve_ivp(
+                peer.rhs, (segment.start, segment.end), x, method=method, rtol=rtol, atol=atol,
+                **options,
+            )  # fmt: skip
         if solution.status < 0:
             raise SimulationError(
                 f"{method} gave up", where=f"t = {solution.t[-1]:g} s", got=solution.message
