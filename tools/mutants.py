@@ -9,9 +9,9 @@ each, on all cores, the program's own processes included; killed, it goes on whe
 its lines, the most specific and the cheapest first, until one fails or about 80 recorded seconds
 are spent; as many mutants at once as there are cores. Killed, it goes on too; ``--again`` gives
 the survivors another try. What is no behaviour is not drawn: annotations, messages of errors,
-plots, sketches and words, and whole constants of a module above two (one sample more is as good a
-choice). Both work on copies in ``build/mutants``, made by the first ``record``; remove that folder
-to begin with another source.
+plots, sketches and words, whole constants of a module above two (one sample more is as good a
+choice), assertions (``zip(strict=…)`` too), and identity instead of equality. Both work on copies
+in ``build/mutants``, made by the first ``record``; remove that folder to begin with another source.
 """
 
 from __future__ import annotations
@@ -50,8 +50,11 @@ NO_PYTHON = "no Python"  # such a mutant is not counted
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip
 SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|Panel|Curve|Line2D")
-WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
+WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint",
+         "_opamp_drawing"}  # fmt: skip
 DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
+SAME = re.compile(r"_(Eq_Is|Is_Eq|NotEq_IsNot|IsNot_NotEq)$")  # of short texts and numbers
+STROKES = {"_line"}  # of symbols
 FORMAL = {"dataclass", "lru_cache", "cache"}
 FIRST, MORE = 15.0, 80.0  # recorded seconds of tests: first, then for survivors
 MOST = 200  # tests of a round
@@ -227,7 +230,7 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
     with use_db(str(found_before), WorkDB.Mode.open) as database:
         for item in database.work_items:
             one = item.mutations[0]
-            if Path(one.module_path) in texts:
+            if Path(one.module_path) in texts and not SAME.search(one.operator_name):
                 places[Path(one.module_path), one.start_pos, one.end_pos].append(one)
     if not whole:
         found_before.unlink()
@@ -276,8 +279,10 @@ def _no_behaviour(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]
             yield from span(node)
         if isinstance(node, ast.Call):
             name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if SAID.fullmatch(name) or name in FORMAL:
+            if SAID.fullmatch(name) or name in FORMAL or name in STROKES:
                 yield from span(node)
+        if isinstance(node, ast.keyword) and node.arg == "strict":
+            yield from span(node)
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
             yield from span(node)
     for node in tree.body:  # one sample more or less is as good a choice
