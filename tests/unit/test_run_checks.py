@@ -129,14 +129,24 @@ def test_reduction_is_compared_with_twice_the_states(closer):
         assert richer.closer_run(silent, outcome, Clock()) is None
 
 
-def test_a_budget_allows_for_what_two_runs_may_both_miss(closer):
-    """Light damping: twice the states may agree and both be off."""
+@pytest.mark.parametrize(
+    ("change", "own"),
+    [
+        ({}, 0.5 * 0.25),
+        ({"kick.damping.ratio": 1e-3}, 0.25 + 3e-4),
+        ({"kick.drive.voltage": -100.0}, 0.25 + 3e-4),
+        ({"kick.damping.ratio": 1e-3, "kick.drive.voltage": -100.0}, 2 * 0.25 + 9e-4),
+    ],
+    ids=["neither", "lightly damped", "downwards", "both"],
+)
+def test_a_budget_allows_for_what_two_runs_may_both_miss(closer, change, own):
+    """Light damping, a kick downwards: twice the states may agree and both be off."""
     speeds, outcome = closer
-    scene = load_scene(LOOP, {"kick.damping.ratio": 1e-3, "error_budget": 1e-4})
+    scene = load_scene(LOOP, {"error_budget": 1e-4, **change})
     speeds += [0.30, 0.24]
     found = richer.closer_run(Build(scene, {"kick": Model()}), outcome, Clock())
-    assert found.check.value == pytest.approx(1.5 * 0.25 + richer.ALLOWED)
-    assert found.own.value == pytest.approx(0.5 * 0.25 + richer.ALLOWED)
+    assert found.check.value == pytest.approx(0.25 + own)
+    assert found.own.value == pytest.approx(own)
 
 
 @pytest.mark.parametrize("volts", [-100.0, 40.0, 100.0])
