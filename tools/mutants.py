@@ -333,15 +333,18 @@ def judged(rounds: tuple[float, ...], folder: Path) -> Callable[[Item], Mutant]:
         tests = chosen(known.contexts(item.path), item, known, rounds)
         operator = get_operator(item.operator)()
         killed, by = False, "no test executes it"
-        with use_mutation(folder / item.path, operator, item.occurrence) as texts:
-            change = _difference(*texts)
-            if _is_python(texts[1]):
-                for each in tests:
-                    killed, by = _fails(each, known.limit(each), folder)
-                    if killed:
-                        break
-            else:
-                killed, by = True, NO_PYTHON
+        try:
+            with use_mutation(folder / item.path, operator, item.occurrence) as texts:
+                change = _difference(*texts)
+                if _is_python(texts[1]):
+                    for each in tests:
+                        killed, by = _fails(each, known.limit(each), folder)
+                        if killed:
+                            break
+                else:
+                    killed, by = True, NO_PYTHON
+        except AttributeError:  # of cosmic-ray, for a dotted name in a tuple of exceptions
+            change, killed, by = item.operator, True, NO_PYTHON
         spent = time.perf_counter() - started
         return Mutant(
             item.path, item.line, item.operator, item.occurrence, change, killed, by, spent
