@@ -380,6 +380,9 @@ def _explain(
                 got=got,
                 expected=limit + _in_unit(error["loc"], schema),
             )
+        case "value_error":  # of keys that contradict each other: what is wrong with them
+            found = None if isinstance(error["input"], Mapping) else got
+            return UsageError(str(context["error"]), where=where, got=found)
         case _:
             return UsageError(error["msg"], where=where, got=got)
 

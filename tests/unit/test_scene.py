@@ -98,6 +98,7 @@ MISTAKES = [
     ("kick.layers=3.5", ["not a whole number"]),
     ("kick.layers=true", ["not a whole number"]),
     ("kick.layers=0", ["out of range", ">= 1"]),
+    ("kick.poling=x", [": a stack that shears needs a mounting"]),
     ("kick.mesh.ring_spacing=0.4 mm", ["beyond the chip"]),
     ("kick.drive.edge=1 ms", ["longer than the pulse"]),
     ("kick.drive.start=1", ["after the simulation ends"]),
@@ -146,6 +147,7 @@ def test_mistakes_name_the_key(override, parts):
     assert all(part in text for part in parts), text
     assert override.partition("=")[0].split(".")[0] in text
     assert "pydantic" not in text
+    assert "Value error" not in text
 
 
 @pytest.fixture
