@@ -230,3 +230,16 @@ def test_the_duty_that_a_modulator_is_judged_by(monkeypatch):
     assert found[count // 4] == 0.0
     assert duty(100.0).min() == 1.0
     assert duty(-100.0).max() == 0.0
+
+
+@pytest.mark.parametrize(("beyond", "kept"), [(0.9e-3, True), (1.1e-3, False)])
+def test_legs_of_a_modulator_stay_within_a_thousandth_of_its_rail(monkeypatch, beyond, kept):
+    kind, keys = part_types()["pwm_drive"], PwmKeys()
+    monkeypatch.setattr(type(kind), "_duty", lambda *_: np.ones(3))
+    still = np.zeros(3)
+    rail = keys.rail
+    wave = {"i": still, "drive": still + (1 + beyond) * rail, "ret": still, "command": still}
+    part = SimpleNamespace(keys=keys, name="d")
+    found = {c.name: c for c in kind.limits(part, None, np.arange(3.0), wave)}
+    assert found["d within its rails"].passed is kept
+    assert found["d within its rails"].value == pytest.approx(beyond * rail)

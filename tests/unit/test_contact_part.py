@@ -1,6 +1,7 @@
 """The contact as a part, on waveforms and numbers made by hand."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -405,3 +406,11 @@ def test_what_a_contact_is_modelled_as_is_told():
     told = contact.type.modelled(contact, scene).detail
     assert told == "3 unilateral springs, 4e+08 N/m each, damping of Hunt and Crossley 0.5 s/m"
     assert not list(contact.type.estimates(contact, scene))
+
+
+def test_a_series_is_one_of_micrometres_in_the_netlist():
+    """``curve_k (x / depth)^(k/2)`` with x in um."""
+    law = Normal(1e8, 1.5, curve=(1.0, -0.25, 0.5), depth=4e-6, radius=1e-3)
+    text = contact_subcircuit(Header("d", "0"), ("p",), np.zeros(1), law).text
+    found = dict(re.findall(r"(?m)^\.param (c\d)=(\S+)$", text))
+    assert {k: float(v) for k, v in found.items()} == pytest.approx({"c1": -0.125, "c2": 0.125})

@@ -248,6 +248,19 @@ def test_currents_of_resistors_and_sources_count_out_of_the_pin():
     assert kind.current(part, "out", build) is None
 
 
+def test_the_voltage_of_a_source_is_read_where_the_deck_has_it():
+    """Of a current source that floats there is none."""
+    ends = {"out": "load.a", "ret": "load.b"}
+    floating = CELL | {
+        "cell": {"part": "source", "kind": "current", "pins": ends},
+        "earth": {"part": "resistor", "resistance": 1.0, "pins": {"a": "load.b"}},
+    }
+    part, kind, build = part_of(floating, "cell")
+    assert set(kind.vectors(part, build)) == {"cell.i"}
+    part, kind, build = part_of(CELL, "cell", "cell.kind=current")
+    assert set(kind.vectors(part, build)) == {"cell.i", "cell.v"}
+
+
 def test_a_source_is_held_against_its_own_definition():
     """Of its swing, or of its size where it is constant, or as it is where that is zero."""
     pulse = {"high": 3.0, "low": 1.0, "width": 2.0, "edge": 1.0, "start": 1.0}
