@@ -18,8 +18,9 @@ NUMBER = re.compile(r"(?<![A-Za-z0-9_.])-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?
 # lookup, which pass through zero, count beside the largest of their table.
 RELATIVE, OF_ITS_TABLE = 1e-4, 1e-5
 # Another processor's arithmetic turns the last states of a reduced model, and may even keep one
-# more: cards change by a tenth, what the part answers by a few times its tolerance of 1e-6.
-RESPONSE = 1e-5
+# more: cards change by a tenth, what the part answers by far less than its certified error: 1.1e-5
+# at the band's end of a beam that is certified to 7e-5.
+RESPONSE = 3e-5
 ROM = re.compile(r"\* rom: order=\d+ band=[\d.e+]+\.\.([\d.e+]+) Hz.*")
 
 
