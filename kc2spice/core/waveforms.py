@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,3 +54,6 @@ class Waveforms:
 
     def __contains__(self, name: str) -> bool:
         return name in self.data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.data)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waves
+from kc2spice.core.waveforms import Waveforms, Waves
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.parts.contact import reach
 from kc2spice.parts.piezo_stack import free_stroke, kept_rings, top_material
@@ -159,5 +159,6 @@ def test_a_port_of_the_user_keeps_its_name():
     assert waves["mine.u.R0"][0] == 0.0
     assert waves["kick.u.R0"][0] == 1.0
     assert "kick.u.R0" in waves
+    assert list(Waveforms(waves, {})) == ["mine.u.R0", "kick.u.ring0"]
     assert "kick.u.R1" not in waves
     assert set(waves.former()) == {"kick.u.R0"}
