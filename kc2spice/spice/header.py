@@ -71,7 +71,7 @@ def rom_line(order: int, certificate: Certificate) -> str:
     return (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
         f"error={number(_upwards(certificate.error_estimate))} ({comment(certificate.method)}); "
-        f"above the band not certified{beyond}; contact excites it\n"
+        f"above the band not certified{beyond}; a contact or a steep edge excites it\n"
     )
 
 
