@@ -42,7 +42,9 @@ def children(pid):
 
 def started(folder, **environment):
     (folder / "long.toml").write_text(LONG)
-    command = [sys.executable, "-m", "kc2spice", "run", "long.toml", "-o", "out"]
+    # Tests that run under nohup would hand the signal down as one that is ignored.
+    command = [shutil.which("env"), "--default-signal=HUP", sys.executable, "-m", "kc2spice"]
+    command += ["run", "long.toml", "-o", "out"]
     process = subprocess.Popen(
         command, cwd=folder, env={**os.environ, **environment}, stderr=subprocess.PIPE, text=True
     )
