@@ -360,3 +360,110 @@ def test_massless_states_are_counted(body):
                            B=np.eye(2)[:, :1], ports=(TIP,))  # fmt: skip
     beam, kind, build = body(model, push=push())
     assert kind.rom(beam, build)["massless"] == 1
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+
+def resonator(**more):
+    """A capacitance of 2 F with an arm of 1 kg on 1e6 N/m, 0.5 N/V, damped by 1 N s/m."""
+    return kc.LinearModel(
+        M=np.eye(1), E=np.eye(1), K=1e6 * np.eye(1), B=np.array([[0.5]]), C=np.array([[0.5]]),
+        D=np.array([[2.0]]), ports=(ANODE,), **more,
+    )  # fmt: skip
+
+
+def own_figures(low, high, model=None):
+    certificate = Certificate((low, high), 1e-3, "made up", True, True)
+    part = SimpleNamespace(name="beam")
+    return list(linear._own_impedances(part, model or resonator(certificate=certificate)))
+
+
+def test_an_impedance_is_drawn_over_its_band_and_around_its_resonances():
+    """Two per cent on either side in steps of a thousandth, two and a half decades below the top."""
+    (figure,) = own_figures(0.0, 1500.0)
+    size, phase = (panel.curves[0] for panel in figure.panels)
+    f = size.x
+    assert (f[0], f[-1]) == (pytest.approx(5.0), 1500.0)
+    pole = 1e3 / (2 * np.pi)
+    near = f[np.abs(f / pole - 1) < 0.0301]
+    wanted = pole * (1 + 1e-3 * np.arange(-20, 21))
+    assert np.isclose(near[:, None], wanted, rtol=1e-12).any(axis=0).all()
+    assert not np.isclose(near[:, None], pole * np.array([0.979, 1.021]), rtol=1e-12).any()
+    w = 2 * np.pi * f
+    charge = 2.0 + 0.25 / (1e6 - w**2 + 1j * w)
+    z = 1 / (1j * w * charge)
+    np.testing.assert_allclose(size.y, np.abs(z), rtol=1e-9)
+    np.testing.assert_allclose(phase.y, np.angle(z, deg=True), rtol=1e-9)
+    assert figure.name == "beam_impedance"
+    (figure,) = own_figures(100.0, 1500.0)
+    assert figure.panels[0].curves[0].x[0] == 100.0
+    (figure,) = own_figures(0.0, 160.0)  # its resonance lies at 159.2 Hz
+    assert figure.panels[0].curves[0].x[-1] == 160.0
+    (figure,) = own_figures(159.0, 1500.0)
+    assert figure.panels[0].curves[0].x[0] == 159.0
+    bare = resonator()
+    assert not own_figures(0.0, 1.0, bare)
+    assert not list(linear._own_impedances(SimpleNamespace(name="beam"), None))
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "log", "label", "scale"),
+    [(1.0, 20.0, False, "Hz", 1.0), (1.0, 20.1, True, "Hz", 1.0), (0.0, 100.0, False, "Hz", 1.0),
+     (4e3, 5e3, False, "Hz", 1.0), (4e3, 5001.0, False, "kHz", 1e3),
+     (10.0, 6e3, True, "kHz", 1e3)],
+)  # fmt: skip
+def test_axes_of_an_impedance_follow_its_range(first, last, log, label, scale):
+    f, z = np.array([first, last]), np.array([3 + 4j, -2j])
+    figure = linear.impedance_figure("beam", f, z, "as measured")
+    size, phase = figure.panels
+    assert (size.log_x, phase.log_x, size.log_y, phase.log_y) == (log, log, True, False)
+    assert phase.x == f"frequency in {label}"
+    for panel, y in ((size, [5.0, 2.0]), (phase, [np.degrees(np.arctan2(4, 3)), -90.0])):
+        np.testing.assert_allclose(panel.curves[0].x, f / scale)
+        np.testing.assert_allclose(panel.curves[0].y, y)
+
+
+def test_a_response_shows_displacements_above_voltages():
+    part = SimpleNamespace(name="beam")
+    data = {"beam.u.tip": np.array([3e-6 + 4e-6j, 1e-6]), "beam.voltage": np.array([2.0, -5.0]),
+            "beam.sense.voltage": np.array([1j, 0.0]), "other.voltage": np.ones(2)}  # fmt: skip
+    for last, log in ((20.0, False), (21.0, True)):
+        waves = Waveforms({"frequency": np.array([1.0, last]), **data}, {})
+        (figure,) = linear.response_figures(part, waves)
+        moved, volts = figure.panels
+        assert (moved.y, volts.y) == ("displacement in µm", "voltage in V")
+        assert (moved.x, volts.x) == ("", "frequency in Hz")
+        assert (moved.log_x, volts.log_x, moved.log_y, volts.log_y) == (log, log, True, True)
+        curves = {c.label: c.y.tolist() for c in (*moved.curves, *volts.curves)}
+        assert curves == {"tip": pytest.approx([5.0, 1.0]), "voltage": [2.0, 5.0],
+                          "sense.voltage": [1.0, 0.0]}  # fmt: skip
+    rest = Waveforms({"frequency": np.array([0.0, 21.0]), "beam.voltage": np.ones(2)}, {})
+    (figure,) = linear.response_figures(part, rest)
+    (panel,) = figure.panels
+    assert (panel.log_x, panel.y) == (False, "voltage in V")
+    nothing = Waveforms({"frequency": np.arange(2.0), "other.voltage": np.ones(2)}, {})
+    assert not list(linear.response_figures(part, nothing))
+
+
+def test_ports_are_shown_while_they_move_with_voltage_and_current_below():
+    part, t = SimpleNamespace(name="beam"), np.linspace(0.0, 1.0, 1001)
+    moving = (t > 0.3995) & (t < 0.6005)
+    data = {"time": t, "beam.u.tip": np.where(moving, 3e-6, 0.0),
+            "beam.u.foot": np.where(moving, -3e-6, 0.0)}  # fmt: skip
+    more = {"beam.voltage": 2 * t, "beam.current": 3 * t}
+    for extra, labels in (({}, ["displacement in µm"]), ({"beam.voltage"}, ["voltage in V"]),
+                          (set(more), ["voltage in V", "current in A"])):  # fmt: skip
+        waves = Waveforms(data | {name: more[name] for name in extra}, {})
+        (figure,) = linear.port_figures(part, waves)
+        assert [panel.y for panel in figure.panels][-len(labels) :] == labels
+        assert [panel.x for panel in figure.panels] == [*[""] * len(extra), "time in ms"]
+        tip, foot = figure.panels[0].curves
+        assert (tip.label, foot.label) == ("tip", "foot")
+        assert (tip.x[0], tip.x[-1]) == pytest.approx((380.0, 620.0), abs=2.0)
+        assert (tip.y.max(), foot.y.min()) == pytest.approx((3.0, -3.0))
+        if extra:
+            np.testing.assert_allclose(figure.panels[1].curves[0].y, 2e-3 * tip.x)
+    assert not list(linear.port_figures(part, Waveforms({"time": t}, {})))
+    still = {k: v for k, v in data.items() if k != "time"}
+    assert not list(linear.port_figures(part, Waveforms(still, {})))
