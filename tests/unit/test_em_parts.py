@@ -2,6 +2,7 @@
 through a few heights are exact, and so must be what the parts make of them."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics import field
-from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts import current_cases, ring_magnet_coils
 from kc2spice.parts.ring_magnet_coils import beyond, interpolation_error, mounted
 from kc2spice.scene.load import load_scene
@@ -307,9 +308,137 @@ def test_the_law_of_driven_coils_takes_the_current_once_with_each_sign():
     assert {a for a, _ in found.pins} == {"y", "drive"}
     rails = load_scene("coil_rails")
     coils = rails.parts["catch"]
-    found = coils.type.law(coils, Build(rails, {"catch": table}))
+    grown = np.linspace(1.0, 2.0, table.y.size)[:, None, None] * table.inductance
+    found = coils.type.law(coils, Build(rails, {"catch": replace(table, inductance=grown)}))
+    (law,) = found.laws
+    np.testing.assert_array_equal(law.inductance, [[4.0, 1.0], [1.0, 3.0]])  # at the first height
+    np.testing.assert_array_equal(law.resistance, [5.0, 7.0])
+    assert law.offset == 1e-3
     assert sorted(pin for pin, _ in found.pins) == ["ln", "lp", "un", "up", "y"]
     assert {"coil.lower.current", "coil.upper.current", "coil.voltage"} == set(found.results)
     detail = coils.type.modelled(coils, rails).detail
     assert detail.startswith("41 heights")
     assert detail.endswith("back-EMF")
+
+
+def test_the_force_map_is_the_force_of_nine_pairs_of_currents():
+    """Over the whole table, up to the largest current; 0.1 A where no controller tells any."""
+    scene, coils, build = scene_of()
+    figure = ring_magnet_coils.force_map(coils, build)
+    (panel,) = figure.panels
+    y = panel.curves[0].x / 1e3
+    np.testing.assert_allclose(y, np.linspace(-0.7e-3, 7.8e-3, 401), rtol=1e-9, atol=1e-12)
+    pairs = [(a, b) for a in (-0.1, 0.0, 0.1) for b in (-0.1, 0.0, 0.1)]
+    assert [c.label for c in panel.curves] == [f"{1e3 * a:+.3g} / {1e3 * b:+.3g}" for a, b in pairs]
+    for curve, pair in zip(panel.curves, pairs, strict=True):
+        np.testing.assert_allclose(curve.y, 1e3 * pull(y, *pair), atol=1e-6)
+    assert scene.name == "em"
+    _, coils, build = scene_of("control.current_limit=0.25", scene="kick_and_catch")
+    labels = [c.label for c in ring_magnet_coils.force_map(coils, build).panels[0].curves]
+    assert (labels[0], labels[4], labels[-1]) == ("-250 / -250", "+0 / +0", "+250 / +250")
+
+
+def test_the_impedance_of_coils_is_that_in_the_middle_of_their_field():
+    """Each alone, and both as one current with two signs sees them: ``L1 + L2 - 2 M``."""
+    _, coils, build = scene_of()
+    table = build.models["catch"]
+    figure = ring_magnet_coils.coil_impedance(coils, build)
+    f = np.geomspace(10.0, 1e5, 201)
+    L = inductances(table, 3.55e-3)
+    own = {"lower": (5.0, L[0, 0]), "upper": (7.0, L[1, 1]),
+           "both": (12.0, L[0, 0] + L[1, 1] - 2 * L[0, 1])}  # fmt: skip
+    size, phase = figure.panels
+    assert {c.label for c in size.curves} == set(own)
+    for a, b in zip(size.curves, phase.curves, strict=True):
+        z = own[a.label][0] + 2j * np.pi * f * own[a.label][1]
+        np.testing.assert_allclose(1e3 * a.x, f)
+        np.testing.assert_allclose(1e3 * b.x, f)
+        np.testing.assert_allclose(a.y, np.abs(z), rtol=1e-9)
+        np.testing.assert_allclose(b.y, np.angle(z, deg=True), rtol=1e-9)
+
+
+def test_what_heats_a_wire_by_its_rated_rise_is_known_by_its_section_alone():
+    """``rise c A^2 / rho`` of copper of 3.45 MJ/(m3 K), whatever its number of turns."""
+    keys = ring_magnet_coils.Coils(wire_diameter=50e-6, resistivity=2e-8, rated_rise=80.0)
+    section = np.pi / 4 * 50e-6**2
+    exact = 80.0 * 3.45e6 * section**2 / 2e-8
+    assert ring_magnet_coils.rated_heating(keys) == pytest.approx(exact)
+    told = ring_magnet_coils._rating(keys)
+    assert told.startswith(f"{exact:.3g} A^2 s in each coil")
+    assert "by 80 K without cooling" in told
+
+
+def test_coils_are_judged_by_the_hotter_of_both():
+    """2 A for 1 s in the lower coil, 3 A for half as long in the upper."""
+    scene = load_scene("kick_and_catch")
+    coils = scene.parts["catch"]
+    table = catch_table(ring_magnet_coils.field_keys(coils), 1e-3)
+    t = np.array([0.0, 0.5, 0.5, 1.0])
+    waves = {"time": t, "sphere.y": np.full(4, 1e-3), "coil.lower.current": np.full(4, -2.0),
+             "coil.upper.current": np.array([3.0, 3.0, 0.0, 0.0])}  # fmt: skip
+    heat, *_ = coils.type.checks(coils, Build(scene, {"catch": table}), Waveforms(waves, {}))
+    assert heat.value == pytest.approx(4.5)
+    assert (heat.limit, heat.action) == (ring_magnet_coils.rated_heating(coils.keys), "warn")
+    waves["coil.lower.current"] = np.full(4, 2.5)
+    heat, *_ = coils.type.checks(coils, Build(scene, {"catch": table}), Waveforms(waves, {}))
+    assert heat.value == pytest.approx(6.25)
+    none = {name: waves[name] for name in ("time", "sphere.y")}
+    checks = list(coils.type.checks(coils, Build(scene, {"catch": table}), Waveforms(none, {})))
+    assert len(checks) == 2
+    assert not list(coils.type.checks(coils, Build(scene, {"catch": table}), Waveforms({}, {})))
+
+
+def test_magnets_pull_only_where_their_table_knows_the_force():
+    scene = load_scene("kick_and_catch")
+    coils = scene.parts["catch"]
+    table = catch_table(ring_magnet_coils.field_keys(coils), 1e-3)
+    build = Build(scene, {"catch": table})
+    y = np.array([1e-3, 2e-3])
+    waves = {"sphere.y": y, "coil.lower.current": np.array([0.1, -0.2]),
+             "coil.upper.current": np.array([0.3, 0.4])}  # fmt: skip
+    remanence = coils.keys.remanence
+    found = coils.type.force_on(coils, "v", build, Waveforms(waves, {}))
+    exact = [pull(a, b, c, remanence, 0.0) for a, b, c in zip(*waves.values(), strict=True)]
+    np.testing.assert_allclose(found, exact, rtol=1e-6)
+    alone = coils.type.force_on(coils, "v", build, Waveforms({"sphere.y": y}, {}))
+    np.testing.assert_allclose(alone, pull(y, 0.0, 0.0, remanence, 0.0), rtol=1e-6)
+    assert coils.type.force_on(coils, "y", build, Waveforms(waves, {})) is None
+    assert coils.type.force_on(coils, "v", build, Waveforms({}, {})) is None
+    waves["sphere.y"] = np.array([1e-3, 7.6e-3])
+    assert coils.type.force_on(coils, "v", build, Waveforms(waves, {})) is None
+
+
+def test_currents_are_read_with_one_sign_each():
+    """One current in the loop; in real coils each its own, with the voltage over both."""
+    series, real = ("v(xcatch.i)", -1.0), ("v(xcatch.i1)", 1.0)
+    for name, lower in (("kick_and_catch", series), ("coil_rails", real)):
+        scene = load_scene(name)
+        coils = scene.parts["catch"]
+        found = coils.type.vectors(coils, Build(scene, {}))
+        vector = found["coil.lower.current"]
+        assert (vector.expression, vector.factor) == lower
+        assert found["coil.upper.current"].factor == 1.0
+        assert ("coil.voltage" in found) is (name == "coil_rails")
+    free, coils, build = scene_of()
+    assert coils.type.vectors(coils, build) == {}
+    assert ring_magnet_coils.largest_current(coils, free) == 0.0
+
+
+def test_a_current_that_nobody_limits_counts_as_one_ampere():
+    scene = load_scene({
+        "name": "hand", "sphere": {}, "catch": {"pins": {"y": "gnd", "drive": "cell.out"}},
+        "cell": {"part": "source", "dc": 1.0},
+    })  # fmt: skip
+    assert ring_magnet_coils.largest_current(scene.parts["catch"], scene) == 1.0
+    two = load_scene("kick_and_catch", ["control.current_limit=0.3"])
+    assert ring_magnet_coils.largest_current(two.parts["catch"], two) == 0.3
+
+
+def test_the_error_of_the_field_is_known_of_the_papers_actuator():
+    for keys, known in (([], True), (["catch.remanence=0.3"], False), (["catch.refine=2"], False),
+                        (["sphere.radius=0.9 mm"], False)):  # fmt: skip
+        scene = load_scene("kick_and_catch", keys)
+        coils = scene.parts["catch"]
+        (row,) = coils.type.errors(coils, scene)
+        assert row.expected == (4e-4 if known else None)
+        assert row.share is None
