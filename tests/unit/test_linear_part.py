@@ -380,7 +380,7 @@ def own_figures(low, high, model=None):
 
 
 def test_an_impedance_is_drawn_over_its_band_and_around_its_resonances():
-    """Two per cent on either side in steps of a thousandth, two and a half decades below the top."""
+    """Two per cent on either side in steps of a thousandth; from a 300th of the top on."""
     (figure,) = own_figures(0.0, 1500.0)
     size, phase = (panel.curves[0] for panel in figure.panels)
     f = size.x
