@@ -71,7 +71,7 @@ class HalfBridge(Driver):
             keys.supply_resistance * keys.reservoir,
         )  # fmt: skip
         share = i / keys.current_limit
-        across = (GATE - THRESHOLD) * (1 - np.sqrt(1 - np.clip(np.abs(share), 0, 1)))
+        across = (GATE - THRESHOLD) * (1 - np.sqrt(1 - np.minimum(np.abs(share), 1)))
         off = np.abs(bridge - np.where(high > 0, tank, 0.0) + np.sign(i) * across)
         judged = (np.maximum(high, low) > settled) & (np.abs(share) < OHMIC)
         judged &= np.where(high > 0, bridge < tank, bridge > 0) | (across < driver.LAG * keys.rail)
@@ -83,8 +83,7 @@ class HalfBridge(Driver):
 
 def _since(time: np.ndarray, on: np.ndarray) -> np.ndarray:
     """How long [s] it is on, at every time."""
-    last = np.maximum.accumulate(np.where(on, time[0], time))
-    return np.where(on, time - last, 0.0)
+    return np.asarray(time - np.maximum.accumulate(np.where(on, time[0], time)))
 
 
 def half_bridge_subcircuit(
