@@ -76,8 +76,10 @@ def _part(s: Statement, text: str, file: str) -> Subcircuit:
 
 def _param(name: str, default: str, told: re.Match[str] | None, s: Statement) -> Param:
     tree = parse(default, where=s.where)
-    sign, plain = (-1.0, tree.value) if isinstance(tree, Unary) else (1.0, tree)
-    value = sign * float(plain.text) if isinstance(plain, Number) else float("nan")
+    sign = ""
+    if isinstance(tree, Unary) and tree.op in "+-":
+        sign, tree = tree.op, tree.value
+    value = float(sign + tree.text) if isinstance(tree, Number) else float("nan")
     if told is None:
         return Param(name, value, "-", "")
     low, high = (float(told[4] or "-inf"), float(told[5] or "inf"))

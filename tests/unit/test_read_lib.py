@@ -10,7 +10,7 @@ from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.spice import read_lib
 from kc2spice.spice.circuit import Param, Pin
 from kc2spice.spice.header import Header
-from kc2spice.spice.read import read_deck
+from kc2spice.spice.read import read_deck, subcircuits
 
 HEADER = Header("test", "0")
 RADII = np.array([0.0, 5e-5])
@@ -50,19 +50,40 @@ def test_libraries_of_others_have_what_their_cards_say(tmp_path):
 
 def test_what_stands_inside_of_another_is_no_part(tmp_path):
     text = (
+        ".param z=1\n.csparam y=2\n"
         ".subckt\n.ends\n.subckt Outer a b k=-1k g={2*3} PARAMS: h=5\n.subckt inside c\n"
-        "R1 c 0 1\n.ends\nX1 a inside\nXlast b called params: x=1\n.ends\n"
-        ".subckt called p x=2\nR1 p 0 1\n.ends\n.subckt second q\nR1 q 0 1\n.ends\n"
+        "R1 c 0 1\n.ends\n.csparam n=1\n.subckt uncalled d\nR1 d 0 1\n.ends\nX1 a inside\n"
+        "Xlast b tail params: x=1\n.ends\n"
+        ".subckt tail p x=2\nR1 p 0 1\n.ends\n.subckt second q\nR1 q 0 1\n.ends\n"
     )
     (tmp_path / "theirs.lib").write_text(text)
     outer, second = read_lib(str(tmp_path / "theirs.lib"))
     assert (outer.name, second.name, outer.filename) == ("Outer", "second", "theirs.lib")
-    assert [pin.name for pin in outer.pins] == ["a", "b"]
+    assert [pin.name for pin in outer.pins + second.pins] == ["a", "b", "q"]
     found = {p.name: p.default for p in outer.params}
     assert found == pytest.approx({"k": -1e3, "g": float("nan"), "h": 5.0}, nan_ok=True)
     assert [(p.unit, p.doc, p.low, p.high) for p in outer.params] == 3 * [
         ("-", "", -np.inf, np.inf)
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("+2k", 2e3), ("-.5", -0.5), ("!1", np.nan), ("--1", np.nan), ("{1==2 ? 3 : 4}", np.nan)],
+)
+def test_the_default_of_a_parameter_is_a_number_or_none(text, value):
+    (part,) = subcircuits(f".subckt part a k={text}\nR1 a 0 1\n.ends\n", "part.lib")
+    (param,) = part.params
+    assert (param.name, param.default) == ("k", pytest.approx(value, nan_ok=True))
+
+
+def test_a_part_may_have_no_pins():
+    (part,) = subcircuits(".subckt alone\nR1 a 0 1\n.ends\n", "part.lib")
+    assert (part.name, part.pins, part.params) == ("alone", (), ())
+
+
+def test_a_library_that_ends_what_it_did_not_begin_has_no_parts():
+    assert subcircuits(".ends\n.subckt part a\nR1 a 0 1\n.ends\n", "part.lib") == []
 
 
 def test_parts_with_a_head_hide_those_without(tmp_path):
@@ -85,6 +106,7 @@ def test_decks_are_read_with_all_that_they_include(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "main.cir").write_bytes(
         b"title\r\n.include sub/a.lib\r\n.INC 'sub/b c.lib'\r\n.include\r\n.include none.lib\r\n"
+        b".include absent.lib\r\n"
     )
     (tmp_path / "sub" / "a.lib").write_text('.include "b c.lib"\n.include a.lib\n')
     (tmp_path / "sub" / "b c.lib").write_text("R1 a 0 1\n")
@@ -97,11 +119,13 @@ def test_decks_are_read_with_all_that_they_include(tmp_path):
         read_deck(tmp_path / "none.cir")
 
 
-def test_a_head_that_does_not_fit_is_refused(tmp_path):
-    (tmp_path / "a.lib").write_text("* @pin 1 a unit=V flow=A\n.subckt x a b\nR1 a b 1\n.ends\n")
+@pytest.mark.parametrize("pins", ["a b", "0"])
+def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
+    text = f"* @pin 1 a unit=V flow=A\n.subckt x {pins}\nR1 a b 1\n.ends\n"
+    (tmp_path / "a.lib").write_text(text)
     with pytest.raises(UsageError, match="head does not list") as caught:
         read_lib(tmp_path / "a.lib")
-    assert caught.value.expected == "a b"
+    assert caught.value.expected == pins
     with pytest.raises(UsageError, match="cannot read"):
         read_lib(tmp_path / "none.lib")
 
