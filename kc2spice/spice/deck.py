@@ -55,7 +55,7 @@ def ac(start: float, stop: float, points: int, scale: str) -> Command:
     """``.ac`` at about ``points`` frequencies [Hz], equally spaced on a log or linear scale."""
     if scale == "linear":
         return Command("ac", ("lin", str(points), number(start), number(stop)))
-    decade = max(1, math.ceil(points / max(math.log10(stop / start), 1e-9)))
+    decade = math.ceil(points / max(math.log10(stop / start), 1e-9))
     return Command("ac", ("dec", str(decade), number(start), number(stop)))
 
 

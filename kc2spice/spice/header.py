@@ -110,7 +110,7 @@ def part_header(
 
 def _range(param: Param) -> str:
     """`` range=low..high`` where the parameter has one."""
-    bounded = param.low > -math.inf or param.high < math.inf
+    bounded = math.isfinite(param.low) or math.isfinite(param.high)
     return f" range={param.low:g}..{param.high:g}" if bounded else ""
 
 

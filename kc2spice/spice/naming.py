@@ -37,7 +37,7 @@ def renamed(text: str, names: Mapping[str, str]) -> str:
 
     def card(match: re.Match[str]) -> str:
         words = list(re.finditer(r"[^\s+]\S*", match[0]))
-        if match[0][0] == ".":
+        if match[0].startswith("."):
             at = words[1] if len(words) > 1 else None
         else:
             plain = [w for w in words if w[0].lower() != "params:"]

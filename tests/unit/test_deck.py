@@ -1,13 +1,16 @@
 """A deck as data: analyses, options, vectors; heads of libraries."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from kc2spice.rom.linear import Certificate
+from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
+from kc2spice.scene.plan import Plan
 from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.deck import Command, Deck, Option, ac, dc, terms, transient
-from kc2spice.spice.header import Header, parameter_list, part_header, rom_line
+from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
 
 TEXT = """title
 V1 a 0 1
@@ -27,6 +30,9 @@ def test_analyses_say_what_was_asked():
     assert ac(10.0, 1e3, 7, "log").card == ".ac dec 4 10.0 1000.0"
     assert ac(10.0, 1e3, 8, "log").card == ".ac dec 4 10.0 1000.0"
     assert ac(1.0, 1e9, 3, "log").card == ".ac dec 1 1.0 1000000000.0"
+    narrow = math.ceil(100 / math.log10(1010 / 1000))
+    assert ac(1000.0, 1010.0, 100, "log").card == f".ac dec {narrow} 1000.0 1010.0"
+    assert ac(1e3, 1e3, 100, "log").card.startswith(".ac dec ")  # a band that is one frequency
     assert dc("V1", 1.0, 3.0, 5).card == ".dc V1 1.0 3.125 0.5"
     assert Command("op", ()).card == ".op"
 
@@ -48,6 +54,8 @@ def test_options_replace_each_other():
     assert found == (Option("trtol", "1", ""), Option("reltol", "1e-6", "exact"))
     assert deck.option("reltol") == "1e-3"
     assert deck.option("abstol") is None
+    twice = replace(deck, options=(*deck.options, Option("reltol", "1e-4", "")))
+    assert twice.option("reltol") == "1e-4"
     assert ".options reltol=1e-3" in deck.files["one.cir"]
 
 
@@ -73,6 +81,8 @@ def test_a_vector_is_saved_once():
 def test_the_largest_step_of_a_transient_can_be_changed():
     deck = Deck(name="one", command=transient(1.0, 1e-2, uic=True))
     assert deck.with_steps(0.5).command.card == ".tran 0.001 1.0 0 0.005 uic"
+    settled = Deck(name="one", command=transient(1.0, 1e-2, uic=False))
+    assert settled.with_steps(2.0).command.card == ".tran 0.001 1.0 0 0.02"
     for other in (Command("tran", ("1", "2", "0")), ac(1.0, 10.0, 3, "linear")):
         same = Deck(name="one", command=other)
         assert same.with_steps(0.5) is same
@@ -119,8 +129,27 @@ def test_the_head_of_a_library():
     ]
     electrical = part_header(Header("s", "0"), "part", pins[1:], rating="none")
     assert "* sign: 1 V counts from the reference, 1 A into the pin\n" in electrical
+    thermal = part_header(Header("s", "0"), "part", (Pin("t", "K", "W"),), rating="none")
+    assert "* sign: 1 V counts from the reference, 1 A into the pin\n" in thermal
     assert parameter_list(params) == "k=2.0 c=1e-09 x=0.0"
     assert (params[0].low, params[0].high) == (-math.inf, math.inf)
+
+
+def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
+    parts = (Modelled("chip", "", ""), Modelled("ball", "", ""))
+    errors = (ErrorRow("mesh", None, 1.234e-3, "", ""), ErrorRow("steps", 0.01, None, "", ""))
+    found = Plan(parts, (), (LeftOut("heat", "", ""), LeftOut("air\n.exec", "", "")), 0.05, errors)
+    assert plan_lines(found).splitlines() == [
+        "* modelled: chip, ball",
+        "* relative errors expected, error_budget 0.05: mesh 0.0012, steps not estimated of 0.01",
+        "* left out (sizes: kc2spice explain): heat; air .exec",
+    ]
+    short = plan_lines(replace(found, error_budget=None, left_out=()))
+    assert short.splitlines()[1].startswith("* relative errors expected: mesh")
+    assert "left out" not in short
+    long = plan_lines(Plan((), (), (LeftOut("xx" + 200 * " x", "", ""),), None, ())).splitlines()
+    assert [len(line) for line in long[:-1]] == [98, 97, 97, 97]  # an even number, an odd one
+    assert all(line.startswith("*   x x") for line in long[1:])
 
 
 def test_a_subcircuit_is_written_under_its_own_name_or_another(tmp_path):

@@ -1,5 +1,6 @@
 """Names of subcircuits: unique for each design, in libraries that need no other file."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -23,6 +24,11 @@ def test_only_subcircuit_names_are_renamed():
         ".subckt chip a kick\nXkick a kick chip eps=1\nXtwo a\n+ kick chip x={kick}\n"
         "R1 kick 0 1\n.ends chip\n"
     )
+
+
+def test_cards_that_name_nothing_stay_and_a_word_before_parameters_is_no_name():
+    text = ".subckt\nX1 a kick PARAMS: eps=1\n.ends\n"
+    assert renamed(text, {"kick": "chip"}) == text.replace("kick", "chip")
 
 
 @pytest.mark.parametrize(
@@ -59,6 +65,9 @@ def test_the_name_follows_scene_and_circuit_but_not_the_last_digits():
     assert design_name(part) == design_name(replace(part, text=part.text.replace("400.0", "400.1")))
     assert design_name(part) != design_name(pid_subcircuit(THERE, Control()))
     assert design_name(part) != design_name(replace(part, text=part.text + "R9 a b 1\n"))
+    assert re.fullmatch(r"pid_[0-9a-f]{6}", design_name(part))
+    called_otherwise = pid_subcircuit(Header("three", HERE.scene_hash), Control())
+    assert design_name(part) == design_name(called_otherwise)
 
 
 def test_a_deck_with_design_names_is_wired_as_before():
