@@ -87,9 +87,12 @@ def _expand(
     """Add the contributions of ``scope``; nested instances come in place, with a prefix."""
     names = Names(module, pins, dict(params), prefix)
     for card in scope.commands:
-        for word in card.words[1:] if card.keyword == ".param" else ():
+        if card.keyword != ".param":
+            what = "Verilog-A cannot say this command"
+            raise UsageError(what, where=card.where, got=card.text[:80])
+        names.where = card.where
+        for word in card.words[1:]:
             key, _, text = word.partition("=")
-            names.where = card.where
             local = module.identifier(prefix + key)
             _assign(module, local, names.value(text))
             names.params = {**names.params, key.lower(): local}

@@ -374,7 +374,7 @@ def test_words_of_the_language_and_double_names_are_renamed(tmp_path):
     openvaf.compile_va(str(tmp_path / "part.va"))
 
 
-NESTED = """* part: title
+NESTED = """* part: title, F = k*x
 * @pin 1 a unit=V flow=A
 
 .subckt part a b k=2 unused=1
@@ -396,7 +396,7 @@ R1 p q {used}
 .ends inner
 * the end
 """
-MODULE = """// part: title
+MODULE = """// part: title, F = k*x
 // @pin 1 a unit=V flow=A
 
 // A transient starts from its operating point, in which initial conditions hold.
@@ -442,9 +442,10 @@ def test_a_module_line_by_line():
     assert text == MODULE.replace("SEARCH", search).replace("BLANK", "")
 
 
-def test_an_instance_has_the_pins_of_its_subcircuit():
+@pytest.mark.parametrize("pins", ["p", "p q r"])
+def test_an_instance_has_the_pins_of_its_subcircuit(pins):
     with pytest.raises(UsageError, match="no such subcircuit"):
-        library([part_of("X1 a b inner\n.subckt inner p\nR1 p p 1\n.ends")])
+        library([part_of(f"X1 a b inner\n.subckt inner {pins}\nR1 p p 1\n.ends")])
 
 
 def part_of(cards_):
@@ -545,3 +546,11 @@ def test_what_a_module_cannot_say_is_refused(card):
     with pytest.raises(UsageError) as caught:
         library([part_of(card)])
     assert "part.lib:" in str(caught.value)
+
+
+@pytest.mark.parametrize("card", [".ic V(a)=1", ".csparam c=1", ".temp 27", "Z1 a b b m"])
+def test_what_is_no_element_of_a_module_is_named(card):
+    """Left out, an initial condition or a temperature would change the results."""
+    with pytest.raises(UsageError, match="Verilog-A cannot say this c") as caught:
+        library([part_of(f"R1 a b 1\n{card}")])
+    assert (caught.value.where, caught.value.got) == ("part.lib:4", card)

@@ -11,6 +11,7 @@ MAIN = """.save is the title, whatever it says
 .include part.lib
 .INC other.lib
 .include plain.lib
+.include extra.lib
 Vin in 0 1
 
 * before the part
@@ -34,6 +35,7 @@ pre_osdi others.osdi
 .model mxq OTHER
 * a note
 .include plain.lib
+.include extra.lib
 Vin in 0 1
 
 * before the part
@@ -50,7 +52,8 @@ Xplain out 0 plain x=1
 def test_modules_stand_where_their_subcircuits_stood():
     pins = (Pin("a", "V", "A"), Pin("b", "V", "A"))
     modules = (Subcircuit("part", pins, (), ""), Subcircuit("other", pins, (), "", "others.lib"))
-    libraries = {"part.lib": "* part", "others.lib": "* other", "plain.lib": "* plain"}
+    libraries = {"part.lib": "* part", "others.lib": "* other"}
+    libraries |= (kept := {"extra.lib": "* extra", "plain.lib": "* plain"})
     main = MAIN.replace("other.lib", "others.lib")
     files = bench_of(Deck(name="one", text=main, more=libraries), modules)
-    assert files == {"one_osdi.cir": BENCH, "plain.lib": "* plain"}
+    assert files == {"one_osdi.cir": BENCH, **kept}
