@@ -54,8 +54,7 @@ WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__rep
          "_opamp_drawing"}  # fmt: skip
 DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
 SAME = re.compile(r"_(Eq_Is|Is_Eq|NotEq_IsNot|IsNot_NotEq)$")  # of short texts and numbers
-STROKES = {"_line"}  # of symbols
-FORMAL = {"dataclass", "lru_cache", "cache"}
+FORMAL = {"dataclass", "lru_cache", "cache", "_line"}  # the last are strokes of symbols
 FIRST, MORE = 15.0, 80.0  # recorded seconds of tests: first, then for survivors
 MOST = 200  # tests of a round
 ALIKE = 3  # cases of one test before those of others
@@ -279,7 +278,7 @@ def _no_behaviour(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]
             yield from span(node)
         if isinstance(node, ast.Call):
             name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if SAID.fullmatch(name) or name in FORMAL or name in STROKES:
+            if SAID.fullmatch(name) or name in FORMAL:
                 yield from span(node)
         if isinstance(node, ast.keyword) and node.arg == "strict":
             yield from span(node)

@@ -108,7 +108,7 @@ def test_names_probes_and_functions():
     ("text", "message"),
     [("", "something expected"), ("1+", "something expected"), ("(1", r"\) expected"),
      ("1)", "stray text"), ("1 2", "stray text"), ("1 ? 2", ": expected"),
-     ("V(", "a node expected"), ("V()", "a node expected"), ("V(a", "a node expected"),
+     ("V(", "a node expected"), ("V()", "a node expected"), ("V(ab", "a node expected"),
      ("max(1", r"\) expected"), ("max(1,)", "something expected"), ("*2", "something expected")],
 )  # fmt: skip
 def test_what_is_no_expression_is_refused(text, message):
