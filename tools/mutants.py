@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     import coverage
 
 ROOT = Path(__file__).parents[1]
-HOME = ROOT / "build" / "mutants"
+HOME = (ROOT / "build" / "mutants").resolve()  # coverage notes real paths
 COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
