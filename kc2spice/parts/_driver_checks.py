@@ -95,7 +95,7 @@ class Stage:
         whole = np.r_[0, np.cumsum(~(linear[1:] & linear[:-1]))]  # the same within linear pieces
         first = np.arange(self.time.size)
         last = np.searchsorted(self.time, self.time + 1 / (pace * self.feedback))
-        last = np.minimum(np.maximum(last, first + 1), self.time.size - 1)
+        last = np.minimum(last, self.time.size - 1)
         good = (last > first) & (whole[last] == whole[first])
         first, last = first[good], last[good]
         lasted = self.time[last] - self.time[first]
