@@ -28,7 +28,7 @@ from kc2spice.scene.parttype import Build, register
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.header import Header
 
-DIVIDER, FEEDBACK = 20.0, 20e3  # of the command; Ohm, of what returns the output
+FEEDBACK = 20e3  # Ohm, of what returns the output
 SINK = -10.0  # V, the lower rail
 
 
@@ -56,8 +56,8 @@ class Amplifier(Driver):
         keys = part.keys
         volts = wave["out"] + keys.resistance * wave["i"]
         return Stage(
-            time, (wave["command"] - volts) / DIVIDER, volts, wave["i"] + volts / FEEDBACK,
-            SINK, keys.rail, keys.slew, keys.current_limit, DIVIDER * keys.bandwidth, 1 / DIVIDER,
+            time, wave["command"] - volts, volts, wave["i"] + volts / FEEDBACK,
+            SINK, keys.rail, keys.slew, keys.current_limit, keys.bandwidth,
         ).checks(part.name)  # fmt: skip
 
 

@@ -173,7 +173,7 @@ def test_a_charge_drive_follows_by_the_voltage_of_its_capacitor():
     keys = {"capacitance": 2e-7, "sense": 8e-7, "rail": RAIL, "resistance": ROUT,
             "bandwidth": 1e6, "slew": 2e9, "current_limit": LIMIT}  # fmt: skip
     anode, i = np.array([2.0, 3.0]), np.array([0.5, 0.75])
-    command, cathode = np.array([10.0, 12.0]), np.array([2.0, 2.5])
+    command, cathode = np.array([10.0, 12.0]), np.array([1.0, 0.5])
     wave = {"anode": anode, "cathode": cathode, "i": i, "command": command}
     found = limits("charge_drive", keys, [0, STEP], **wave)
     inner = anode + (ROUT + 0.1) * i
