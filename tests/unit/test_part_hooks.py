@@ -261,6 +261,56 @@ def test_the_voltage_of_a_source_is_read_where_the_deck_has_it():
     assert set(kind.vectors(part, build)) == {"cell.i", "cell.v"}
 
 
+@pytest.mark.parametrize(
+    ("kind", "load", "card", "told"),
+    [
+        ("voltage", "resistor", "Vcell far 0 2.0 AC 3.0",
+         {"i": ("i(vcell)", -1.0, "A"), "v": ("v(far)", 1.0, "V")}),
+        ("current", "resistor", "Icell 0 far 2.0 AC 3.0",
+         {"i": ("@icell[current]", 1.0, "A"), "v": ("v(far)", 1.0, "V")}),
+        ("force", "spring", "Icell 0 far 2.0 AC 3.0",
+         {"force": ("@icell[current]", 1.0, "N"), "x": ("v(far)", 1e-6, "m")}),
+        ("displacement", "spring", "Vcell far 0 2000000.0 AC 3000000.0",
+         {"force": ("i(vcell)", -1.0, "N"), "x": ("v(far)", 1e-6, "m")}),
+    ],
+)  # fmt: skip
+def test_a_source_of_each_kind_drives_and_tells_in_its_unit(kind, load, card, told):
+    key = {"resistor": "resistance", "spring": "stiffness"}[load]
+    scene = {"name": "c", "far": {"part": load, key: 5.0},
+             "cell": {"part": "source", "kind": kind, "dc": 2.0, "ac": 3.0,
+                      "pins": {"out": "far.a"}}}  # fmt: skip
+    part, type_, build = part_of(scene, "cell")
+    net = build.net(part, "out")
+    (found,) = type_.cards(part, build)
+    assert found.replace(f" {net} ", " far ").replace(" DC ", " ") == card
+    vectors = {n.removeprefix("cell."): v for n, v in type_.vectors(part, build).items()}
+    assert {
+        n: (v.expression.replace(net, "far"), v.factor, v.unit) for n, v in vectors.items()
+    } == (told)
+    assert type_.dc(part, "dc", build) == (card.split()[0], 1e6 if kind == "displacement" else 1.0)
+    assert type_.dc(part, "ac", build) is None
+    force = wave(cell__force=[2.0, -3.0])
+    np.testing.assert_array_equal(type_.force_on(part, "out", build, force), [2.0, -3.0])
+    np.testing.assert_array_equal(type_.force_on(part, "ret", build, force), [-2.0, 3.0])
+    assert type_.force_on(part, "ret", build, Waveforms({}, {})) is None
+    quantity = next(iter(told)) if card[0] == "I" else list(told)[1]
+    waves = wave(time=[0.0, 1.0], **{f"cell__{quantity}": [2.0, 2.5]})
+    (check,) = type_.checks(part, build, waves)
+    assert check.value == pytest.approx(0.25)
+
+
+def test_springs_and_dampers_pass_on_what_they_take():
+    scene = {"name": "d", "far": {"part": "spring", "stiffness": 5.0},
+             "push": {"part": "source", "kind": "force", "pins": {"out": "far.a"}}}  # fmt: skip
+    part, kind, build = part_of(scene, "far")
+    force = wave(far__force=[2.0])
+    assert [kind.force_on(part, pin, build, force)[0] for pin in "ab"] == [-2.0, 2.0]
+    vector = kind.vectors(part, build)["far.force"]
+    assert vector.factor == pytest.approx(5e-6)  # N per um
+    (card,) = kind.cards(part, build)
+    assert float(card.split()[-1]) == pytest.approx(1e6 / 5.0)
+
+
 def test_a_source_is_held_against_its_own_definition():
     """Of its swing, or of its size where it is constant, or as it is where that is zero."""
     pulse = {"high": 3.0, "low": 1.0, "width": 2.0, "edge": 1.0, "start": 1.0}
