@@ -57,7 +57,7 @@ SAME = re.compile(r"_(Eq_Is|Is_Eq|NotEq_IsNot|IsNot_NotEq)$")  # of short texts 
 FORMAL = {"dataclass", "lru_cache", "cache", "_line"}  # the last are strokes of symbols
 FIRST, MORE = 15.0, 80.0  # recorded seconds of tests: first, then for survivors
 MOST = 200  # tests of a round
-ALIKE = 3  # cases of one test before those of others
+ALIKE, QUICK = 3, 20  # cases of one test before those of others; of those that are quick
 START_UP = 0.5  # s; tests that take less are equally cheap
 SLOWER, START = 3.0, 30.0  # times the CPU time, and seconds more, that a mutant may take
 WAITED = 8.0  # times that of wall time: other programs may run beside
@@ -384,7 +384,8 @@ def chosen(
     for test in sorted(tests, key=lambda each: (known.rank(each), each)):
         counts[name := test.partition("[")[0]] += 1
         first = -said[test.partition("::")[0]]
-        ranked.append(((counts[name] > ALIKE, first, test not in exact), test))
+        most = ALIKE if known.seconds[test] > START_UP else QUICK
+        ranked.append(((counts[name] > most, first, test not in exact), test))
     queue = [test for _, test in sorted(ranked, key=lambda pair: pair[0])]
     ready: set[str] = set()  # files whose fixtures are paid for
     for limit in rounds:
