@@ -590,6 +590,36 @@ def test_pins_of_a_netlist_have_the_kinds_and_ratings_that_are_told(tmp_path):
             load(units=wrong)
 
 
+def test_a_netlists_subcircuit_is_found_with_its_pins_alone(tmp_path):
+    """Without regard to case; what follows the pins are parameters. Pins are names of nodes."""
+    scene = tmp_path / "s.toml"
+    scene.write_text(
+        "[mine]\npart='netlist'\nfile='mine.lib'\nsubckt='Mine'\nratings={out={high=1}}\n"
+        "pins={a='load.a', out='load.b'}\n[load]\npart='resistor'\nresistance=5\n"
+    )
+    rest = "\nR1 a out 1\nR2 out ref 1\n.ends\n"
+    other = ".subckt other p q\nR1 p q 1\n.ends\n"
+    for head in (".subckt mine a out ref", ".SUBCKT MINE a out ref k=1",
+                 ".subckt mine a out ref PARAMS: k=1 l=2"):  # fmt: skip
+        (tmp_path / "mine.lib").write_text(other + head + rest)
+        loaded = load_scene(scene)
+        part = loaded.parts["mine"]
+        pins = part.type.pins(part, loaded)
+        assert [(p.name, p.default) for p in pins] == [("a", None), ("out", None), ("ref", "gnd")]
+        assert set(part.type.vectors(part, Build(loaded, {}))) == {"mine.out"}
+        assert (part.type.library(part, loaded), part.type.files(part, loaded)) == (
+            "Mine", ("mine.lib",),
+        )  # fmt: skip
+    ac = load_scene(scene, ["analysis.type=ac", "analysis.start=1", "analysis.stop=2"])
+    assert ac.parts["mine"].type.vectors(ac.parts["mine"], Build(ac, {})) == {}
+    wrong = {"no such subcircuit": other, "not a netlist name": f".subckt mine a out 2nd{rest}"}
+    for said, text in wrong.items():
+        (tmp_path / "mine.lib").write_text(text)
+        with pytest.raises(UsageError, match=said) as raised:
+            load_scene(scene)
+        assert raised.value.where.endswith("mine.subckt")
+
+
 # --- drivers --------------------------------------------------------------------------------------
 
 

@@ -303,6 +303,20 @@ def test_the_full_model_is_that_of_the_refined_mesh(monkeypatch):
     assert asked == [3, 3, 6, 6]
 
 
+def test_fields_are_those_of_the_sector_on_a_patch_where_a_pressure_acts(monkeypatch):
+    from kc2spice.bodies import piezo_stack as body
+
+    monkeypatch.setattr(body, "sector_device", lambda *told: told)
+    monkeypatch.setattr(piezo_stack, "_assembled", lambda chip: "rings")
+    monkeypatch.setattr(piezo_stack, "_on_patch", lambda chip, shape: shape.nodes[1])
+    for keys, system in (
+        ([], "rings"),
+        (["contact.shape=pressure", "contact.spacing=20 um"], 20e-6),
+    ):
+        part, scene, kind = kick_of("kick.rated_field=1e6", *keys)
+        assert kind.device(part, scene) == (chip_of(part.keys), system, 1e6)
+
+
 def test_a_stack_is_modelled_as_told():
     part, scene, kind = kick_of("rom.order=12", "contact.rings=3")
     told = kind.modelled(part, scene).detail
