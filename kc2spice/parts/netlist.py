@@ -66,7 +66,7 @@ class Netlist(PartType):
         found = []
         for name in _pins(part, scene):
             unit, flow = KINDS[part.keys.units.get(name, "V/A")]
-            ground = name in ("ref", "gnd", "base")
+            ground = name in ("ref", "base")
             found.append(Terminal(name, unit, flow, "gnd" if ground else None, required=not ground))
         return tuple(found)
 
