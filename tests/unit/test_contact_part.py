@@ -413,4 +413,6 @@ def test_a_series_is_one_of_micrometres_in_the_netlist():
     law = Normal(1e8, 1.5, curve=(1.0, -0.25, 0.5), depth=4e-6, radius=1e-3)
     text = contact_subcircuit(Header("d", "0"), ("p",), np.zeros(1), law).text
     found = dict(re.findall(r"(?m)^\.param (c\d)=(\S+)$", text))
-    assert {k: float(v) for k, v in found.items()} == pytest.approx({"c1": -0.125, "c2": 0.125})
+    assert {k: float(v) for k, v in found.items()} == pytest.approx(
+        {"c1": -0.125, "c2": 0.125}, rel=1e-9
+    )

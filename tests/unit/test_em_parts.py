@@ -1,6 +1,7 @@
 """Parts of the electromagnetic scenes on a force in closed form, cubic in the height: the splines
 through a few heights are exact, and so must be what the parts make of them."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -13,7 +14,13 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics import field
 from kc2spice.fem.magnetics.table import EMTable, inductances
 from kc2spice.parts import current_cases, ring_magnet_coils
-from kc2spice.parts.ring_magnet_coils import beyond, interpolation_error, mounted
+from kc2spice.parts.ring_magnet_coils import (
+    beyond,
+    catch_subcircuit,
+    coil_subcircuit,
+    interpolation_error,
+    mounted,
+)
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.spice.header import Header
@@ -362,7 +369,7 @@ def test_what_heats_a_wire_by_its_rated_rise_is_known_by_its_section_alone():
     keys = ring_magnet_coils.Coils(wire_diameter=50e-6, resistivity=2e-8, rated_rise=80.0)
     section = np.pi / 4 * 50e-6**2
     exact = 80.0 * 3.45e6 * section**2 / 2e-8
-    assert ring_magnet_coils.rated_heating(keys) == pytest.approx(exact)
+    assert ring_magnet_coils.rated_heating(keys) == pytest.approx(exact, rel=1e-9)
     told = ring_magnet_coils._rating(keys)
     assert told.startswith(f"{exact:.3g} A^2 s in each coil")
     assert "by 80 K without cooling" in told
@@ -442,3 +449,31 @@ def test_the_error_of_the_field_is_known_of_the_papers_actuator():
         (row,) = coils.type.errors(coils, scene)
         assert row.expected == (4e-4 if known else None)
         assert row.share is None
+
+
+@pytest.mark.parametrize("make", [catch_subcircuit, coil_subcircuit])
+def test_lookups_count_cells_from_the_lowest_height(make):
+    """Heights in micrometres, equally spaced over the table."""
+    _, _, build = scene_of()
+    more = {"current": 0.1} if make is catch_subcircuit else {}
+    text = make(Header("t", "0"), build.models["catch"], points=18, **more).text
+    per_um = float(re.search(r"(?m)^Gs base s y base (\S+)$", text)[1])
+    first = float(re.search(r"(?m)^Is base s (\S+)$", text)[1])
+    assert per_um == pytest.approx(1 / 500.0, rel=1e-9)  # 8.5 mm in 17 cells
+    assert first == pytest.approx(700 / 500.0, rel=1e-9)
+    assert "resampled" in text
+    assert "18 heights" in text
+
+
+def test_coils_know_the_inverse_of_their_inductance():
+    """In a mean inductance of both, by its mean over the heights and lookups of what is left."""
+    _, _, build = scene_of()
+    table = build.models["catch"]
+    text = coil_subcircuit(Header("t", "0"), table, points=41).text
+    inverse = 3.5 * np.linalg.inv(inductances(table, np.linspace(table.y[0], table.y[-1], 41)))
+    cards = dict(re.findall(r"(?m)^(Cj1|Cj2|Gi1|Gi2|Gm1|Gm2) .*?(\S+)$", text))
+    mean = inverse.mean(axis=0)
+    assert {name: float(value) for name, value in cards.items()} == pytest.approx({
+        "Cj1": 3.5, "Cj2": 3.5, "Gi1": mean[0, 0], "Gi2": mean[1, 1], "Gm1": mean[0, 1],
+        "Gm2": mean[0, 1],
+    }, rel=1e-9)  # fmt: skip

@@ -93,7 +93,8 @@ def test_a_library_offers_its_parameters(name):
     wanted = [(*row.split(), "")[:4] for row in ROWS[name].split(", ")]
     found = LIBRARIES[name]()
     assert [(p.name, p.unit) for p in found.params] == [(n, unit) for n, _, unit, _ in wanted]
-    assert [p.default for p in found.params] == pytest.approx([float(v) for _, v, _, _ in wanted])
+    defaults = [float(v) for _, v, _, _ in wanted]
+    assert [p.default for p in found.params] == pytest.approx(defaults, rel=1e-12)
     for param, (_, _, _, sign) in zip(found.params, wanted, strict=True):
         assert param.low == low[sign]
         assert (param.low > 0) == (sign == ">")
@@ -133,7 +134,7 @@ def test_the_loop_of_a_modulator_cancels_the_pole_of_its_coils():
     r1 = float(value(text, "R1"))
     r2 = float(value(text, "R2").removesuffix("/rail")) / 50.0
     c1 = float(value(text, "C1").removesuffix("*rail")) * 50.0
-    assert r2 / r1 == pytest.approx(2 * math.pi * 5e3 * 0.05 * 10 / (100 * 50.0))
+    assert r2 / r1 == pytest.approx(2 * math.pi * 5e3 * 0.05 * 10 / (100 * 50.0), rel=1e-9)
     assert r2 * c1 == pytest.approx(0.05 / 13.5)
     assert (float(value(text, "Vcc")), float(value(text, "Vee"))) == (12.0, -12.0)
     assert float(value(text, "Gsense")) * 1000 == pytest.approx(100.0)
@@ -190,7 +191,7 @@ def test_a_sensor_draws_its_noise_twice_a_period_of_its_bandwidth():
     assert "TRNOISE" not in quiet
     noisy = of_scene("sensor", bandwidth=2e5, noise=3e-9).text
     size, step = re.search(r"TRNOISE\((\S+) (\S+) 0 0\)", noisy).groups()
-    assert (float(size), float(step)) == pytest.approx((3e-3, 2.5e-6))
+    assert (float(size), float(step)) == pytest.approx((3e-3, 2.5e-6), rel=1e-9)
     scene = load_scene({
         "name": "s", "eye": {"part": "sensor", "pins": {"of": "far.a"}}, "far": SPRING,
     })  # fmt: skip

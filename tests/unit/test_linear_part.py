@@ -436,7 +436,7 @@ def test_a_response_shows_displacements_above_voltages():
         assert (moved.x, volts.x) == ("", "frequency in Hz")
         assert (moved.log_x, volts.log_x, moved.log_y, volts.log_y) == (log, log, True, True)
         curves = {c.label: c.y.tolist() for c in (*moved.curves, *volts.curves)}
-        assert curves == {"tip": pytest.approx([5.0, 1.0]), "voltage": [2.0, 5.0],
+        assert curves == {"tip": pytest.approx([5.0, 1.0], rel=1e-9), "voltage": [2.0, 5.0],
                           "sense.voltage": [1.0, 0.0]}  # fmt: skip
     rest = Waveforms({"frequency": np.array([0.0, 21.0]), "beam.voltage": np.ones(2)}, {})
     (figure,) = linear.response_figures(part, rest)
@@ -461,7 +461,7 @@ def test_ports_are_shown_while_they_move_with_voltage_and_current_below():
         tip, foot = figure.panels[0].curves
         assert (tip.label, foot.label) == ("tip", "foot")
         assert (tip.x[0], tip.x[-1]) == pytest.approx((380.0, 620.0), abs=2.0)
-        assert (tip.y.max(), foot.y.min()) == pytest.approx((3.0, -3.0))
+        assert (tip.y.max(), foot.y.min()) == pytest.approx((3.0, -3.0), rel=1e-9)
         if extra:
             np.testing.assert_allclose(figure.panels[1].curves[0].y, 2e-3 * tip.x)
     assert not list(linear.port_figures(part, Waveforms({"time": t}, {})))
