@@ -134,7 +134,7 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
     """Contributions of one primitive element."""
     a, b = (names.node(n) for n in part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
-    value = names.value(part.values[0]) if part.values and part.kind in "rclegfhk" else ""
+    value = _value(part, names) if part.kind in "rclegfhk" else ""
     match part.kind:
         case "r":
             return [f"{through} <+ {across}/{value};"]
@@ -178,9 +178,20 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
             return [f"V({own}) <+ {value}*I({names.branch(part.sources[0])});"]
         case "b":
             return [f"V({own}) <+ {names.value(behaviour(part)[1])};"]
-    raise UsageError(
-        "Verilog-A cannot say this card", where=names.where, got=part.statement.text[:80]
-    )
+    raise _unsaid(part)
+
+
+def _unsaid(part: Element) -> UsageError:
+    card = part.statement
+    return UsageError("Verilog-A cannot say this card", where=card.where, got=card.text[:80])
+
+
+def _value(part: Element, names: Names) -> str:
+    """The one value of a card; a second one, a multiplier or a model would be left out."""
+    known = {"ic"} if part.kind == "c" else set()
+    if len(part.values) != 1 or set(part.params) - known:
+        raise _unsaid(part)
+    return names.value(part.values[0])
 
 
 def _initial(part: Element, through: str, across: str, names: Names) -> list[str]:

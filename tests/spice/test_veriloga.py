@@ -505,6 +505,7 @@ TABLE = """  analog function real table_b1_0;
         ("V1 a b 2\nB1 a b I=I(V1)", ["V(br_v1) <+ 2.0;", "I(a,b) <+ I(br_v1);"]),
         ("B1 a b I=uramp(V(a))", ["I(a,b) <+ max(0.0, V(a));"]),
         ("G1 a b b a 2", ["I(a,b) <+ 2.0*V(b,a);"]),
+        ("B1 a b V=2*V(b)", ["V(br_b1) <+ (2.0*V(b));"]),
         ("E1 a b b a 2", ["V(br_e1) <+ 2.0*V(b,a);"]),
         ("V1 a b 0\nH1 b a V1 3",
          ["V(br_v1) <+ 0.0 + 1e-15*I(br_v1);", "V(br_h1) <+ 3.0*I(br_v1);"]),
@@ -540,6 +541,12 @@ def test_laws_of_elements(card, laws):
         "V1 a b 1 2",
         "S1 a b a b m",
         "R1 a b {nothing}",
+        "R1 a b 1 rough\n.model rough R(tc1=1e-3)",
+        "R1 a b R=1",
+        "L1 a b 1 IC=2",
+        "G1 a b a b 1 m=2",
+        "E1 a b vol='V(a)'",
+        "B1 a b I=zeta(V(a))",
     ],
 )
 def test_what_a_module_cannot_say_is_refused(card):
