@@ -49,4 +49,4 @@ def _read(names: Sequence[str], home: Path, trust: bool) -> Iterator[tuple[str, 
                 expected="names of files beside the scene: letters, digits, blanks and _ . + -",
                 hint="copy the netlist beside the scene, or repeat with --trust",
             )
-        yield name, third_party(path, trust=trust, home=path.parent if trust else home)
+        yield name, third_party(path, trust=trust, home=home)

@@ -409,6 +409,14 @@ def test_links_do_not_lead_out(tmp_path):
         third_party(home / "user.cir")
 
 
+def test_a_folder_of_the_scene_may_link_to_another(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "shared.lib").write_text("R1 a 0 1\n")
+    (tmp_path / "sub" / "link.lib").symlink_to(tmp_path / "shared.lib")
+    (tmp_path / "sub" / "user.cir").write_text(".include link.lib\n")
+    assert "\nR1 a 0 1\n" in included_netlists(["sub/user.cir"], tmp_path)["user.cir"]
+
+
 @pytest.mark.parametrize("name", ["missing.lib", "."])
 def test_unreadable_circuits_are_named(name, tmp_path):
     (tmp_path / "user.cir").write_text(f".include {name}\n")
