@@ -14,7 +14,9 @@ from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
+from kc2spice.spice import ltspice
 from kc2spice.spice.box import layout
+from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.deck import Block
 from kc2spice.spice.elements import circuit
 from kc2spice.spice.realize import realize
@@ -293,6 +295,42 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
         line = read.attributes.get("SpiceLine", "")
         assert dict(w.split("=") for w in line.split()) == params
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
+
+
+ASY = """Version 4
+SymbolType BLOCK
+RECTANGLE Normal 96 64 -96 -64
+WINDOW 0 0 -64 Bottom 2
+WINDOW 3 0 64 Top 2
+SYMATTR Value part
+SYMATTR Prefix X
+SYMATTR ModelFile part.ltspice.lib
+SYMATTR Description part: a title
+SYMATTR SpiceLine k=2.5 c=1e-12
+PIN 96 -32 RIGHT 8
+PINATTR PinName out
+PINATTR SpiceOrder 1
+PIN -96 -32 LEFT 8
+PINATTR PinName in
+PINATTR SpiceOrder 2
+PIN 0 64 BOTTOM 8
+PINATTR PinName ref
+PINATTR SpiceOrder 3
+"""
+
+
+def test_a_symbol_of_ltspice_line_by_line(header):
+    """32 units a row, y downwards, pins on the outline: 3 rows right and left, 2 up and down."""
+    pins = tuple(Pin(name, "V", "A") for name in ("out", "in", "ref"))
+    params = (Param("k", 2.5, "-", ""), Param("c", 1e-12, "F", ""))
+    text = "* part: a title\n.subckt part out in ref k=2.5 c=1e-12\nE1 out ref in ref {k}\n.ends\n"
+    assert ltspice.symbol(layout(Subcircuit("part", pins, params, text)), "part.ltspice.lib") == ASY
+    amplifier = ltspice.symbol(layout(opamp_subcircuit(header)), "opamp.lib")
+    places = re.findall(r"PIN (\S+) (\S+) (\w+) 8\nPINATTR PinName (\w+)", amplifier)
+    assert {name: (int(x), int(y), side) for x, y, side, name in places} == {
+        "inp": (-64, -32, "LEFT"), "inn": (-64, 32, "LEFT"), "out": (64, 0, "RIGHT"),
+        "vcc": (0, -64, "TOP"), "vee": (0, 64, "BOTTOM"), "ref": (-32, 64, "BOTTOM"),
+    }  # fmt: skip
 
 
 def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, deck):
