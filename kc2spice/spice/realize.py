@@ -71,7 +71,7 @@ class _Terminal:
     tag: str
     column: int | None
     row: int | None
-    clamped: float = 0.0
+    clamped: float
     sums: tuple[_Card, ...] = ()
     through: tuple[_Card, ...] = ()
 
@@ -449,14 +449,6 @@ class _Block:
         return self.states[-1].index
 
 
-@dataclass(frozen=True)
-class _Output:
-    index: int
-    pin: str
-    sums: tuple[_Card, ...]
-    through: tuple[_Card, ...]
-
-
 def _blocks(
     rom: LinearModel, name: str, header: Header, told: tuple[str, str], dense: bool
 ) -> Subcircuit:
@@ -467,14 +459,13 @@ def _blocks(
     terminals = _terminals(rom.ports, rom.D, name)
     pins, base = _pins(terminals, rom.ports)
     _check_names(pins, terminals, name)
-    top = rom.certificate.band_hz[1] if rom.certificate else (rom.band or (0.0, 1.0))[1]
-    farad = 1 / (2 * np.pi * top)
+    band = rom.certificate.band_hz if rom.certificate else rom.band
+    farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
     from kc2spice.rom.blocks import block_model  # loads what most models do not need
 
     model = _balanced(block_model(rom, dense=dense), 1 / farad)
     mass = rom.facts.get("mass_kg")
     wired = [_block_port(t, terminals, model, base, mass) for t in terminals]
-    outputs = [t for t in wired if t.kind == "output"]
     if base == "ref":
         told = (
             f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs",
@@ -488,7 +479,7 @@ def _blocks(
         base=base,
         inputs=[t.pins[0] for t in terminals if t.kind == "input"],
         ports=[t for t in wired if t.kind not in ("input", "output")],
-        outputs=[_Output(i, t.pins[0], t.sums, t.through) for i, t in enumerate(outputs, 1)],
+        outputs=[t for t in wired if t.kind == "output"],
         blocks=_block_cards(model, farad, terminals, base),
         farad=farad,
         share=FOLLOWED.share,

@@ -301,12 +301,13 @@ R1 a 0 1
 
 @pytest.mark.parametrize(("dialect", "expected"), [("xyce", XYCE), ("ltspice", LTSPICE)])
 def test_a_whole_deck_line_by_line(dialect, expected):
-    library = {"zz.lib": "B1 a 0 V=log(V(b))\nR2 a 0 1\n"}
+    library = dict.fromkeys(["zz.lib", "aa.lib"], "B1 a 0 V=log(V(b))\nR2 a 0 1\n")
     vectors = {"sum": ("v(a)+i(v1)", 2.0)}
     deck = translate(Deck(name="one", text=DECK, more=library, vectors=vectors), dialect)
     assert deck.files["one.cir"] == expected
     law = "{ln(V(b))}" if dialect == "xyce" else "ln(V(b))"
-    assert deck.files["zz.lib"] == f"B1 a 0 V={law}\nR2 a 0 1\n"
+    for name in library:
+        assert deck.files[name] == f"B1 a 0 V={law}\nR2 a 0 1\n"
     assert deck.vectors == {"sum": ("V(a)+I(v1)", 2.0)}
 
 

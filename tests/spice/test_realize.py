@@ -7,7 +7,7 @@ import pytest
 from device import bench
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
@@ -118,6 +118,20 @@ def test_a_port_called_base_gets_another_reference():
     assert [pin.name for pin in subcircuit(model, "shaken").pins] == ["base", "tip", "ground"]
 
 
+def pair(*pins):
+    return Port("drive", "electrical", pins=pins)
+
+
+@pytest.mark.parametrize(
+    "port", [pair("a"), pair("a", "b", "c"), Port("t", "mechanical", pins=("a", "b"))]
+)
+def test_a_port_has_its_number_of_pins(port):
+    model = LinearModel(M=np.eye(1), K=np.eye(1), B=np.ones((1, 1)), ports=(port,))
+    with pytest.raises(UsageError, match="wrong number of pins") as caught:
+        subcircuit(model, "part")
+    assert (caught.value.where, caught.value.got) == ("part", port.name)
+
+
 def test_no_capacitance_is_negative():
     with pytest.raises(UsageError, match="negative capacitance"):
         realize(modes([1e4], [[1.0]], ("electrical",), D=[[-1e-9]]), HEADER)
@@ -186,6 +200,7 @@ def test_silent_modes_are_counted():
     gain = [[1.0], [1e-12], [1e-12], [1.0], [1.0]]
     part = realize(modes([1e4, 2e4, 3e4, 4e4, 5e4], gain, ("mechanical",)), HEADER)
     assert "Left out: 2 of the reduced" in part.text
+    assert part.params == ()  # nothing damps
     assert list(values(part, r"Cp(\d)")) == ["1", "2", "3"]
 
 
@@ -195,6 +210,8 @@ def test_states_without_inertia_come_last_whatever_their_frequency(tmp_path):
     model = modes(omega, [[1.0], [2.0], [0.5]], ("mechanical",), damp=damp, massless=2)
     part = realize(model, HEADER)
     assert "from 636.62 Hz on: relaxes within 0.000125 s\n" in part.text
+    farads = values(part, r"Cq(\d)")
+    assert farads["2"] == pytest.approx(2e3 / 16e6)  # at 1 S it is the time in seconds
     cards = "Ip a0 0 AC -1\nXkick a0 0 kick\n.ac lin 5 100 3000"
     waves = run_deck(bench([part], cards, {"y": ("v(a0)", 1e-6)}), tmp_path)
     s = 2j * np.pi * waves["frequency"].real
@@ -240,6 +257,34 @@ def test_signals_of_coupled_states(dense, tmp_path):
     assert len(blocks) == (1 if dense else 2)
     for first, last in blocks:
         assert np.abs(size[:, int(first) - 1 : int(last)]).max() == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_block_line_by_line():
+    """``z' = -2 z + 4 u``, ``y = 3 z + u / 2``: 1 V at the input brings z to 2, so half of it is
+    the state."""
+    part = subcircuit(signals([[-2.0]], [[4.0]], [[3.0]], [[0.5]], band=(0.0, 2.0)), "plant")
+    cards = [line.split() for line in part.text.partition(".subckt ")[2].splitlines()]
+    farad = 1 / (2 * np.pi * 2.0)
+    expected = {
+        "Gleak1": ("u0 ref u0 ref", 1e-12), "E1": ("y0 ref sum1 ref", 1.0),
+        "Rsum1": ("sum1 ref", 1.0), "Gc1_1": ("ref sum1 z1 ref", 6.0),
+        "Gt1_u1": ("ref sum1 u0 ref", 0.5), "Cz1": ("z1 ref", farad),
+        "Ga1_1": ("ref z1 z1 ref", -2.0 * farad), "Gb1_1": ("ref z1 u0 ref", 2.0 * farad),
+    }  # fmt: skip
+    found = {c[0]: (" ".join(c[1:-1]), float(c[-1])) for c in cards if c and c[0] in expected}
+    assert found == {k: (nodes, pytest.approx(x)) for k, (nodes, x) in expected.items()}
+    assert part.text.count("\nG") == 5
+
+
+@pytest.mark.parametrize(("more", "top"), [
+    ({}, 1.0), ({"band": (5.0, 3e3)}, 3e3),
+    ({"band": (0.0, 2.0), "certificate": Certificate((5.0, 4e3), 1e-4, "", True, True)}, 4e3),
+])  # fmt: skip
+def test_a_state_of_a_block_is_slow_by_the_band(more, top):
+    part = subcircuit(signals([[-2.0]], [[4.0]], [[3.0]], **more), "plant")
+    (farad,) = values(part, r"Cz(\d)").values()
+    assert farad == pytest.approx(1 / (2 * np.pi * top))
+    assert ("small signals up to 4000 Hz at" in part.text) == ("certificate" in more)
 
 
 def test_poles_are_told_to_the_reader():

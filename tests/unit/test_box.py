@@ -33,6 +33,7 @@ def sides(*args, **more):
         ("S1 b 0 a c fast\n.model fast SW(VT=1)", {"a", "c"}),
         ("B1 b 0 I=V(a)*V(c,0)+I(V9)\nV9 b 0 0", {"a", "c"}),
         ("M1 b 0 a 0 nch\nR1 b 0 1", set()),
+        ("E1 b 0 a 0 2\nZ1 a c 0 mes", set()),
         ("B1 b 0 I=I(a)\nR1 b c 1", set()),  # a current, not a voltage
         ("E1 b 0 VALUE={2*V(a)}\nR1 a c 1", set()),
         ("R1 a b 1\nB1 c 0 V=V(a)*", set()),

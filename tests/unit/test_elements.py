@@ -34,6 +34,7 @@ def one(card):
         ("W1 a b Vs model on", "a b", "vs", "model", ("on",), {}),
         ("S1 a b c d Model OFF", "a b c d", "", "Model", ("OFF",), {}),
         ("K1 L1 L2 0.9", "", "l1 l2", None, ("0.9",), {}),
+        ("B1 a b I=2", "a b", "", None, ("I=2",), {"i": "2"}),
         ("T1 a b c d Z0=50 TD=1n", "a b c d", "", None, (), {"z0": "50", "td": "1n"}),
         ("D1 a b fast 2", "a b", "", "fast", ("2",), {}),
         ("Q1 c b e fast", "c b e", "", "fast", (), {}),
@@ -88,6 +89,10 @@ def test_a_source_without_law_is_named():
 
 
 MAIN = """Rtitle is no card
+.ac lin 1 1 2
+.ic v(a)=1
+.nodeset v(a)=1
+.tran 1 2
 .include sub/parts.lib
 X1 in 0 amp
 .param K=2
@@ -116,6 +121,7 @@ def test_scopes_know_what_they_and_the_outer_ones_define():
     assert [part.name for part in top.elements] == ["rmore", "x1"]
     assert top.elements[0].statement.where == "sub/more.lib:1"
     assert list(top.models) == ["fast"]
+    assert [card.keyword for card in top.commands] == [".ac", ".ic", ".nodeset", ".tran", ".param"]
     amp = top.find("AMP")
     assert amp.pins == ("in", "ref")
     assert amp.defaults == {"gain": "2", "ohm": "1k"}

@@ -46,6 +46,8 @@ GOOD = [
     "B1 in 0 V=sin(6.28*time) ; comment V(nowhere)\nR1 in 0 1 $ other V(nowhere)",
     "V1 in 0 1\nR1 in lonely 1\nB1 in 0 I=V(lonely)",  # what a law reads is no loose end
     "V1 in 0 1\nB1 in 0 I={V(in,0)+V(gnd)}",
+    "V1 in 0 1\nB1 in 0 I=V(in)*3 || 1",  # odd, but no power
+    "V1 in 0 1\nW1 out in V1 relay\n.model relay CSW(IT=1)\nR1 out 0 1",
     "V1 in 0 1\nX1 in out half\n.subckt half a b\nB1 b 0 I=V(a)\n.ends\nR1 out 0 1",
 ]
 
@@ -76,6 +78,11 @@ BAD = [
     ("V1 in 0 1\nB1 in 0 I={limit(V(in),0,1)}", "ngspice has no such function", "test.cir:4"),
     (".param a={b*2}\nV1 in 0 {a}\nR1 in 0 1", "no such parameter", "test.cir:3"),
     ("V1 in 0 1\nF1 in 0 R1 2\nR1 in 0 1", "no such controlling part", "test.cir:4"),
+    ("V1 in 0 1\nX1 in nc_mid 0 more divider", "too many pins of divider: more", "test.cir:4"),
+    ("V1 in 0 1\nX1 in nc_mid 0 more divider", "wired to node more", "test.cir:4"),
+    ("F1 in 0 X1 2\nX1 in nc_mid 0 divider", "no such controlling part", "test.cir:3"),
+    ("L1 in 0 1\nR1 in 0 1\nK1 L1 R1 0.9", "no such controlling part", "test.cir:5"),
+    ("L1 in 0 1\nC1 in 0 1\nK1 L1 C1 0.9", "no such controlling part", "test.cir:5"),
     ("V1 in 0 1\nX1 in nc_mid loose divider", "wired to node loose", "test.cir:4"),
     ("V1 in 0 1\nR1 in free 1\nR2 in 0 {V(free)}", "wired to node free", "test.cir:4"),
 ]
