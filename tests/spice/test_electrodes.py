@@ -41,9 +41,13 @@ def test_charges_of_two_electrodes_with_a_capacitance_between_them(dense, tmp_pa
         np.testing.assert_allclose(waves[name], s * (share * mode + clamped), rtol=1e-6)
 
 
-def test_an_electrode_without_capacitance_shares_no_charge():
-    with pytest.raises(UsageError, match="shares charge"):
-        subcircuit(resonator([[0.0, 1e-10], [1e-10, 1e-10]]), "two", Header("two", "0"))
+@pytest.mark.parametrize(("bare", "name"), [(0, "drive"), (1, "sense")])
+def test_an_electrode_without_capacitance_shares_no_charge(bare, name):
+    D = np.full((2, 2), 1e-10)
+    D[bare, bare] = 0.0
+    with pytest.raises(UsageError, match="shares charge") as caught:
+        subcircuit(resonator(D), "two", Header("two", "0"))
+    assert caught.value.where == name
 
 
 def test_only_a_body_with_electrodes_is_told_of_their_rating(tmp_path):
