@@ -194,8 +194,8 @@ def _execute(
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = time.monotonic()
     with log.open("wb") as sink:
-        # No context of the process: at an exit it would wait for a simulator that nobody has ended.
         words, within = _mortal()
+        # No context of the process: at an exit it would wait for a simulator that nobody has ended.
         process = subprocess.Popen(
             [*words, *command],
             cwd=main.parent,
