@@ -80,6 +80,11 @@ wiring = "parallel"
                 "answers come after the next sample", where=f"{part.name}.delay",
                 got=f"{keys.delay:g} s", expected=f"less than the period, {keys.period:g} s",
             )  # fmt: skip
+        if scene.analysis.type != "transient":
+            yield UsageError(
+                "a function is asked in time", where=part.name, got=scene.analysis.type,
+                expected="the analysis transient",
+            )  # fmt: skip
         if not keys.inputs:
             yield UsageError(
                 "sees nothing", where=f"{part.name}.inputs", got="no input",

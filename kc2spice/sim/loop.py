@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.log import classify, statistics
@@ -74,11 +74,14 @@ def run_shared(
 
     Raises
     ------
+    UsageError : the deck has no end of a transient.
     MissingToolError : libngspice is not on this machine.
     SimulationError : ngspice failed or stopped early, or a function did.
     """
+    if deck.stop is None:
+        raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
     library = _fresh()
-    sampler = _Sampler(sampled, deck.stop or 1.0, progress)
+    sampler = _Sampler(sampled, deck.stop, progress)
     try:
         ran = library.load(flattened(deck)) and library.run(
             sampler.point if sampled or progress else None,
@@ -93,7 +96,7 @@ def run_shared(
         said = library.said
     finally:
         library.clear()
-    _judge(deck, said, vectors)
+    _judge(deck.name, deck.stop, said, vectors)
     data = {"time": vectors["time"]}
     for name, (expression, factor) in deck.vectors.items():
         data[name] = factor * np.sum(
@@ -130,15 +133,15 @@ def _plain(vector: str) -> str:
     return re.sub(r"^i\((v.*)\)$", r"\1#branch", re.sub(r"^v\((.*)\)$", r"\1", vector))
 
 
-def _judge(deck: Deck, said: str, vectors: Mapping[str, np.ndarray]) -> None:
+def _judge(name: str, stop: float, said: str, vectors: Mapping[str, np.ndarray]) -> None:
     report = classify(said)
     times = vectors.get("time", np.zeros(0))
-    reached = times.size > 0 and abs(times[-1] - (deck.stop or 0.0)) <= 1e-9 * (deck.stop or 0.0)
+    reached = times.size > 0 and abs(times[-1] - stop) <= 1e-9 * stop
     if reached and not report.errors:
         return
     raise SimulationError(
         f"ngspice failed: {report.cause or 'it stopped before the end of the transient'}",
-        where=deck.name,
+        where=name,
         got=f"last time point {times[-1]:g} s" if times.size else " | ".join(said.split("\n")[-4:]),
-        expected=None if deck.stop is None else f"{deck.stop:g} s",
+        expected=f"{stop:g} s",
     )

@@ -111,6 +111,20 @@ def test_impossible_controllers_are_refused(keys, words):
         scene(**keys)
 
 
+@pytest.mark.parametrize("analysis", [{"type": "op"}, {"type": "ac", "start": 10.0, "stop": 1e3}])
+def test_a_function_is_asked_in_a_transient_alone(analysis):
+    tables = {
+        "name": "controlled", "analysis": analysis, "supply": {"part": "source", "dc": 0.25},
+        "load": {"part": "resistor", "resistance": 1e3, "pins": {"a": "digits.out", "b": "gnd"}},
+        "digits": {"part": "controller", "period": PERIOD, "inputs": ["u"],
+                   "units": {"u": "V"}, "pins": {"u": "supply.out"}},
+    }  # fmt: skip
+    with pytest.raises(UsageError, match="asked in time") as caught:
+        load_scene(tables)
+    assert (caught.value.where.split()[-1], caught.value.got) == ("digits", analysis["type"])
+    load_scene({k: v for k, v in tables.items() if k != "analysis"})
+
+
 def test_no_function_is_said_before_anything_runs():
     loaded = scene()
     part = loaded.part("digits")

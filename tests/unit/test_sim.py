@@ -731,6 +731,14 @@ def test_a_library_that_stops_elsewhere_has_failed(last, monkeypatch):
     assert (caught.value.got, caught.value.expected) == ("last time point 0.001 s", "0.001 s")
 
 
+def test_a_library_runs_transients_alone(monkeypatch):
+    monkeypatch.setattr(loop, "_library", library := Said({}))
+    with pytest.raises(UsageError, match="no transient") as caught:
+        loop.run_shared(deck(stop=None))
+    assert caught.value.where == "d"
+    assert library.asked is None
+
+
 def test_a_library_that_gave_nothing_or_an_error_has_failed(monkeypatch):
     monkeypatch.setattr(loop, "_library", library := Said({}, loads=False))
     with pytest.raises(SimulationError) as caught:
