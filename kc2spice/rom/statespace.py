@@ -52,8 +52,8 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     inner = linalg.solve(M, np.hstack([K, E, B]))
     zero = np.zeros((q, q))
     A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
-    drive = np.vstack([0 * B, inner[:, 2 * q :]])
-    return A, drive, np.hstack([C / omega, 0 * C]), D
+    drive = np.vstack([np.zeros_like(B), inner[:, 2 * q :]])
+    return A, drive, np.hstack([C / omega, np.zeros_like(C)]), D
 
 
 def _modal(
@@ -74,8 +74,8 @@ def _modal(
         E = np.diag(np.diag(E))
     zero = np.zeros_like(K)
     A = np.block([[zero, np.diag(w)], [-K / w, -E]])
-    pairs = np.arange(2 * len(M)).reshape(2, -1).T.ravel()  # z1, z1', z2, z2', ...
-    drive, read = np.vstack([0 * B, B]), np.hstack([C / w, 0 * C])
+    pairs = np.arange(2 * len(M)).reshape(2, len(M)).T.ravel()  # z1, z1', z2, z2', ...
+    drive, read = np.vstack([np.zeros_like(B), B]), np.hstack([C / w, np.zeros_like(C)])
     return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], D
 
 
@@ -141,11 +141,7 @@ def _massless(
 def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> ABCD:
     """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
     if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
-        try:
-            upper = linalg.cholesky(E)
-        except np.linalg.LinAlgError:
-            raise _improper("E is singular") from None
-        T = linalg.solve_triangular(upper, np.eye(len(E)))
+        T = linalg.solve_triangular(linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
         if largest(A - A.T) <= COUPLING * largest(A):
             inner = 0.5 * (inner + inner.T)

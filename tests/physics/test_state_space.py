@@ -129,12 +129,48 @@ def test_positions_are_scaled_by_their_own_frequency_or_the_band():
     np.testing.assert_allclose(M @ A[2:, 2:], -0.1 * np.eye(2))
 
 
-@pytest.mark.parametrize(("mass", "states"), [(0.9e-13, 3), (1.1e-13, 4)])
-def test_a_mass_that_is_rounding_of_another_is_none(mass, states):
+@pytest.mark.parametrize("share", [0.9e-13, 1.1e-13])
+def test_a_stiffness_that_is_rounding_at_the_end_of_the_band_is_none(share):
+    omega = 100 * np.pi
+    w = omega if share < 1e-13 else omega * np.sqrt(share)
+    exact = [[0, w], [0 if share < 1e-13 else -w, 0]]
+    np.testing.assert_allclose(scaled_blocks([[share * omega**2]], 50.0), exact)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 10.0])
+@pytest.mark.parametrize(("mass", "states"), [(0.9e-13, 5), (1.1e-13, 6)])
+def test_a_mass_that_is_rounding_of_another_is_none(mass, states, unit):
     """A damped coordinate without mass is of first order."""
-    A = scaled_blocks(np.diag([4.0, 1.0]), M=np.diag([1.0, mass]), E=np.diag([0.1, 0.5]))
+    M, E, K = (unit * np.diag(P) for P in ([1, 0.5, mass], [0.1, 0.1, 0.5], [4, 9, 1.0]))
+    A = scaled_blocks(K, M=M, E=E)
     assert len(A) == states
-    assert np.abs(np.linalg.eigvals(A) + 2.0).min() < (1e-6 if states == 3 else 1e-3)
+    assert np.abs(np.linalg.eigvals(A) + 2.0).min() < (1e-6 if states == 5 else 1e-3)
+
+
+@pytest.mark.parametrize("unit", [1.0, 10.0])
+@pytest.mark.parametrize(("damp", "states"), [(0.9e-13, 2), (-0.9e-13, 2), (1.1e-13, 3)])
+def test_a_damping_that_is_rounding_of_another_is_none(damp, states, unit):
+    """Of a coordinate without mass, which then follows at once."""
+    M, E, K = (unit * np.diag(P) for P in ([1.0, 0.0], [5.0, 5 * damp], [4.0, 1.0]))
+    assert len(scaled_blocks(K, M=M, E=E)) == states
+
+
+@pytest.mark.parametrize("unit", [0.1, 10.0])
+@pytest.mark.parametrize(("share", "states"), [(0.9e-13, 2), (1.1e-13, 3)])
+def test_an_equation_whose_rate_is_rounding_of_another_is_algebraic(share, states, unit):
+    E = unit * np.diag([1.0, 0.5, share])
+    for each in (E, E[[1, 0, 2]]):  # symmetric or not
+        A = LinearModel(E=each, A=-unit * np.eye(3), B=np.eye(3)).state_space()[0]
+        assert len(A) == states
+
+
+@pytest.mark.parametrize("unit", [0.1, 10.0])
+@pytest.mark.parametrize(("apart", "equal"), [(1.8e-10, True), (2.2e-10, False)])
+def test_first_order_is_symmetric_but_for_rounding(apart, equal, unit):
+    one = np.eye(2)
+    A = -unit * np.array([[2.0, 1.0], [1.0 + apart, 2.0]])
+    found = LinearModel(E=4 * one, A=A, B=one).state_space()[0]
+    assert np.array_equal(found, found.T) is equal
 
 
 def test_low_modes_keep_their_digits_beside_stiff_ones():
