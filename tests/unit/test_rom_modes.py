@@ -76,6 +76,7 @@ def test_resonators_without_inertia_come_back_to_the_bit():
         ({"M": np.diag([0.0, 1.0]), "K": np.eye(2)}, "not positive definite"),
         ({"M": np.diag([1.0, -1.0]), "K": np.eye(2)}, "not positive definite"),
         ({"M": np.eye(2), "K": np.diag([1.0, -1.0])}, "not positive definite"),
+        ({"M": np.eye(2), "K": np.diag([4.0, 0.0])}, "not positive definite"),
         ({"M": np.eye(2), "K": np.diag([1.0, 4.0]), "E": np.array([[1, 1e-7], [1e-7, 1]])},
          "damping couples the modes"),
     ],
@@ -85,10 +86,15 @@ def test_what_has_no_resonators_is_refused(parts, says):
         resonators(LinearModel(**parts, B=np.eye(2)))
 
 
-def test_rounding_does_not_couple_modes():
-    E = np.array([[1, 1e-9], [1e-9, 1]])
-    found = resonators(LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), E=E, B=np.eye(2)))
-    np.testing.assert_allclose(found.damp, [1.0, 1.0])
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_rounding_does_not_couple_modes(unit):
+    def of(between):
+        E = unit * np.array([[1, between], [between, 4]])
+        return resonators(LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), E=E, B=np.eye(2)))
+
+    np.testing.assert_allclose(of(1.9e-8).damp, [unit, 4 * unit])
+    with pytest.raises(UsageError, match="couples the modes"):
+        of(2.1e-8)
 
 
 # ---------------------------------------------------------------------------- answers in time
@@ -252,6 +258,17 @@ def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
     assert [above[2.0], above[4.0], above[8.0]] == pytest.approx([0.1 + own[0], 0.2 + own[1], 0.3])
     for tolerance, kept in ((1e-6 + 1.001 * more, 1), (1e-6 + 0.999 * more, 0)):
         assert without_inertia(model, tolerance).massless == kept
+
+
+def test_one_mode_less_is_left_out_where_the_tolerance_asks_for_it():
+    """Of three stiff modes; what the lowest costs is the most."""
+    model = modes([0.5, 20.0, 100.0, 300.0], [2.0, 9.0, 9.0, 9.0], ratio=0.05)
+    whole = without_inertia(model)
+    assert whole.massless == 3
+    less = without_inertia(model, 0.999 * whole.certificate.error_estimate)
+    assert less.massless == 2
+    assert less.certificate.error_estimate < 0.2 * whole.certificate.error_estimate
+    assert less.certificate.method.endswith("no inertia from 100 Hz on, measured")
 
 
 def test_a_model_without_certificate_or_stiff_modes_stays():
