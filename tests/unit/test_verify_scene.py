@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.laws import Diode, Equations, LinearBody, Reading, Source
+from kc2spice.core.laws import (
+    Diode,
+    Equations,
+    LinearBody,
+    Reading,
+    Sensor,
+    SignalBlock,
+    Source,
+)
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear import Certificate, LinearModel, Port
@@ -16,7 +24,7 @@ from kc2spice.scene.gates import Cost, Gate, Limit
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.load import load_scene
 from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.deck import Deck
+from kc2spice.spice.deck import Block, Deck, Option
 from kc2spice.spice.realize import LEAK
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import bodies, circuit
@@ -148,6 +156,47 @@ def test_physics_of_the_netlists_run_that_fail_a_run_are_gates(under_way, monkey
     assert way.checks == [
         Limit("energy, ngspice", 2.0, 1.0, "J"), Limit("jump of y, ngspice", 0.5, 1.0, "m"),
     ]  # fmt: skip
+
+
+def test_a_shipped_deck_keeps_its_own_text_and_the_scenes_names(under_way, monkeypatch):
+    emitted = Deck(
+        name="own", parts=(Subcircuit("a", (), (), ""),), options=(Option("x", "1", ""),),
+        blocks=(Block("b", ("R1 a 0 1",)),), vectors={"u": ("v(a)", 1.0)}, stop=2.0,
+    )  # fmt: skip
+    monkeypatch.setattr(module, "make_deck", lambda build: emitted)
+    way = under_way()
+    assert way._deck(way.build, None) is emitted
+    shipped = Deck(
+        name="s", text="* s\n.end\n", more={"a.lib": "* a\n"}, vectors={"w": ("v(w)", 1.0)}
+    )
+    found = way._deck(way.build, shipped)
+    assert found.files == {"s.cir": shipped.text, "a.lib": "* a\n"}
+    assert (found.vectors, found.stop) == (emitted.vectors, 2.0)
+    assert (found.parts, found.blocks, found.options) == ((), (), ())
+
+
+def test_each_reduced_body_is_verified_by_itself(under_way, monkeypatch, tmp_path):
+    asked = []
+
+    def verified(part, build, libraries, clock, work, whole, gate):
+        asked.append((part.name, libraries, work, whole, gate))
+        limit, cost = Limit(part.name, 1.0, 2.0), Cost(part.name, 1.0)
+        return module.BodyFindings(part.name, (limit,), {}, (cost,), {"x": part.name}, ("note",))
+
+    monkeypatch.setattr(module, "verify_body", verified)
+    monkeypatch.setattr(module, "responses", lambda name, curves: [(name, curves)])
+    way = under_way({n: part(reduced=n != "ball") for n in ("chip", "ball", "disc")})
+    for name, each in way.build.scene.parts.items():
+        each.name = name
+    way.build.scene.gates.harmonic_ngspice = 3e-9
+    way.work, way.whole = tmp_path, True
+    found = way._bodies(("libraries",))
+    assert [body.name for body in found] == ["chip", "disc"]
+    assert asked == [(n, ("libraries",), tmp_path / n, True, 3e-9) for n in ("chip", "disc")]
+    assert way.checks == [Limit("chip", 1.0, 2.0), Limit("disc", 1.0, 2.0)]
+    assert [cost.name for cost in way.costs] == ["chip", "disc"]
+    assert way.notes == ["note", "note"]
+    assert way.figures == [("chip", {"x": "chip"}), ("disc", {"x": "disc"})]
 
 
 def test_the_full_model_is_told_with_what_it_costs(under_way):
@@ -597,6 +646,22 @@ def test_a_source_holds_its_net_unless_it_drives_a_flow(kind, holds):
     laws = {"s": Source("s", "".join(list(kind)), None)}
     assert circuit._holds(laws, "s.out") is holds
     assert not circuit._holds(laws, "s.ret")
+
+
+class Driving(Diode):
+    """A device that puts out a signal."""
+
+    drives = ("out",)
+
+
+@pytest.mark.parametrize(
+    ("law", "holds"),
+    [(SignalBlock("s", *[None] * 5, ("a",), ("out",)), True), (Sensor("s"), True),
+     (Driving("s"), True), (Diode("s"), False)],
+)  # fmt: skip
+def test_what_puts_out_a_signal_holds_its_net(law, holds):
+    assert circuit._holds({"s": law}, "s.out") is holds
+    assert not circuit._holds({"s": law}, "s.a")
 
 
 def test_a_reading_is_a_sum_with_a_constant_or_a_charge():
