@@ -104,6 +104,8 @@ def test_a_missing_library_is_named_with_its_cure(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingToolError, match=r"pip install 'kc2spice\[fast\]'"):
         inverses(sparse.csc_array(banded("definite")), symmetric=True, solver="pardiso")
+    with pytest.raises(MissingToolError):  # of a model too small to need it, too
+        reduce(grid_model(2, 1), tolerance=1e-3, band=(0.0, 1.0), solver="pardiso")
     model = grid_model(17, 2).pencil
     K, E, M = model.coefficients
     for letter, matrix in {"M": M, "E": E, "K": K, "B": model.B}.items():

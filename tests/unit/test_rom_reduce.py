@@ -500,6 +500,19 @@ def test_sampled_directions_reach_the_target(model, band, static):
     assert space.floor < 1e-7
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_static_answers_are_those_of_a_model_that_is_held(held):
+    """The last mass of a chain is held or has no spring at all."""
+    model = chain(20, dashpot=0.3)
+    K = model.pencil.dense().coefficients[0].copy()
+    if not held:
+        K[-1] = K[:, -1] = 0.0
+    free = LinearModel(M=model.M, E=model.E, K=sparse.csc_array(K), B=model.B)
+    search = _Search(free.pencil, (0.0, 0.1), "scipy")
+    assert search.static is held
+    assert (search.basis.shape[1] > 0) is held
+
+
 @pytest.mark.usefixtures("sampled")
 def test_a_basis_of_all_directions_is_checked_twice():
     """Static answers and those of the band's end are all that two unknowns have."""
@@ -673,6 +686,27 @@ def test_a_bands_end_counts_what_moves_alone():
     for parts in ({"M": 0 * one, "K": K}, {"M": one, "K": 0 * K}):
         with pytest.raises(UsageError, match="no natural frequency"):
             natural_band(LinearModel(**parts, B=one).pencil)
+
+
+@pytest.mark.parametrize("n", [200, 201])
+def test_a_natural_band_ends_above_the_fifth_frequency_whatever_the_size(n):
+    """Of springs apart: of a body that is held, of one with a negative stiffness, of heat."""
+    omega = 3.0 + np.arange(n)
+    one = sparse.eye_array(n, format="csc")
+    B = np.ones((n, 1))
+    end = 1.1 * omega[4] / (2 * np.pi)
+    for signs in (np.ones(n), np.r_[1, 1, -1, np.ones(n - 3)]):
+        K = sparse.diags_array(signs * omega**2, format="csc")
+        assert natural_band(LinearModel(M=one, K=K, B=B).pencil) == (
+            0.0,
+            pytest.approx(end, rel=1e-4),
+        )
+    heat = LinearModel(E=one, A=-sparse.diags_array(omega, format="csc"), B=B)
+    assert natural_band(heat.pencil) == (0.0, pytest.approx(end, rel=1e-4))
+    loose = LinearModel(M=one, K=sparse.diags_array(np.r_[0.0, omega[1:] ** 2], format="csc"), B=B)
+    if n > 200:
+        with pytest.raises(UsageError, match="no natural frequency"):
+            natural_band(loose.pencil)
 
 
 def test_memory_is_asked_for_by_the_band_of_the_best_order(monkeypatch):

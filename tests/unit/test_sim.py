@@ -1,11 +1,13 @@
 """What is made of a simulator's words, files and failures, without running one."""
 
+import _ctypes
 import ctypes
 import os
 import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -856,6 +858,18 @@ def test_start_up_files_and_surroundings_of_the_user_come_back(monkeypatch, tmp_
     assert os.environ["SPICE_SCRIPTS"] == "mine"
     assert "SPICE_USERINIT_DIR" not in os.environ
     assert not os.path.exists(folder)
+
+
+@pytest.mark.parametrize("placed", [True, False])
+def test_the_library_is_a_copy_unless_its_file_is_unknown(placed, monkeypatch):
+    """Of any library of Python's own."""
+    path = Path(_ctypes.__file__)
+    monkeypatch.setattr(shared.ctypes.util, "find_library", lambda _: str(path))
+    monkeypatch.setattr(shared, "_file_of", lambda _: path if placed else None)
+    found = Path(shared._private_copy()._name)
+    assert (found == path) is not placed
+    assert found.name == path.name
+    assert found.parent.exists() is not placed  # mapped: the copy may go
 
 
 def test_a_library_that_cannot_be_loaded_is_named(monkeypatch, tmp_path):
