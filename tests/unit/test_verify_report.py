@@ -295,3 +295,6 @@ def test_metrics_of_every_kind_are_compared_where_they_can_be() -> None:
             "short": [1.0], "zero": 0.0, "more": 1.0, "empty": []}  # fmt: skip
     found = dict(metric_errors(Solution(waves, ours), Solution(waves, exact), {}))
     assert found == {"list": pytest.approx(0.125), "lost": None, "new": None, "zero": 0.0}
+    still = Waveforms({"sweep": np.zeros(1)}, {})
+    found = metric_errors(Solution(still, {"count": 2}), Solution(still, {"count": 0}), {})
+    assert dict(found) == {"count": 2.0}

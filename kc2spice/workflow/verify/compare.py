@@ -167,7 +167,8 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
 def metric_errors(
     ours: Solution, exact: Solution, units: Mapping[str, str]
 ) -> Iterator[tuple[str, float | None]]:
-    """Each number that both have, by its size or by ``SMALL`` of the largest wave of its unit."""
+    """Each number that both have, by its size or by ``SMALL`` of the largest wave of its unit; a
+    difference to zero without such a wave as it stands."""
     for name, b in exact.metrics.items():
         if name not in ours.metrics or isinstance(b, bool):
             continue
@@ -184,7 +185,7 @@ def metric_errors(
         if x.shape != y.shape or x.size == 0:
             continue
         base = max(float(np.abs(y).max()), SMALL * _largest(name, exact.waves, units))
-        yield name, float(np.abs(x - y).max()) / base if base else 0.0
+        yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
 def _largest(name: str, waves: Waveforms, units: Mapping[str, str]) -> float:
