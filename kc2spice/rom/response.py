@@ -166,9 +166,9 @@ def _decoupled(pencil: Pencil) -> Modes | None:
         return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
-    scale = np.sqrt(np.abs(np.outer(diagonal, diagonal)))
-    scale += 1e-3 * COUPLING * np.abs(damping).max(initial=0.0)
-    if (np.abs(damping - np.diag(diagonal)) > COUPLING * scale).any():
+    # of both modes' own: one without damping is coupled by any, and solved as it stands
+    limit = COUPLING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
+    if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
     return T, T.T, (ends[0], diagonal, ends[1])
 
@@ -234,7 +234,6 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
         depth = size / (size.max(axis=0) + np.finfo(float).tiny)
         inner = (depth[1:-1] < depth[:-2]) & (depth[1:-1] <= depth[2:])
         lowest = np.where(inner, depth[1:-1], np.inf).reshape(len(depth) - 2, -1).min(axis=1)
-        lowest = np.where(lowest < 0.1 * FLOOR, 0.1 * FLOOR + 1e-3 * lowest, lowest)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break

@@ -192,6 +192,27 @@ def test_a_defective_model_is_not_taken_apart():
     np.testing.assert_allclose(response.transfer(np.array([1j]))[0, 0, 0], (1 + 1j) ** -n)
 
 
+def test_a_pole_where_eigenvectors_are_tried_leaves_direct_solutions():
+    """Poles at +-0.3 j beside eleven at -1: neither symmetric nor solved there."""
+    n = 13
+    A = -np.eye(n)
+    A[:2, :2] = [[0.0, 0.3], [-0.3, 0.0]]
+    pencil = Pencil((-A, np.eye(n)), np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
+    found = Response(pencil)
+    assert found.modes is None
+    s = np.array([0.2j])
+    assert found.transfer(s)[0, 0, 0] == pytest.approx(
+        2 * s[0] / (s[0] ** 2 + 0.09) + 11 / (s[0] + 1)
+    )
+
+
+def test_a_model_without_a_definite_matrix_is_solved_directly():
+    K, M = np.diag([3.0, -1.0]), np.diag([1.0, -2.0])
+    found = Response(Pencil((K, 0 * K, M), np.eye(2), np.eye(2), np.zeros((2, 2))))
+    assert not found.decoupled
+    np.testing.assert_allclose(found.transfer(np.array([1.0]))[0], np.diag([1 / 4, -1 / 3]))
+
+
 def test_eigenvectors_that_cost_digits_are_not_used():
     """Of lags of nearly equal rates, condition 1e8."""
     n = 14
@@ -204,10 +225,11 @@ def test_eigenvectors_that_cost_digits_are_not_used():
 
 @pytest.mark.parametrize(
     ("own", "between", "decoupled"),
-    [(1.0, 1e-10, True), (1.0, 1e-8, False), (0.0, 1e-22, True), (0.0, 1e-20, False)],
-)
+    [(1.0, 1e-10, True), (1.0, 1e-8, False), (1e-12, 1e-22, True), (1e-12, 1e-20, False),
+     (0.0, 1e-22, False)],
+)  # fmt: skip
 def test_damping_between_modes_is_rounding_or_couples(own, between, decoupled):
-    """Relative to the damping of both modes, or to a little of the largest where they have none."""
+    """Relative to the damping of both modes, however much a third one has."""
     pencil = resonators([1.0, 2.0, 3.0], 0.0, np.ones((3, 1)))
     K, _, M = pencil.coefficients
     # T' E T with T = 1/omega: as in coordinates of the energy
