@@ -151,6 +151,18 @@ def test_a_congruence_keeps_what_is_symmetric_or_skew_to_the_bit():
         assert np.array_equal(found, found.T) is (K is S)
 
 
+@pytest.mark.parametrize(("share", "kept"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("skewed", [False, True])
+def test_a_congruence_leaves_out_what_is_rounding_of_the_matrix(skewed, share, kept):
+    """The skew part of a matrix that is symmetric but for that, and the reverse."""
+    S, T = 7 * np.array([[1.0, 0.5], [0.5, 1.0]]), 7 * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    whole, part = (T, S) if skewed else (S, T)
+    P = whole + share * SAME * part
+    found = congruence(P, np.array([[1.0, 2.0], [3.0, -1.0]]))
+    other = found + found.T if skewed else found - found.T
+    assert bool(other.any()) is kept
+
+
 def test_factors_pivot_where_they_must():
     """A saddle point has zeros on its diagonal; a singular matrix has no factor."""
     saddle = np.array([[1e-20, 2.0, 0], [2.0, 1e-20, 1.0], [0, 1.0, 5.0]])
@@ -348,6 +360,22 @@ def test_damping_is_proportional_or_not(E, found):
     else:
         assert after.rayleigh == pytest.approx(found, rel=1e-9, abs=0)
         np.testing.assert_allclose(after.coefficients[1], E, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [8.0, 1e-3])
+@pytest.mark.parametrize(
+    ("entry", "apart", "yes"),
+    [((0, 1), 1.9e-12, True), ((0, 1), 2.1e-12, False), ((1, 1), 2.3e-12, True),
+     ((1, 1), 2.5e-12, False)],
+)  # fmt: skip
+def test_damping_is_proportional_to_rounding_of_its_largest_entry(entry, apart, yes, unit):
+    """That is 2; a diagonal entry that is off by x costs x/1.2 at the other one."""
+    M, K = np.diag([1.0, 2.0]), np.diag([5.0, 4.0])
+    E = M.copy()
+    E[entry] += apart
+    E[entry[::-1]] = E[entry]
+    after = proportional(LinearModel(M=M, E=unit * E, K=K, B=np.ones((2, 1))).pencil)
+    assert (after.rayleigh is not None) is yes
 
 
 def test_what_cannot_be_proportional_stays_as_it_is():

@@ -10,7 +10,7 @@ from scipy import sparse
 import kc2spice.rom.reduce as module
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.krylov import block_arnoldi
+from kc2spice.rom.krylov import block_arnoldi, extend
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.memory import factor_bytes, require_memory
 from kc2spice.rom.pencil import Pencil
@@ -292,9 +292,9 @@ def test_rigid_motions_are_those_without_energy():
     n = 4
     rest = np.diag([1.0, 1e-13, 0.0, -1e-13])
     pencil = Pencil((rest, np.eye(n)), np.eye(n), np.eye(n), np.zeros((n, n)))
-    found = module._rigid(pencil, 1.1e-15)
+    found = module._rigid(pencil, 1.005e-15)
     np.testing.assert_allclose(found @ found.T, np.diag([0.0, 1, 1, 1]), atol=1e-12)
-    assert module._rigid(pencil, 0.9e-15).shape == (n, 1)
+    assert module._rigid(pencil, 0.995e-15).shape == (n, 1)
     skew = Pencil((rest + np.eye(n, k=1) * 1e-9, np.eye(n)), np.eye(n), np.eye(n), np.zeros((n, n)))
     assert module._rigid(skew, 1.1e-15).shape == (n, 0)
 
@@ -398,7 +398,8 @@ def test_what_the_form_proves():
     ],
 )  # fmt: skip
 def test_semidefinite_but_for_rounding(matrix, yes):
-    assert semidefinite(matrix) is yes
+    for unit in (1.0, 1e3, 1e-3):
+        assert semidefinite(unit * matrix) is yes
 
 
 # ----------------------------------------------------------------------------------- subspaces
@@ -416,6 +417,19 @@ def test_new_directions_are_orthonormal_and_without_what_is_there():
     both = np.column_stack([basis, found])
     np.testing.assert_allclose(both @ (both.T @ new), new, atol=1e-11)
     assert len(list(_independent(np.empty((3, 0)), RNG.standard_normal((3, 5))))) == 3
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e-6])
+@pytest.mark.parametrize(("left", "kept"), [(0.9e-10, 1), (1.1e-10, 2)])
+def test_a_direction_that_keeps_rounding_alone_is_none(left, kept, unit):
+    """What is left of the second one outside of the first, as a share of its length."""
+    new = unit * np.array([[1.0, 3.0, 0], [0, 3.0 * left, 0], [0, 0, 0]])
+    assert len(list(_independent(np.empty((3, 0)), new))) == kept
+    assert len(list(_independent(np.eye(3)[:, :1], new))) == kept - 1
+    stiff = 16 * np.eye(3)  # of which lengths are four times as large
+    columns, images = extend(np.empty((3, 0)), np.empty((3, 0)), new, lambda v: stiff @ v)
+    assert columns.shape == images.shape == (3, kept)
+    np.testing.assert_allclose(images, stiff @ columns)
 
 
 def test_a_sketch_measures_residuals_relative_to_the_load():
@@ -683,6 +697,10 @@ def test_a_bands_end_counts_what_moves_alone():
     assert natural_band(free) == (0.0, pytest.approx(1.1 * 3.0 / (2 * np.pi)))
     lags = LinearModel(A=-K, B=one).pencil
     assert natural_band(lags) == (0.0, pytest.approx(1.1 * 9.0 / (2 * np.pi)))
+    for share, fifth in ((0.9e-12, 5.0), (1.1e-12, 4.0)):  # the lowest is rounding of the highest
+        K7 = 1e-4 * np.diag([100 * share, 1, 4, 9, 16, 25, 100])
+        wide = LinearModel(M=1e-4 * np.eye(7), K=K7, B=np.eye(7)).pencil
+        assert natural_band(wide)[1] == pytest.approx(1.1 * fifth / (2 * np.pi))
     for parts in ({"M": 0 * one, "K": K}, {"M": one, "K": 0 * K}):
         with pytest.raises(UsageError, match="no natural frequency"):
             natural_band(LinearModel(**parts, B=one).pencil)
