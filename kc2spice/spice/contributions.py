@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.cards import number
 from kc2spice.spice.elements import Element, Scope, behaviour
-from kc2spice.spice.expression import Binary, Tree, Writer, parse, walk
+from kc2spice.spice.expression import Binary, Tree, Writer, literal, parse, walk
 
 # Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
 _WORDS = (
@@ -116,8 +116,13 @@ class Names(Writer):
         """Functions by what they mean."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
-            points = [float(self.write(a).strip("()")) for a in arguments[1:]]
-            self.module.functions.append(_table(name, points[::2], points[1::2]))
+            given = [literal(self.write(a), where=self.where) for a in arguments[1:]]
+            points = [value for value in given if value is not None]
+            at, f = points[::2], points[1::2]
+            if len(points) < max(4, len(given)) or len(at) != len(f) or at != sorted(set(at)):
+                raise UsageError("a table of a module has two rising numbers or more, each with "
+                                 "its value", where=self.where, got=self.part)  # fmt: skip
+            self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if function == "uramp":
             return f"max(0.0, {self.write(arguments[0])})"
@@ -212,7 +217,9 @@ def _steady(part: Element) -> str:
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return words[0]
     match = re.fullmatch(r"(?i)pwl\s*\((.*)\)", " ".join(words), re.DOTALL)
-    if match and not any(float(v) for v in match[1].replace(",", " ").split()[1::2]):
+    listed = match[1].replace(",", " ").split() if match else []
+    points = [literal(word, where=part.statement.where) for word in listed]
+    if points and None not in points and not any(points[1::2]):
         return "0.0"
     raise UsageError(
         "a module has no sources with waveforms",
@@ -229,16 +236,19 @@ def _switch(part: Element, scope: Scope, names: Names) -> str:
     card = outer.models[str(part.model).lower()].text if outer else ""
     found = {k.lower(): v for k, v in re.findall(r"(\w+)\s*=\s*([^\s)]+)", card)}
     given = _SWITCH | found
-    if float(given["vh"]) != 0.0 or not card:
+    worth = {k: literal(v, where=names.where) for k, v in given.items()}
+    if not card or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
         raise UsageError("Verilog-A cannot say this switch", where=names.where, got=card)
-    on, off, level = (names.number(given[k]) for k in ("ron", "roff", "vt"))
+    on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
 def _mutual(part: Element, scope: Scope, names: Names, coupling: str) -> list[str]:
     """Two contributions of ``M = k sqrt(L1 L2)``."""
-    by_name = {e.name: e for e in scope.elements}
-    first, second = (by_name[s] for s in part.sources)
+    coils = [e for s in part.sources for e in scope.elements if e.kind == "l" and e.name == s]
+    if len(coils) != 2:
+        raise _unsaid(part)
+    first, second = coils
     product = "*".join(names.value(e.values[0]) for e in (first, second))
     one, two = names.branch(first.name), names.branch(second.name)
     mutual = f"{coupling}*sqrt({product})"

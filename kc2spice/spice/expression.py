@@ -91,6 +91,19 @@ def parse(text: str, *, where: str = "expression") -> Tree:
     return _Parser(text.strip().strip("'\""), where).whole()
 
 
+def literal(text: str, *, where: str = "expression") -> float | None:
+    """The value of a number with its sign and scale factor, None of any other expression.
+
+    Raises
+    ------
+    UsageError : not an expression.
+    """
+    sign, tree = "", parse(text, where=where)
+    if isinstance(tree, Unary) and tree.op in "+-":
+        sign, tree = tree.op, tree.value
+    return float(sign + tree.text) if isinstance(tree, Number) else None
+
+
 def walk(tree: Tree) -> Iterator[Tree]:
     """The tree and everything below it."""
     yield tree

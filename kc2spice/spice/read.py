@@ -9,7 +9,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.deck import Deck
-from kc2spice.spice.expression import Number, Unary, parse
+from kc2spice.spice.expression import literal
 from kc2spice.spice.statements import Statement, beside, statements
 
 LARGEST = 100_000_000  # bytes of one file
@@ -75,11 +75,8 @@ def _part(s: Statement, text: str, file: str) -> Subcircuit:
 
 
 def _param(name: str, default: str, told: re.Match[str] | None, s: Statement) -> Param:
-    tree = parse(default, where=s.where)
-    sign = ""
-    if isinstance(tree, Unary) and tree.op in "+-":
-        sign, tree = tree.op, tree.value
-    value = float(sign + tree.text) if isinstance(tree, Number) else float("nan")
+    given = literal(default, where=s.where)
+    value = float("nan") if given is None else given
     if told is None:
         return Param(name, value, "-", "")
     low, high = (float(told[4] or "-inf"), float(told[5] or "inf"))

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.cards import number
 from kc2spice.spice.elements import behaviour, element
-from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, parse, walk
+from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, literal, parse, walk
 from kc2spice.spice.statements import Statement
 
 STEP = 1e-6  # s, largest of Xyce: launch within 3.4e-5, flight within 0.07 um
@@ -238,11 +238,11 @@ class Xyce(Dialect):
 
     def transient(self, s: Statement) -> str:
         """A ceiling of the step: Xyce's error control alone loses 5e-4 of a launch."""
-        values, words = s.words[1:], [w for w in s.words[1:] if not w[0].isdigit()]
-        numbers = [w for w in values if w not in words]
+        words = [w for w in s.words[1:] if w.lower() == "uic"]
+        numbers = [w for w in s.words[1:] if w not in words]
         step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
-        given = parse(ceiling, where=s.where)
-        if not isinstance(given, Number) or float(given.text) > STEP:
+        given = literal(ceiling, where=s.where)
+        if given is None or given > STEP:
             ceiling = number(STEP)
         return " ".join([s.keyword, step, stop, start, ceiling, *words])
 
@@ -257,9 +257,11 @@ class Xyce(Dialect):
 
     def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
         """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
-        if float(values.get("vh", "0")) != 0.0:
+        band, middle = (literal(values.get(key, "0"), where=s.where) for key in ("vh", "vt"))
+        if band != 0.0:
             raise self.refusal(s, "a switch with hysteresis")
-        middle = float(values.get("vt", "0"))
+        if middle is None:
+            raise self.refusal(s, "a switch whose threshold is an expression")
         return (
             f".model {name} VSWITCH(VON={number(middle + SWITCH_BAND)} "
             f"VOFF={number(middle - SWITCH_BAND)} "

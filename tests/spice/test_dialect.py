@@ -223,6 +223,7 @@ CONSTRUCTS = [
     ("C1 a 0 1u IC=2", "C1 a 0 1u IC=2", "C1 a 0 1u IC=2"),
     (".model m SW(VT=2)", "VSWITCH(VON=2.001 VOFF=1.999 RON=1 ROFF=1e12)",
      "SW(VT=2 VH=0 RON=1 ROFF=1e12)"),
+    (".model m SW(VT=-2m)", "VSWITCH(VON=-0.001 VOFF=-0.003 ", "SW(VT=-2m VH=0"),
     (".model m SW(RON=2 ROFF=3)", "VSWITCH(VON=0.001 VOFF=-0.001 RON=2 ROFF=3)", "RON=2 ROFF=3)"),
     (".model d D(IS=1 RS=1 N=1 TT=1 CJO=1 VJ=1 M=1 EG=1 XTI=1 FC=1 BV=1 IBV=1)",
      "IBV=1)", "IBV=1)"),
@@ -331,6 +332,10 @@ REFUSED = [
     ".control\n.endc",
     ".func f(x) {x}",
     "Z1 a b c d",
+    "Z1 a b c d m=2",
+    "T1 a b c d Z0=50 TD=1n",
+    ".width out=80",
+    ".model n NMOS(LEVEL=0)",
     "A1 a b c",
     ".save @m1[gm]",
     "V1 a 0 PWL(file=x)",
@@ -362,6 +367,8 @@ def test_what_a_dialect_cannot_say_is_refused(source, dialect):
         (".tran 1u 1m 0 2e-6", ".tran 1u 1m 0 1e-06"),
         (".tran 1u 1m 0 1u", ".tran 1u 1m 0 1u"),
         (".tran 1u 1m 0 2u uic", ".tran 1u 1m 0 1e-06 uic"),
+        (".tran .5u {stop} UIC", ".tran .5u {stop} 0 1e-06 UIC"),
+        (".tran 1u 1m 0 {most}", ".tran 1u 1m 0 1e-06"),
     ],
 )
 def test_xyce_never_steps_further_than_a_microsecond(card, expected):
@@ -369,11 +376,16 @@ def test_xyce_never_steps_further_than_a_microsecond(card, expected):
     assert deck.files["one.cir"] == f"* title\n{expected}\n.end\n"
 
 
-def test_hysteresis_is_refused_where_switches_have_none():
-    deck = one(".model m SW(VT=0.5 VH=0.1)")
-    with pytest.raises(UsageError, match="hysteresis"):
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [("VT=0.5 VH=0.1", "hysteresis"), ("VT=0.5 VH=-0.1", "hysteresis"), ("VH={k}", "hysteresis"),
+     ("VT={k}", "threshold")],
+)  # fmt: skip
+def test_switches_that_xyce_does_not_have_are_refused(values, what):
+    deck = one(f".model m SW({values})")
+    with pytest.raises(UsageError, match=what):
         translate(deck, "xyce")
-    assert "VH=0.1" in translate(deck, "ltspice").files["one.cir"]
+    assert values in translate(deck, "ltspice").files["one.cir"]
 
 
 def test_unknown_dialects_are_refused(loop):

@@ -14,6 +14,7 @@ from kc2spice.spice.expression import (
     Probe,
     Unary,
     Writer,
+    literal,
     parse,
 )
 
@@ -91,6 +92,15 @@ def test_scale_factors_are_ngspices(text, value):
     assert isinstance(tree, Number)
     assert float(tree.text) == pytest.approx(value, rel=1e-15)
     assert parse(f"max({text}, 1)").arguments == (tree, Number("1"))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("2", 2.0), ("+2k", 2e3), ("-.5m", -5e-4), ("{-(3)}", -3.0), ("1e-6", 1e-6),
+     ("!1", None), ("--1", None), ("1+1", None), ("k", None)],
+)  # fmt: skip
+def test_a_literal_is_a_number_with_its_sign(text, value):
+    assert literal(text) == value
 
 
 def test_names_probes_and_functions():

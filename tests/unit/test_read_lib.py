@@ -69,7 +69,7 @@ def test_what_stands_inside_of_another_is_no_part(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("+2k", 2e3), ("-.5", -0.5), ("!1", np.nan), ("--1", np.nan), ("{1==2 ? 3 : 4}", np.nan)],
+    [("+2k", 2e3), ("-.5", -0.5), ("!1", np.nan), ("{1==2 ? 3 : 4}", np.nan)],
 )
 def test_the_default_of_a_parameter_is_a_number_or_none(text, value):
     (part,) = subcircuits(f".subckt part a k={text}\nR1 a 0 1\n.ends\n", "part.lib")
