@@ -43,7 +43,7 @@ def one(card):
         ("Q1 c b e fast .5", "c b e", "", "fast", (".5",), {}),
         ("Q1 c b e fast area=2", "c b e", "", "fast", (), {"area": "2"}),
         ("J1 d g s fast", "d g s", "", "fast", (), {}),
-        ("Z1 d g s fast", "d g s", "", "fast", (), {}),
+        ("Z1 d g s fast 2", "d g s", "", "fast", ("2",), {}),
         ("M1 d g s b nch L=1u", "d g s b", "", "nch", (), {"l": "1u"}),
         ("M1 d g s vdmos m=2", "d g s", "", "vdmos", (), {"m": "2"}),
         ("X1 A b Amp", "a b", "", "Amp", (), {}),
