@@ -35,10 +35,12 @@ CLOSER, CLOSEST = 0.1, 1e-7  # times reltol and chgtol; no deck asks for less th
 DEARER = 9.0  # times a run: 4.6 times the points, of twice the states
 LIMIT = 1e-2  # error_budget where the scene has one
 NEAR = 0.3  # of its limit: a check of too coarse steps that passes, but leaves a doubt
-SHRINKS = 0.5  # error of the closer run over its distance from the first: 0.2 to 0.45 seen
-# What a budget allows for besides, where a part has doubts: at 0.09 % damping 39 and 78 states
-# agree to 2e-5, and 96 launch 1.4e-4 faster. Two doubts: a kick by -76 V at 0.13 % is 1.1e-3 off
-# where both runs are 7e-4 apart, one by -61 V at 0.04 % is 6.5e-3 off where they are 3e-3 apart.
+# Error of the closer run over its distance from the first: 0.2 to 0.45 seen; where a part has
+# doubts both are off by as much, in any direction: 63 V at 0.05 % damping launch 3.2e-3 and 2.0e-3
+# off in runs that are 1.1e-3 apart, -61 V at 0.04 % 6.5e-3 off in runs that are 3e-3 apart.
+SHRINKS, DOUBTED = 0.5, 2.0
+# What a budget allows for besides, for a doubt, and thrice for two: at 0.09 % damping 39 and 78
+# states agree to 2e-5, and 96 launch 1.4e-4 faster; a kick by -76 V at 0.13 % is 1.1e-3 off.
 ALLOWED = 3e-4
 
 
@@ -112,12 +114,11 @@ def closer_run(build: Build, outcome: Outcome, clock: Clock) -> Closer | Check |
 
 
 def _own_error(scene: Scene, apart: float) -> float:
-    """What the closer run may be off, ``apart`` from the first: each doubt of a part doubles the
-    share of that distance, and under a budget what is allowed for besides."""
-    if scene.error_budget is None:
-        return SHRINKS * apart
+    """What the closer run may be off, ``apart`` from the first: a share of that distance, larger
+    where parts have doubts, and under a budget what is allowed for these besides."""
     found = sum(1 for p in scene.parts.values() for _ in p.type.doubts(p, scene))
-    return SHRINKS * 2**found * apart + ALLOWED * (2**found - 1)
+    allowed = 0.0 if scene.error_budget is None else ALLOWED * (2**found - 1)
+    return (DOUBTED if found else SHRINKS) * apart + allowed
 
 
 def _reason(build: Build, outcome: Outcome) -> str:
