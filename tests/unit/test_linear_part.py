@@ -308,6 +308,37 @@ def test_forces_on_a_body_are_those_of_all_its_neighbours(body):
     assert beam.type.energy(beam, build, Waveforms({}, {})) == {}
 
 
+def test_only_a_body_at_rest_of_resonators_has_an_energy_balance(body):
+    """With every voltage and force known: not with modes that damping couples, nor turned, nor
+    shaken."""
+    waves = {"time": np.arange(3.0), "push.force": np.zeros(3), "beam.u.tip": np.zeros(3)}
+    known = Waveforms(waves, {})
+    plain = spring_mass((TIP, FOOT)).select(["tip"])
+    beam, kind, build = body(plain, push=push())
+    assert set(kind.energy(beam, build, known)) == {"beam"}
+    assert (
+        kind.energy(beam, build, Waveforms({k: waves[k] for k in ("time", "beam.u.tip")}, {})) == {}
+    )
+    coupled = kc.LinearModel(
+        M=plain.M, E=np.array([[0.9, -0.2], [-0.2, 0.3]]), K=plain.K, B=plain.B, ports=(TIP,)
+    )
+    beam, kind, build = body(coupled, push=push())
+    assert kind.energy(beam, build, known) == {}
+    turned = spring_mass((TIP, kc.Port("turn", "rotational")))
+    beam, kind, build = body(turned, "beam.pins={turn='gnd'}", push=push())
+    assert "turn" in [port.name for port in kind.kept(beam, build.scene)]
+    assert kind.energy(beam, build, known) == {}
+    cell = {"part": "source", "dc": 1.0, "pins": {"out": "beam.anode"}}
+    beam, kind, build = body(spring_mass((ANODE, TIP)), push=push(), cell=cell)
+    assert kind.energy(beam, build, known) == {}
+    voltage = Waveforms(waves | {"beam.voltage": np.zeros(3)}, {})
+    assert set(kind.energy(beam, build, voltage)) == {"beam"}
+    shake = {"part": "source", "kind": "acceleration", "pins": {"out": "beam.frame"}}
+    shaken = spring_mass((TIP, kc.Port("frame", "acceleration")))
+    beam, kind, build = body(shaken, push=push(), shake=shake)
+    assert kind.energy(beam, build, known) == {}
+
+
 def test_the_balance_of_a_pressed_body_ends_with_its_load():
     """A resonator under a force that ends: what its displacement misses later does not count."""
     model = modal_form(spring_mass((TIP, FOOT)).select(["tip"]))

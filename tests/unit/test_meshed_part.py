@@ -231,3 +231,81 @@ def test_wires_are_drawn_in_oblique_projection_with_gaps():
     assert (curve.label, curve.style) == ("w", "--")
     flat = meshed._wires("w", points[:2], np.array([[0], [2]]), "-")
     np.testing.assert_allclose(flat.y, [0.0, 4e3, nan])
+
+
+# --- ports and ratings by keys --------------------------------------------------------------------
+
+
+def alone(kind, **keys):
+    scene = load_scene({"name": "one", "it": {"part": kind, **keys}})
+    part = scene.parts["it"]
+    return part, part.type, scene
+
+
+PLATE = {"length": "30 mm", "width": "5 mm"}
+STEEL = [{"material": "steel", "thickness": "1 mm"}]
+
+
+@pytest.mark.parametrize(
+    ("keys", "names"),
+    [
+        ({"layers": LAYERS}, ["anode", "tip", "base"]),
+        ({"layers": LAYERS, "support": "clamped", "points": {"middle": "15 mm"}},
+         ["anode", "middle", "base"]),
+        ({"layers": LAYERS, "support": "simply_supported"}, ["anode", "tip", "base"]),
+        ({"layers": LAYERS, "support": "free"}, ["anode", "tip"]),
+        ({"layers": STEEL}, ["tip", "base"]),
+    ],
+)  # fmt: skip
+def test_a_beam_has_the_ports_that_its_support_leaves(keys, names):
+    part, kind, scene = alone("bimorph", **PLATE, **keys)
+    assert [port.name for port in kind.ports(part, scene)] == names
+
+
+def test_a_beam_is_rated_by_its_layers_and_their_wiring():
+    """PZT-5A of 0.7 kV/mm: 0.3 mm each, one after the other or side by side."""
+    part, kind, scene = alone("bimorph", **PLATE, layers=LAYERS, wiring="parallel")
+    assert kind.rated(part) == pytest.approx(210.0)
+    shapes = list(kind.outline(part, scene))
+    assert [(s.y, s.width, s.height) for s in shapes] == [
+        pytest.approx((-0.15e-3, 30e-3, 0.3e-3)), pytest.approx((-0.45e-3, 30e-3, 0.3e-3)),
+    ]  # fmt: skip
+    assert [s.kind for s in shapes] == ["ceramic", "ceramic"]
+    for wiring in ({"wiring": "series"}, {}):
+        part, kind, _ = alone("bimorph", **PLATE, layers=LAYERS, **wiring)
+        assert kind.rated(part) == pytest.approx(420.0)
+
+
+def test_a_disc_shows_its_layers_from_the_bottom_up():
+    layers = [{"material": "brass", "diameter": "20 mm", "thickness": "0.2 mm"},
+              {"material": "PZT-5A", "diameter": "15 mm", "thickness": "0.3 mm"}]  # fmt: skip
+    part, kind, scene = alone("disc", layers=layers)
+    assert [p.name for p in kind.ports(part, scene)] == ["anode", "centre"]
+    assert kind.rated(part) == pytest.approx(210.0)
+    shapes = list(kind.outline(part, scene))
+    assert [(s.x, s.y, s.width, s.height, s.kind) for s in shapes] == [
+        (0.0, pytest.approx(-0.15e-3), 15e-3, 0.3e-3, "ceramic"),
+        (0.0, pytest.approx(-0.4e-3), 20e-3, 0.2e-3, "metal"),
+    ]
+    for wiring, volts in (("parallel", 210.0), ("series", 420.0)):
+        part, kind, _ = alone("disc", layers=[layers[1], layers[1]], wiring=wiring)
+        assert kind.rated(part) == pytest.approx(volts)
+    told = {"feedback": {"inner": "8 mm", "outer": "10 mm"}}
+    part, kind, scene = alone("disc", layers=[layers[0], layers[1] | told])
+    pins = {p.name: p.terminals for p in kind.ports(part, scene)}
+    assert pins == {"anode": ("anode", "cathode"), "feedback": ("feedback", "cathode"),
+                    "centre": ("centre",)}  # fmt: skip
+
+
+def test_a_sandwich_is_rated_by_one_ring_and_has_its_free_faces():
+    keys = {
+        "front": [{"material": "aluminium", "diameter": "20 mm", "length": "30 mm"}],
+        "back": [{"material": "steel", "diameter": "20 mm", "length": "20 mm"}],
+        "rings": {"material": "PZT-5A", "outer": "20 mm", "inner": "8 mm", "thickness": "3 mm"},
+        "bolt": {"material": "steel", "diameter": "6 mm"},
+    }  # fmt: skip
+    part, kind, scene = alone("langevin", **keys)
+    assert kind.rated(part) == pytest.approx(2100.0)
+    assert [p.name for p in kind.ports(part, scene)] == ["anode", "front", "back"]
+    part, kind, scene = alone("langevin", **keys, support="back")
+    assert [p.name for p in kind.ports(part, scene)] == ["anode", "front"]

@@ -60,6 +60,24 @@ def test_a_throw_is_judged_by_travel_rebound_and_separation():
     assert kind.modelled(part, build.scene).detail == "-1 m/s from 1e-06 m"
 
 
+def test_a_throw_under_a_pressure_is_judged_by_its_hats(monkeypatch):
+    """Against the full model; where nothing is touched there are none."""
+    from kc2spice.parts import throw
+
+    monkeypatch.setattr(throw, "unresolved", lambda contact, scene: 0.02 * len(scene.parts))
+    part, kind, build = part_of("impact", "impact", "gates.position=3e-4")
+    hats = 0.02 * len(build.scene.parts)
+    travel, *_ = kind.gates(part, build)
+    assert travel.limits == {
+        "rom_vs_fom": hats, "ngspice_vs_rom": 3e-4, "ngspice_vs_fom": hats
+    }  # fmt: skip
+    alone = {"name": "thrown", "gates": {"position": 3e-4}, "sphere": {}, "impact": {}}
+    part, kind, build = part_of(alone, "impact")
+    travel, *_ = kind.gates(part, build)
+    assert set(travel.limits.values()) == {3e-4}
+    assert kind.metrics(part, build, wave(time=[0.0], sphere__y=[0.0])) == {}
+
+
 @pytest.mark.parametrize("start", [0.0, 0.3])
 def test_the_lowest_point_of_a_parabola_is_between_its_samples(start):
     """Uneven samples of a parabola with its vertex at 1.3: exact; at an end that end."""
