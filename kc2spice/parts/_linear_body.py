@@ -302,7 +302,7 @@ class LinearBody(PartType):
         kinds = {port.kind for port in self.kept(part, build.scene)}
         if modal is None or not kinds <= {"electrical", "mechanical"}:
             return {}
-        if build.scene.parts and part_starts_moving(part, build.scene):
+        if part_starts_moving(part, build.scene):
             return {}
         forces = chipbook.port_forces(part, build, waves)
         voltages = [p for p in modal.ports if p.kind == "electrical"]
