@@ -477,3 +477,28 @@ def test_coils_know_the_inverse_of_their_inductance():
         "Cj1": 3.5, "Cj2": 3.5, "Gi1": mean[0, 0], "Gi2": mean[1, 1], "Gm1": mean[0, 1],
         "Gm2": mean[0, 1],
     }, rel=1e-9)  # fmt: skip
+
+
+def test_real_coils_are_those_whose_terminals_a_circuit_drives():
+    """Their pins, library and names of results; ``coil`` is the paper's catch alone."""
+    cell = {"part": "source", "dc": 1.0}
+    for name in ("arm", "catch", "door"):
+        for pins, far, is_real in (
+            ({"up": "cell.out", "lp": "gnd"}, {}, True), ({"drive": "cell.out"}, {}, False),
+            ({"y": "gnd"}, {"out": f"{name}.up", "ret": f"{name}.lp"}, True),
+        ):  # fmt: skip
+            scene = load_scene({"name": "one", "sphere": {}, "cell": cell | {"pins": far},
+                                name: {"part": "ring_magnet_coils", "pins": pins}})  # fmt: skip
+            coils = scene.parts[name]
+            assert ring_magnet_coils.real(coils, scene) is is_real
+            own = coils.type.library(coils, scene)
+            assert own == ("coil" if is_real and name == "catch" else name)
+            ends = [pin.name for pin in coils.type.pins(coils, scene)]
+            assert ends[:-3] == (["lp", "ln", "up", "un"] if is_real else ["drive", "ret"])
+            found = coils.type.vectors(coils, Build(scene, {}))
+            prefix = "coil" if name == "catch" else name
+            assert f"{prefix}.upper.current" in found
+            assert (f"{prefix}.voltage" in found) is is_real
+    scene, coils, _ = scene_of()
+    pins = {pin.name: pin.default for pin in coils.type.pins(coils, scene)}
+    assert (pins["drive"], pins["ret"], pins["base"]) == ("gnd", "gnd", "gnd")

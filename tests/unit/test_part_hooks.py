@@ -454,6 +454,43 @@ def test_switching_is_a_signal_with_edges_of_ten_nanoseconds():
     ) == ((0.0, 3e-3), (1e-3,))  # fmt: skip
 
 
+CAUGHT = {"name": "caught", "kick": {}, "contact": {}, "sphere": {}, "catch": {}, "control": {}}
+HAND = {"part": "resistor", "resistance": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("tables", "remote"),
+    [
+        ({}, False), ({"catch": {"driver": {"linear": {}}}}, True),
+        ({"hand": HAND | {"pins": {"a": "control.command"}}}, True),
+        ({"hand": HAND, "control": {"pins": {"command": "hand.a"}}}, True),
+        ({"hand": HAND | {"pins": {"a": "control.enable"}}}, False),
+    ],
+)  # fmt: skip
+def test_a_controller_ends_at_its_command_where_anything_else_takes_it(tables, remote):
+    part, kind, build = part_of(CAUGHT | tables, "control")
+    scene = build.scene
+    ends = ["command"] if remote else ["drive", "sense"]
+    assert [pin.name for pin in kind.pins(part, scene)] == ["y", "enable", *ends, "ref"]
+    joins = {"y": "sphere.y"} | ({} if remote else {"drive": "catch.drive", "sense": "catch.ret"})
+    assert kind.links(part, scene) == joins
+    assert kind.wants(part, scene) == (() if remote else ("catch.drive", "catch.ret"))
+    assert ("coil.wanted" in kind.vectors(part, build)) is remote
+    only = "hand" not in scene.parts or scene.parts["hand"].pins.get("a") != "control.enable"
+    assert (kind.law(part, build) is None) is (remote or not only)
+
+
+def test_a_controllers_law_stands_on_ground():
+    floating = CAUGHT | {"hand": HAND, "control": {"pins": {"ref": "hand.a"}}}
+    part, kind, build = part_of(floating, "control")
+    assert kind.law(part, build) is None
+    part, kind, build = part_of(CAUGHT, "control", "control.kp=3", "control.ki=4", "control.kd=5",
+                                "control.setpoint=2 mm", "control.current_limit=0.2")  # fmt: skip
+    (law,) = kind.law(part, build).laws
+    numbers = (law.kp, law.ki, law.kd, law.rolloff, law.limit, law.setpoint)
+    assert numbers == (3.0, 4.0, 5.0, 1e-7, 0.2, 2e-3)
+
+
 def test_a_controllers_signals_have_their_scale():
     part, kind, build = part_of("kick_and_catch", "control")
     assert kind.vectors(part, build)["control.error"].factor == pytest.approx(1 / 2000.0)
