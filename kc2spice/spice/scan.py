@@ -101,7 +101,7 @@ def _raw_threats(line: Line) -> Iterator[Threat]:
     """What is wrong with a line as it stood in its file, whatever it continues or comments on."""
     text = line.raw.rstrip("\r")
     if _HIDDEN.search(text) or "\r" in text:
-        yield Threat(line.where, "has control characters that can hide text", repr(text)[:120])
+        yield Threat(line.where, "has control characters that can hide text", repr(text))
     if _COMMAND_COMMENT.match(text):
         yield Threat(line.where, "has a comment that the simulator runs as a command", text)
     if text.lstrip(" \t").startswith("*"):

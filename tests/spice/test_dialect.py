@@ -232,6 +232,10 @@ CONSTRUCTS = [
     ("B1 a 0 I=uramp(V(b))", "I={max(0, V(b))}", "I=uramp(V(b))"),
     ("B1 a 0 V=time*pi*K", "V={time*pi*K}", "V=time*pi*({K})"),
     (".save i(v1) i(v.xa.v1) v(n)", "I(v1)\n+ I(v:xa:v1)\n+ V(n)", "I(v1)\n"),
+    (".param a=1\n.param b=2", ".param a=1\n.param b=2\n", ".param a=1\n.param b=2\n"),
+    (".save v(a)\nR9 a 0 1", "+ V(a)\nR9 a 0 1\n", "+ V(a)\nR9 a 0 1\n"),
+    (".save v(a)\n.include zz.lib", "+ V(a)\n.include zz.lib\n", "+ V(a)\n.include zz.lib\n"),
+    (".save v(a)\n.op\n.ac lin 1 1 2", ".print AC format=raw", "+ V(a)\n.op\n.ac lin 1 1 2\n"),
     (".options trtol=1", "* Xyce has no option trtol=1\n", ".options trtol=1\n"),
 ]  # fmt: skip
 

@@ -370,6 +370,20 @@ def test_why_an_include_is_refused(card, reason, tmp_path):
     assert reason in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["R1 a b 1\x00" + 200 * "x", "`" + 200 * "x"])
+def test_a_refusal_shows_the_beginning_of_a_long_line(text, tmp_path):
+    (tmp_path / "user.cir").write_text(text)
+    with pytest.raises(UsageError) as caught:
+        third_party(tmp_path / "user.cir")
+    assert len(caught.value.got) == 120
+
+
+def test_a_refusal_shows_the_beginning_of_a_long_option(tmp_path):
+    (tmp_path / "user.cir").write_text(f".options reltol=1 {'x' * 41}=1\n")
+    with pytest.raises(UsageError, match=f"option {'x' * 40}, which"):
+        third_party(tmp_path / "user.cir")
+
+
 def test_as_many_files_and_bytes_as_are_allowed(tmp_path, monkeypatch):
     for i in range(63):
         (tmp_path / f"{i}.lib").write_text(f".include {i + 1}.lib\n")
