@@ -207,7 +207,7 @@ def element(s: Statement) -> Element:
             expected=f"a name that begins with one of {''.join(sorted(NODES)).upper()}X",
         )
     count = NODES[kind]
-    if kind in "eg" and len(rest) > 2 and (_BEHAVIOURAL.match(rest[2]) or "=" in rest[2]):
+    if kind in "eg" and len(rest) > 2 and _BEHAVIOURAL.match(rest[2]):
         count = 2
     if kind == "q" and len(rest) > 4 and "=" not in rest[4] and not _number(rest[4]):
         count = 4

@@ -63,7 +63,7 @@ def test_an_element_is_split_as_the_simulator_does(card, nodes, sources, model, 
     "card",
     ["R1 a b", "R1 a", "V1 a", "E1 a b c d", "F1 a b V1", "F1 a b", "K1 L1 L2", "D1 a b",
      "Q1 a b c", "S1 a b c d", "W1 a b V1", "M1 a b c", "R1 a=1 b 2", "R1 V(a) b 2", "E1 a b",
-     "G1 a"],
+     "G1 a", "G1 a b gain=2"],
 )  # fmt: skip
 def test_an_element_that_lacks_a_word_is_named(card):
     with pytest.raises(UsageError, match="element is not complete") as caught:
