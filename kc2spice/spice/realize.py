@@ -549,8 +549,7 @@ def _free(block: np.ndarray, omega: float) -> bool:
 def _block_cards(
     model: BlockModel, farad: float, terminals: list[_Terminal], base: str
 ) -> list[_Block]:
-    found = [(t.column, t) for t in terminals if t.column is not None]
-    inputs = sorted(found, key=lambda pair: pair[0])
+    inputs = [(t.column, t) for t in terminals if t.column is not None]
 
     def drives(state: int) -> list[_Card]:
         row = farad * model.B[state]

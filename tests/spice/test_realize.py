@@ -204,6 +204,14 @@ def test_silent_modes_are_counted():
     assert list(values(part, r"Cp(\d)")) == ["1", "2", "3"]
 
 
+def test_what_is_silent_is_judged_at_each_port():
+    """The second mode is a ten-thousand-millionth of the first, but all that charges the body."""
+    model = modes([1e4, 1e5], [[1.0, 0.0], [0.0, 1e-5]], ("mechanical", "electrical"))
+    part = realize(model, HEADER)
+    assert list(values(part, r"Cp(\d)")) == ["1", "2"]
+    assert "Left out" not in part.text
+
+
 def test_states_without_inertia_come_last_whatever_their_frequency(tmp_path):
     """``1 / (s^2 + d s + w^2)`` and ``1 / (d s + w^2)``; the second without damping is a spring."""
     omega, damp = [9e3, 4e3, 5e3], [50.0, 2e3, 0.0]
@@ -285,6 +293,26 @@ def test_a_state_of_a_block_is_slow_by_the_band(more, top):
     (farad,) = values(part, r"Cz(\d)").values()
     assert farad == pytest.approx(1 / (2 * np.pi * top))
     assert ("small signals up to 4000 Hz at" in part.text) == ("certificate" in more)
+
+
+def test_a_direct_effect_may_be_tiny():
+    part = subcircuit(signals([[-2.0]], [[4.0]], [[3.0]], [[1e-15]]), "plant")
+    assert values(part, r"Gt1_u(\d)") == {"1": 1e-15}
+
+
+def test_a_charge_that_relaxes_is_a_resistor_and_a_capacitor(tmp_path):
+    """``q' = (C v - q) / (R C)``: the terminals have no capacitance of their own."""
+    ohm, farad = 1e3, 2e-9
+    rate = np.array([[1 / (ohm * farad)]])
+    port = Port("drive", "electrical", pins=("a", "b"))
+    model = LinearModel(A=-rate, E=np.eye(1), B=rate * farad, C=np.eye(1), D=np.zeros((1, 1)),
+                        ports=(port,), band=(0.0, 1e5))  # fmt: skip
+    part = subcircuit(model, "rc", HEADER)
+    cards = f"Va a 0 AC 1\nXrc {' '.join('a' if p.name == 'a' else '0' for p in part.pins)} rc"
+    deck = bench([part], f"{cards}\n.ac lin 5 2e4 1e5", {"i": ("i(va)", -1.0)})
+    waves = run_deck(deck, tmp_path)
+    s = 2j * np.pi * waves["frequency"].real
+    np.testing.assert_allclose(waves["i"], 1 / (ohm + 1 / (s * farad)), rtol=1e-6)
 
 
 def test_poles_are_told_to_the_reader():
