@@ -41,6 +41,7 @@ GOOD = [
     "V1 in 0 SIN(0 1 1k)\nS1 in out in 0 fast\n.model fast SW(VT=0.5)\nR1 out 0 1",
     "L1 in 0 1m\nL2 out 0 1m\nK1 L1 L2 0.9\nI1 0 in 1\nR1 out 0 1",
     ".func half(x) {x/2}\nV1 in 0 1\nB1 in 0 I={half(V(in))}",
+    "V1 in 0 1\nR1 in 0 {agauss(1, 0, 1)}",  # parameters have functions of their own
     ".func abs(x) {sqrt(x*x)}\nV1 in 0 1\nB1 in 0 I={abs(V(in))}",  # one's own of a known name
     "V1 in 0 1\nB1 in 0 I=V(in)^2+V(in)**4\nE1 o 0 VALUE={V(in)**2}\nR1 o 0 1",
     "B1 in 0 V=sin(6.28*time) ; comment V(nowhere)\nR1 in 0 1 $ other V(nowhere)",
@@ -73,6 +74,7 @@ BAD = [
     ("V1 in 0 1\nB1 in 0 I={I(V9)}", "no such source", "test.cir:4"),
     ("V1 in 0 1\nF1 in 0 V9 2", "no such controlling part", "test.cir:4"),
     ("V1 in 0 1\nS1 in 0 in 0 quick", "no such model", "test.cir:4"),
+    ("V1 in 0 1\nZ1 in 0 in quick", "no such model", "test.cir:4"),
     ("V1 in 0 1\nB1 in 0 I=V(in)^3", "odd powers of the absolute value", "test.cir:4"),
     ("V1 in 0 1\n+ \nB1 in 0 I={V(in)*(2}", "not an expression", "test.cir:5"),
     ("V1 in 0 1\nB1 in 0 I={limit(V(in),0,1)}", "ngspice has no such function", "test.cir:4"),
