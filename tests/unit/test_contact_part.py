@@ -8,6 +8,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import contact as contacts
 from kc2spice.parts.contact import Normal, _loaded, contact_subcircuit, dent, gaps, normal, sides
 from kc2spice.scene.gates import stepping
 from kc2spice.scene.load import load_scene
@@ -416,3 +417,65 @@ def test_a_series_is_one_of_micrometres_in_the_netlist():
     assert {k: float(v) for k, v in found.items()} == pytest.approx(
         {"c1": -0.125, "c2": 0.125}, rel=1e-9
     )
+
+
+def test_a_pressure_is_judged_by_how_deep_its_law_goes_and_how_many_hats_carry(monkeypatch):
+    """Hats of 10 um under a contact of at least 30 um: sqrt(R depth)."""
+    monkeypatch.setattr(contacts, "normal", lambda *_: Normal(1e9, 1.5, depth=4e-6, radius=1e-3))
+    scene, contact, build = loaded("contact.shape=pressure", "contact.gap=0.5 um")
+    still = np.zeros(3)
+
+    def judged(deepest):
+        place = 1e-3 - np.array([0.0, deepest + 0.75e-6, 0.0])
+        moved = np.array([0.0, -0.25e-6, 0.0])
+        waves = {"time": np.arange(3.0), "sphere.y": place, "kick.u.patch": moved}
+        return list(contacts._within_law(contact, build, Waveforms(waves, {})))
+
+    depth, hats = judged(3e-6)
+    assert (depth.value, depth.limit) == (pytest.approx(3e-6, rel=1e-6), 4e-6)
+    assert depth.action == scene.checks.range
+    assert (hats.value, hats.limit) == (10e-6, pytest.approx(math.sqrt(3e-9) / 3, rel=1e-6))
+    assert hats.action == scene.checks.penetration
+    assert [c.passed for c in judged(0.89e-6)] == [True, False]
+    assert [c.passed for c in judged(0.91e-6)] == [True, True]
+    assert [c.passed for c in judged(4.01e-6)] == [False, True]
+    assert len(judged(-1e-6)) == 1  # nothing touches
+    waves = Waveforms({"time": still, "sphere.y": still}, {})
+    assert not list(contacts._within_law(contact, build, waves))
+    plain, contact, build = loaded()
+    assert not list(contacts._within_law(contact, build, waves))
+    assert plain.parts["contact"].keys.shape == "rings"
+
+
+def test_what_falls_gains_speed_downwards_only():
+    assert contacts.fall(0.2, 9.81) == pytest.approx(math.sqrt(2 * 9.81 * 0.2))
+    assert contacts.fall(-0.2, 9.81) == contacts.fall(0.2, -9.81) == 0.0
+
+
+def test_a_prescribed_reach_beats_what_could_happen():
+    scene, contact, _ = loaded()
+    rest = load_scene({"name": "rest", "sphere": {}, "contact": {"a": "gnd"}})
+    weight = contacts.reach(rest.parts["contact"], rest)
+    assert (weight.depth, weight.why) == (0.0, "its weight")
+    kicked = contacts.reach(contact, scene)
+    assert "free stroke" in kicked.why
+    pushed = load_scene("imprint", ["imprint.depth=0.01 um", "kick.electrical=driven"])
+    assert contacts.reach(pushed.parts["contact"], pushed).depth == pytest.approx(0.01e-6)
+    higher = load_scene("kick_and_catch", ["kick.drive.voltage=1"])
+    fallen = contacts.reach(higher.parts["contact"], higher)
+    assert fallen.why == "fall from catch.y_max"
+
+
+def test_a_sphere_that_sinks_with_the_surface_flies_by_its_own_speed():
+    """Flights of -3 and -1 m/s, 50 us apart: the launch is the first of at least the fastest."""
+    t = 1e-6 * np.arange(200.0)
+    force = np.where((t < 10.5e-6) | ((t > 99.5e-6) & (t < 105.5e-6)), 1.0, 0.0)
+    for speeds, launch in (((-3.0, -1.0), -1.0), ((-1.0, -3.0), -1.0), ((0.4, 1.0), 1.0),
+                           ((0.6, 1.0), 0.6)):  # fmt: skip
+        v = np.where(t < 50e-6, *speeds)
+        assert contacts.separation(t, force, v)[1] == pytest.approx(launch)
+    # of those that begin until 20 us after the drive
+    v = np.where(t < 50e-6, 0.4, 1.0)
+    assert contacts.separation(t, force, v, 84e-6)[1] == pytest.approx(0.4)
+    assert contacts.separation(t, force, v, 86e-6)[1] == pytest.approx(1.0)
+    assert contacts.separation(t, force, v, -1.0)[1] == pytest.approx(0.4)
