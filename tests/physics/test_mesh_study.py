@@ -13,7 +13,9 @@ from kc2spice.fem.piezo.statics import imprint
 from kc2spice.fem.piezo.transient import Ball, transient
 from kc2spice.parts import _mesh_study
 from kc2spice.parts._mesh_study import (
+    HATS,
     STOP,
+    VARIANTS,
     Load,
     MeshPoint,
     hat_study,
@@ -88,6 +90,24 @@ def test_hats_and_meshes_are_varied_each_by_itself(monkeypatch):
     asked.clear()
     mesh_study(Chip(), LOAD, variants={"fine": {"refine": 2}}, progress=said.append)
     assert (asked, said[-1]) == ([("fine", 5, None, 50e-9)], "fine")
+
+
+def test_meshes_of_the_study_are_what_they_are_called():
+    usual = Chip().mesh
+    by = {label: usual.model_copy(update=change) for label, change in VARIANTS.items()}
+    assert by.pop("rings 50 um (default)") == usual
+    for label, mesh in by.items():
+        under = label.endswith("under 50 um rings")
+        told = 50.0 if under else float(label.split()[1])
+        assert mesh.ring_spacing == pytest.approx(1e-6 * told)
+        assert 240e-6 < mesh.ring_spacing * mesh.rings < 310e-6
+        assert mesh.refine == (2 if "cells halved" in label else usual.refine)
+        assert mesh.order == (2 if "quadratic" in label else 1)
+        assert mesh.sectors == usual.sectors * (2 if "sectors doubled" in label else 1)
+    for label, (wider, change) in HATS.items():
+        below = "below the hats" in label
+        assert change == (VARIANTS[label.removesuffix(" below the hats")] if below else {})
+        assert wider == {"hats twice as wide": 2.0, "hats halved": 0.5}.get(label, 1.0)
 
 
 def test_the_table_leaves_out_what_takes_minutes(monkeypatch):

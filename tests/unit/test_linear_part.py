@@ -1,5 +1,6 @@
 """Linear bodies as parts: small matrices whose answers are known, waves made by hand."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -384,6 +385,72 @@ def test_results_have_the_names_and_units_of_the_ports(body):
     told = kind.rom(beam, build)
     assert (told["order"], told["massless"], told["ports"][2]) == (2, 0, "tip")
     assert kind.energy(beam, build, Waveforms({"time": np.arange(2.0)}, {})) == {}
+
+
+def test_voltages_are_read_between_the_nodes_that_are_not_ground(body):
+    """A current where exactly one part feeds the electrode and tells it."""
+    sense = kc.Port("sense", "electrical", pins=("sense", "cathode"))
+    B = np.array([[1.0, 0.5], [0.1, 0.4]])
+    model = kc.LinearModel(M=np.eye(2), E=np.eye(2), K=np.eye(2), B=B, C=B.T, ports=(ANODE, sense))
+    cell = {"part": "source", "dc": 1.0, "pins": {"out": "beam.anode"}}
+    load = {"part": "resistor", "resistance": 1e3, "pins": {"a": "beam.cathode"}}
+    aside = {"part": "resistor", "resistance": 1e3, "pins": {"a": "beam.anode"}}
+    for tables, keys, anode, sensed, metered in (
+        ({"cell": cell}, [], "v(anode)", "v(sense)", True),
+        ({"cell": cell, "load": load}, [], "v(anode)-v(cathode)", "v(sense)-v(cathode)", True),
+        ({"cell": cell, "aside": aside}, [], "v(anode)", "v(sense)", False),
+        ({"load": load}, ["beam.pins={anode='gnd'}"], "-v(cathode)", "v(sense)-v(cathode)", False),
+        ({}, ["beam.pins={anode='gnd'}"], None, "v(sense)", False),
+    ):  # fmt: skip
+        beam, kind, build = body(model, *keys, **tables)
+        found = kind.vectors(beam, build)
+        names = {build.net(beam, pin): pin for pin in ("anode", "sense", "cathode")}
+
+        def read(name, found=found, names=names):
+            if name not in found:
+                return None
+            return re.sub(r"v\((\w+)\)", lambda m: f"v({names[m[1]]})", found[name].expression)
+
+        assert (read("beam.voltage"), read("beam.sense.voltage")) == (anode, sensed)
+        assert ("beam.current" in found) is metered
+    beam, kind, build = body(model, "beam.rated_voltage=5", cell=cell)
+    waves = {"time": np.arange(2.0), "beam.voltage": np.array([1.0, -4.0]),
+             "beam.sense.voltage": np.array([6.0, 3.0])}  # fmt: skip
+    checks = list(kind.checks(beam, build, Waveforms(waves, {})))
+    assert [(c.name, c.value) for c in checks] == [
+        ("rating of beam", 4.0), ("rating of beam.sense", 6.0)
+    ]  # fmt: skip
+    waves.pop("beam.voltage")
+    (check,) = kind.checks(beam, build, Waveforms(waves, {}))
+    assert check.name == "rating of beam.sense"
+
+
+def test_electrodes_share_a_cathode_that_is_grounded_unless_something_joins_it(body):
+    sense = kc.Port("sense", "electrical", pins=("sense", "cathode"))
+    B = np.eye(3)
+    model = kc.LinearModel(M=B, E=B, K=B, B=B, C=B, ports=(ANODE, sense, TIP))
+    cell = {"part": "source", "dc": 1.0, "pins": {"out": "beam.anode"}}
+    beam, kind, build = body(model, cell=cell, push=push())
+    pins = {pin.name: pin.default for pin in kind.pins(beam, build.scene)}
+    assert pins == {"anode": None, "cathode": "gnd", "sense": None, "tip": None, "base": "gnd"}
+    load = {"part": "resistor", "resistance": 1e3, "pins": {"a": "beam.cathode"}}
+    beam, kind, build = body(model, cell=cell, load=load, push=push())
+    pins = {pin.name: pin.default for pin in kind.pins(beam, build.scene)}
+    assert pins["cathode"] is None
+    B = B[:, :1]
+    signals = kc.LinearModel(M=np.eye(3), E=np.eye(3), K=np.eye(3), B=B, C=B.T, ports=(IN, OUT))
+    beam, kind, build = body(signals)
+    pins = {pin.name: (pin.flow, pin.signal_out) for pin in kind.pins(beam, build.scene)}
+    assert pins == {"drive": ("-", False), "seen": ("-", True), "ref": ("A", False)}
+
+
+def test_a_body_is_touched_with_the_modulus_of_its_top_layer():
+    layers = [{"material": "PZT-5A", "thickness": "0.3 mm"},
+              {"material": "steel", "thickness": "0.3 mm"}]  # fmt: skip
+    scene = load_scene({"name": "b", "beam": {"part": "bimorph", "length": "30 mm",
+                                             "width": "5 mm", "layers": layers}})  # fmt: skip
+    beam = scene.parts["beam"]
+    assert beam.type.indentation_modulus(beam) == material("steel").indentation_modulus
 
 
 def test_massless_states_are_counted(body):

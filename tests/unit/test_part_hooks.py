@@ -9,7 +9,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.pid import Control, compliance, sense_resistance, settling_time, tail_mean
 from kc2spice.parts.source import smooth_pieces
-from kc2spice.parts.sphere import integral
+from kc2spice.parts.sphere import SphereKeys, _air_drag, integral
 from kc2spice.parts.throw import minimum
 from kc2spice.scene.gates import stepping
 from kc2spice.scene.load import load_scene
@@ -210,6 +210,38 @@ def test_a_sphere_begins_where_it_is_thrown_or_rests():
     for more in ({"catch": {}}, {"seen": seen}):  # at its pin v, and at its pin bottom
         part, kind, build = part_of({"name": "ball", "sphere": {}, **more}, "sphere")
         assert kind.initial(part, build) == {}
+
+
+@pytest.mark.parametrize("radius", [0.1e-3, 0.2e-3, 0.35e-3, 0.5e-3, 1e-3, 2e-3, 5e-3])
+def test_the_drag_of_the_air_is_told_of_the_weight(radius):
+    """Schiller and Naumann: ``24 / Re (1 + 0.15 Re^0.687)``, air of 20 degC at 1 m/s."""
+    reynolds = 1.204 * 2 * radius / 1.825e-5
+    drag = 0.5 * 1.204 * np.pi * radius**2 * 24 / reynolds * (1 + 0.15 * reynolds**0.687)
+    weight = 4 / 3 * np.pi * radius**3 * 7850 * 9.81
+    found = _air_drag(SphereKeys(radius=radius))
+    assert found.error == f"{drag / weight:.2g} of the weight at 1 m/s"
+
+
+def test_how_much_softer_an_elastic_sphere_were_is_told_by_both_moduli():
+    """Against the softest of what it may touch: E* of steel 231.5 GPa."""
+    part, kind, build = part_of(LOOP, "sphere")
+    chip = build.scene.parts["kick"]
+    modulus = chip.type.indentation_modulus(chip)
+    rows = {row.effect: row for row in kind.left_out(part, build.scene)}
+    told = rows["elasticity of the sphere"].error
+    assert told == f"the dent would be {100 * modulus * (1 - 0.291**2) / 211.9e9:.0f} % softer"
+    lone, kind, build = part_of({"name": "ball", "sphere": {}, "contact": {"a": "gnd"}}, "sphere")
+    rows = {row.effect: row for row in kind.left_out(lone, build.scene)}
+    assert rows["elasticity of the sphere"].error == "not estimated"
+
+
+def test_a_sphere_stands_on_its_lowest_point():
+    part, kind, build = part_of(LOOP, "sphere", "sphere.radius=2 mm")
+    (shape,) = kind.outline(part, build.scene)
+    assert (shape.x, shape.y, shape.width, shape.height, shape.round) == (
+        0.0, 2e-3, 4e-3, 4e-3, True,
+    )  # fmt: skip
+    assert shape.label == "sphere: radius 2 mm"
 
 
 def test_a_mass_tells_its_inertia_against_what_pulls_it():
