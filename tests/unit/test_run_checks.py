@@ -133,9 +133,9 @@ def test_reduction_is_compared_with_twice_the_states(closer):
     ("change", "own"),
     [
         ({}, 0.5 * 0.25),
-        ({"kick.damping.ratio": 1e-3}, 2 * 0.25 + 3e-4),
-        ({"kick.drive.voltage": -100.0}, 2 * 0.25 + 3e-4),
-        ({"kick.damping.ratio": 1e-3, "kick.drive.voltage": -100.0}, 2 * 0.25 + 9e-4),
+        ({"kick.damping.ratio": 1e-3}, 2 * 0.25 + 5e-4),
+        ({"kick.drive.voltage": -100.0}, 2 * 0.25 + 5e-4),
+        ({"kick.damping.ratio": 1e-3, "kick.drive.voltage": -100.0}, 2 * 0.25 + 15e-4),
     ],
     ids=["neither", "lightly damped", "downwards", "both"],
 )
