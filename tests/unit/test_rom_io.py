@@ -455,6 +455,7 @@ def market(text, head="coordinate real general"):
         ("array double symmetric", "2 2\n1\n2\n3\n", [[1, 2], [2, 3]], 3),
         ("array real skew-symmetric", "3 3\n1\n2\n3\n", [[0, -1, -2], [1, 0, -3], [2, 3, 0]], 3),
         ("coordinate real general", "2 2 0\n", [[0, 0], [0, 0]], 0),
+        ("coordinate real general", "2 2 0", [[0, 0], [0, 0]], 0),
     ],
 )  # fmt: skip
 def test_market_files_hold_what_they_declare(head, text, matrix, entries):

@@ -66,6 +66,18 @@ class Told(Reduction):
         return SimpleNamespace(stable=self.steady(order))
 
 
+@pytest.mark.parametrize(("own", "apart"), [(1e-5, 2e-3), (3e-4, 1e-4), (0.0, 1e-12)])
+def test_an_estimate_has_the_subspaces_error_and_a_margin_on_the_difference(own, apart):
+    """Never less than what direct solutions differ by."""
+    one = chain(3).pencil
+    found = object.__new__(Reduction)
+    judge = SimpleNamespace(error=lambda less: apart * less.pencil.size)
+    found.__dict__.update(pencil=one, space=SimpleNamespace(error=own), _judge=judge)
+    for order in (1, 3):
+        error = found.error(order)
+        assert max(1e-11, own + order * apart) <= error <= max(1e-11, own + 1.5 * order * apart)
+
+
 @pytest.mark.parametrize("least", [1, 2, 7, 19, 20])
 def test_the_smallest_order_within_the_tolerance_is_found(least):
     assert Told(20, lambda order: order >= least).smallest(1e-5) == least
@@ -241,6 +253,7 @@ def test_the_energy_is_the_plain_square(degree):
         (K, False, K + omega**degree * M),
         (free, False, free + omega**degree * M),
         (free, True, free + omega**degree * M),  # rounding may let a factor of it pass
+        (-0.01 * K, True, -0.01 * K + omega**degree * M),
     ):
         V = basis(stiffness, static)
         np.testing.assert_allclose(V.T @ rest(energy) @ V, np.eye(n), atol=1e-9)
@@ -615,6 +628,29 @@ def test_solutions_in_two_orders_show_what_rounding_does():
     assert caught.value.expected == "at most 1.0e-17"
     good = LinearModel(M=np.eye(2), K=np.diag([1.0, 2.0]), B=np.eye(2))
     assert _solution_error(Response(good.pencil), (0.0, 1.0)) < 1e-11
+
+
+@pytest.mark.parametrize(("ratio", "beside"), [(0.01, 1.0), (2e-4, 1.0), (1e-9, 1 + 1e-4)])
+def test_solutions_are_compared_at_the_end_of_the_band_and_its_sharpest_resonance(
+    ratio, beside, monkeypatch
+):
+    """One at 20 Hz, sharper than that at 12 Hz; that at 200 Hz is beyond the band."""
+    hertz, ratios = np.array([12.0, 20.0, 200.0]), np.array([0.02, ratio, ratio / 10])
+    w = 2 * np.pi * hertz
+    asked = []
+    pencil = Pencil((np.diag(w**2), np.diag(2 * ratios * w), np.eye(3)), np.ones((3, 1)),
+                    np.ones((1, 3)), np.zeros((1, 1)))  # fmt: skip
+    solve = Pencil.transfer
+    monkeypatch.setattr(Pencil, "transfer", lambda p, s: asked.append(s) or solve(p, s))
+    assert _solution_error(Response(pencil), (10.0, 50.0)) < 1e-9
+    for s in asked:  # both orders of elimination
+        frequency = s.imag / (2 * np.pi)
+        assert frequency[0] == pytest.approx(50.0)
+        assert 10 < frequency[1] < 50
+        assert frequency[2:] == pytest.approx(20 * np.sqrt(1 - ratio**2) * beside, rel=1e-9)
+    assert len(asked) == 2
+    assert _solution_error(Response(pencil), (30.0, 50.0)) < 1e-9
+    assert [s.size for s in asked[2:]] == [2, 2]
 
 
 def test_a_quick_look_sees_the_grid_and_the_flanks_of_resonances():

@@ -277,6 +277,9 @@ def test_the_largest_error_is_found_between_the_frequencies():
     judge = Judge(Response(pencil), np.linspace(0.0, 100.0, 11), (0.0, 100.0))
     between = judge.error(bent(pencil, 1e-3, 54.4, 3.0))  # the nearest see 1.1e-4 and 2.9e-5
     assert between == pytest.approx(1e-3, rel=1e-3)
+    fine = Judge(Response(pencil), np.linspace(0.0, 100.0, 201), (0.0, 100.0))
+    for hertz in (0.2, 99.8):  # beside the first or the last one
+        assert fine.error(bent(pencil, 1e-3, hertz, 0.15)) == pytest.approx(1e-3, rel=1e-2)
     for hertz in (-1.0, 101.0):  # at an end it is largest there
         at_the_end = judge.error(bent(pencil, 1e-3, hertz, 3.0))
         assert at_the_end == pytest.approx(1e-3 * np.exp(-1 / 9), rel=1e-6)
