@@ -99,6 +99,30 @@ def test_steps_follow_what_strikes():
         assert (kind.watch(part, scene), kind.coarse(part, scene)) == (watch, coarse)
 
 
+@pytest.mark.parametrize("electrical", ["open", "short"])
+def test_what_is_not_driven_does_not_strike(electrical):
+    """Whatever its drive is."""
+    drive = {"drive": {"voltage": -100.0}, "electrical": electrical}
+    part, scene, kind = kick_of(scene={**IMPACT, "kick": drive})
+    assert kind.watch(part, scene) == FOLLOWED
+    assert kind.closeness(part, scene) == 1.0
+    assert not list(kind.doubts(part, scene))
+    assert not list(kind.reach(part, scene))
+    assert highest_voltage(part, scene) == 0.0
+    late = {"drive": {"start": 1.0}, "electrical": electrical}
+    load_scene({**IMPACT, "kick": late})  # a pulse that nobody gives may begin at any time
+
+
+def test_the_outline_is_that_of_the_stack_below_its_top():
+    part, scene, kind = kick_of("kick.side=4 mm", "kick.height=3 mm", "kick.layers=50")
+    (shape,) = kind.outline(part, scene)
+    assert (shape.x, shape.y, shape.width, shape.height, shape.layers) == (
+        0.0, -1.5e-3, 4e-3, 3e-3, 50,
+    )  # fmt: skip
+    assert shape.label == "kick: 4 mm wide, 3 mm high, 50 layers"
+    assert shape.kind == "ceramic"
+
+
 def test_a_kick_that_rings_is_doubtful_and_an_impact_is_not():
     for keys, scene, said in (
         ([], LOOP, []), (["kick.damping.ratio=4e-3"], LOOP, []),
