@@ -132,6 +132,17 @@ def test_every_load_of_a_body_is_taken_from_the_run():
     assert "a force on tip" in raised.value.got
 
 
+def test_the_voltage_of_a_stack_is_that_of_its_only_electrodes():
+    """Whose ports come after its rings."""
+    push = {"part": "source", "kind": "force", "dc": 1.0, "pins": {"out": "kick.ring0"}}
+    scene = load_scene({"name": "s", "kick": {"fields": True}, "push": push})
+    kick = scene.parts["kick"]
+    data = {"time": np.arange(2.0), "kick.voltage": np.array([5.0, 6.0]),
+            "push.force": np.array([1.0, 2.0])}  # fmt: skip
+    found = kick.type.loads(kick, Build(scene, {}), Waveforms(data, {}))
+    assert {name: v.tolist() for name, v in found.items()} == {"ring0": [1, 2], "anode": [5, 6]}
+
+
 # --- figures --------------------------------------------------------------------------------------
 
 
