@@ -479,3 +479,22 @@ def test_a_sphere_that_sinks_with_the_surface_flies_by_its_own_speed():
     assert contacts.separation(t, force, v, 84e-6)[1] == pytest.approx(0.4)
     assert contacts.separation(t, force, v, 86e-6)[1] == pytest.approx(1.0)
     assert contacts.separation(t, force, v, -1.0)[1] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("scene", "keys", "until"),
+    [
+        ("kick_and_catch", ["control.enable_at=2 ms"], 525.1e-6), ("amplifier_kick", [], 525.1e-6),
+        ({"name": "still", "sphere": {}}, [], math.inf),
+    ],
+)  # fmt: skip
+def test_a_drive_is_busy_until_its_pulse_has_fallen(scene, keys, until):
+    """Behind an amplifier too; a controller's enable is no drive."""
+    kicked = ["kick.drive.start=500 us", "kick.drive.width=25 us", "kick.drive.edge=0.1 us"]
+    found = load_scene(scene, [*keys, *(kicked if isinstance(scene, str) else [])])
+    assert contacts.busy_until(found) == pytest.approx(until)
+
+
+def test_a_bed_of_springs_holds_what_rests_on_a_stack():
+    found = load_scene(LOOP, ["kick.mounting=1e14 N/m3"])
+    assert found.parts["kick"].keys.mounting == 1e14

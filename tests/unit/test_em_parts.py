@@ -437,8 +437,23 @@ def test_a_current_that_nobody_limits_counts_as_one_ampere():
         "cell": {"part": "source", "dc": 1.0},
     })  # fmt: skip
     assert ring_magnet_coils.largest_current(scene.parts["catch"], scene) == 1.0
-    two = load_scene("kick_and_catch", ["control.current_limit=0.3"])
-    assert ring_magnet_coils.largest_current(two.parts["catch"], two) == 0.3
+    for driver in ("amplifier", "half_bridge", "charge"):  # whose own limits are others
+        keys = ["control.current_limit=0.3", f"kick.driver.{driver}.current_limit=9"]
+        driven = load_scene("kick_and_catch", keys)
+        assert ring_magnet_coils.largest_current(driven.parts["catch"], driven) == 0.3
+
+
+@pytest.mark.parametrize("feed", [{"part": "source", "dc": 1.0}, {"part": "inductor",
+                                  "inductance": 1.0, "pins": {"b": "gnd"}}])  # fmt: skip
+def test_only_a_controllers_current_is_a_law_of_driven_coils(feed):
+    pin = "out" if feed["part"] == "source" else "a"
+    scene = load_scene({
+        "name": "hand", "sphere": {}, "catch": {"pins": {"y": "gnd", "drive": f"feed.{pin}"}},
+        "feed": feed,
+    })  # fmt: skip
+    coils = scene.parts["catch"]
+    table = catch_table(ring_magnet_coils.field_keys(coils), 1e-3)
+    assert coils.type.law(coils, Build(scene, {"catch": table})) is None
 
 
 def test_the_error_of_the_field_is_known_of_the_papers_actuator():
@@ -502,3 +517,26 @@ def test_real_coils_are_those_whose_terminals_a_circuit_drives():
     scene, coils, _ = scene_of()
     pins = {pin.name: pin.default for pin in coils.type.pins(coils, scene)}
     assert (pins["drive"], pins["ret"], pins["base"]) == ("gnd", "gnd", "gnd")
+
+
+def test_terms_of_the_force_are_coefficients_and_their_sums_in_series():
+    """One current i, -i in the lower coil: c2 - c1 and c11 - c12 + c22."""
+    values = np.arange(12.0).reshape(2, 6) ** 2
+    own = {term.name: term.of(values) for term in ring_magnet_coils.SEPARATE}
+    np.testing.assert_array_equal(np.column_stack(list(own.values())), values)
+    assert list(own) == ["c0", "c1", "c2", "c11", "c12", "c22"]
+    told = [(t.name, t.currents, t.of(values).tolist()) for t in ring_magnet_coils.SERIES]
+    c0, c1, c2, c11, c12, c22 = values.T
+    assert told == [("c0", (), c0.tolist()), ("d1", ("i",), (c2 - c1).tolist()),
+                    ("d2", ("i", "i"), (c11 - c12 + c22).tolist())]  # fmt: skip
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.95e-6, ["c0"]), (1.05e-6, ["c0", "c2", "c22"])])
+def test_a_coefficient_counts_with_its_currents_from_a_millionth_on(share, kept):
+    """At half an ampere: once, and squared."""
+    _, _, build = scene_of()
+    one = np.ones(build.models["catch"].y.size)
+    few = replace(build.models["catch"], c0=-one, c1=0 * one, c2=-one * 2 * share, c11=0 * one,
+                  c12=0 * one, c22=one * 4 * share)  # fmt: skip
+    found = ring_magnet_coils.significant(few, 0.5, ring_magnet_coils.SEPARATE)
+    assert [term.name for term in found] == kept

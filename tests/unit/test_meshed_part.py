@@ -298,6 +298,7 @@ def test_a_disc_shows_its_layers_from_the_bottom_up():
         (0.0, pytest.approx(-0.15e-3), 15e-3, 0.3e-3, "ceramic"),
         (0.0, pytest.approx(-0.4e-3), 20e-3, 0.2e-3, "metal"),
     ]
+    assert shapes[0].label == "it: PZT-5A, 15 mm by 0.3 mm"
     for wiring, volts in (("parallel", 210.0), ("series", 420.0)):
         part, kind, _ = alone("disc", layers=[layers[1], layers[1]], wiring=wiring)
         assert kind.rated(part) == pytest.approx(volts)

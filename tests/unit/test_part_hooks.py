@@ -684,8 +684,8 @@ def test_a_netlists_subcircuit_is_found_with_its_pins_alone(tmp_path):
         "[mine]\npart='netlist'\nfile='mine.lib'\nsubckt='Mine'\nratings={out={high=1}}\n"
         "pins={a='load.a', out='load.b'}\n[load]\npart='resistor'\nresistance=5\n"
     )
-    rest = "\nR1 a out 1\nR2 out ref 1\n.ends\n"
-    other = ".subckt other p q\nR1 p q 1\n.ends\n"
+    rest = "\nR1 a out 1\nR2 out ref 1\n.ends mine\n"
+    other = ".subckt other p q\nR1 p q 1\n.ends other\n"
     for head in (".subckt mine a out ref", ".SUBCKT MINE a out ref k=1",
                  ".subckt mine a out ref PARAMS: k=1 l=2"):  # fmt: skip
         (tmp_path / "mine.lib").write_text(other + head + rest)
@@ -724,6 +724,33 @@ def test_a_driver_says_what_it_is_and_measures_its_first_terminal():
                      "load": {"part": "resistor", "resistance": 1.0},
                      "analysis": {"type": "ac", "start": 1.0, "stop": 10.0}})  # fmt: skip
     assert ac.parts["amp"].type.vectors(ac.parts["amp"], Build(ac, {})) == {}
+
+
+def test_drivers_tell_the_current_of_their_first_terminal_alone():
+    scene = {"name": "d", "kick": {"driver": {"charge": {}}}}
+    part, kind, build = part_of(scene, "kick_driver")
+    assert kind.current(part, "anode", build).expression == "@r.xkick_driver.rout[i]"
+    for pin in ("cathode", "command", "ref"):
+        assert kind.current(part, pin, build) is None
+    part, kind, build = part_of("amplifier_kick", "kick_driver")
+    for pin in ("command", "ref"):
+        assert kind.current(part, pin, build) is None
+    for scene, name in (("coil_rails", "catch_driver"), ("pwm_coil", "catch_driver")):
+        part, kind, build = part_of(scene, name)
+        assert [kind.current(part, pin, build) for pin in ("drive", "ret")] == [None, None]
+
+
+def test_sweeps_move_what_their_key_names():
+    """No other key of a part is a source's value."""
+    for scene, name, key, card, factor in (
+        ("imprint", "imprint", "depth", "Vimprint", -1e6),
+        ("em_force", "em_force", "height", "Vheight", 1e6),
+        (CELL, "cell", "dc", "Vcell", 1.0),
+    ):  # fmt: skip
+        part, kind, build = part_of(scene, name)
+        assert kind.dc(part, key, build) == (card, factor)
+        for other in ("ac", "currents", "of", "steps", "zero"):
+            assert kind.dc(part, other, build) is None
 
 
 def test_a_coil_driver_is_made_for_coils_at_the_set_point():
