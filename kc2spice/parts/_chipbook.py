@@ -36,7 +36,7 @@ def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndar
 
 def balance(
     name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray],
-    *, pressed: bool = False,
+    *, pressed: bool,
 ) -> Balance:  # fmt: skip
     """Work of voltage and forces on the body against its exact response to the same loads.
 
