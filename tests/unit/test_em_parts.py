@@ -540,3 +540,13 @@ def test_a_coefficient_counts_with_its_currents_from_a_millionth_on(share, kept)
                   c12=0 * one, c22=one * 4 * share)  # fmt: skip
     found = ring_magnet_coils.significant(few, 0.5, ring_magnet_coils.SEPARATE)
     assert [term.name for term in found] == kept
+
+
+def test_eddy_currents_in_the_sphere_are_told_by_its_diffusion_time():
+    """``mu sigma R^2 / pi^2`` of 150 kS/m."""
+    for keys in ([], ["sphere.radius=0.5 mm"], ["catch.mu_r=1.3"]):
+        scene, coils, _ = scene_of(*keys)
+        radius, mu = scene.parts["sphere"].keys.radius, 4e-7 * np.pi * coils.keys.mu_r
+        eddy, *_ = coils.type.left_out(coils, scene)
+        assert eddy.why == "a poor conductor, 150000 S/m"
+        assert eddy.error == f"force lags by about {mu * 150e3 * (radius / np.pi) ** 2:.2g} s"

@@ -458,6 +458,9 @@ def test_massless_states_are_counted(body):
                            B=np.eye(2)[:, :1], ports=(TIP,))  # fmt: skip
     beam, kind, build = body(model, push=push())
     assert kind.rom(beam, build)["massless"] == 1
+    first = kc.LinearModel(E=np.eye(2), K=np.eye(2), B=np.eye(2)[:, :1], ports=(TIP,))
+    beam, kind, build = body(first, push=push())
+    assert kind.rom(beam, build)["massless"] == 0
 
 
 # --- figures --------------------------------------------------------------------------------------
