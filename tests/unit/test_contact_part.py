@@ -495,6 +495,22 @@ def test_a_drive_is_busy_until_its_pulse_has_fallen(scene, keys, until):
     assert contacts.busy_until(found) == pytest.approx(until)
 
 
+def test_an_enable_that_comes_first_hides_no_drive():
+    kick = {"drive": {"start": 1e-4, "width": 2e-5, "edge": 1e-7}}
+    order = {"name": "n", "control": {}, "catch": {}, "sphere": {}, "contact": {}, "kick": kick}
+    scene = load_scene(order)
+    assert [source.name for source in scene.of("source")] == ["control_enable", "kick_drive"]
+    assert contacts.busy_until(scene) == pytest.approx(120.1e-6)
+
+
+def test_a_stack_of_two_rings_tells_whether_the_outer_one_opens():
+    scene, _, build = loaded("kick.mesh.rings=1", "contact.rings=all")
+    check = check_of(scene, build, run_of(scene, [0.0, 1.0]), "outer_ring")
+    assert (check.value, check.limit) == (0.0, 0.0)
+    scene, _, build = loaded("contact.rings=all", "contact.a=kick.ring0")
+    assert check_of(scene, build, run_of(scene, [0.0, 1.0]), "outer_ring") is None
+
+
 def test_a_bed_of_springs_holds_what_rests_on_a_stack():
     found = load_scene(LOOP, ["kick.mounting=1e14 N/m3"])
     assert found.parts["kick"].keys.mounting == 1e14

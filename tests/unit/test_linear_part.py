@@ -425,6 +425,22 @@ def test_voltages_are_read_between_the_nodes_that_are_not_ground(body):
     assert check.name == "rating of beam.sense"
 
 
+def test_ports_on_ground_have_no_result(body):
+    one, two = np.eye(2), np.eye(2)[:, :1]
+    tip = kc.LinearModel(M=one, E=one, K=one, B=one, C=one, ports=(TIP, FOOT))
+    beam, kind, build = body(tip, "beam.pins={tip='gnd'}", push=push("foot"))
+    assert set(kind.vectors(beam, build)) == {"beam.u.foot"}
+    source = {"part": "source", "kind": "acceleration", "pins": {"out": "beam.drive"}}
+    signal = kc.LinearModel(M=one, E=one, K=one, B=two, C=two.T, ports=(IN, OUT))
+    beam, kind, build = body(signal, source=source)
+    found = kind.vectors(beam, build)
+    assert {n: (v.factor, v.unit) for n, v in found.items()} == {
+        "beam.drive": (1.0, "m/s2"), "beam.seen": (1.0, "m/s2"),
+    }  # fmt: skip
+    beam, kind, build = body(signal, "beam.pins={drive='gnd'}")
+    assert set(kind.vectors(beam, build)) == {"beam.seen"}
+
+
 def test_electrodes_share_a_cathode_that_is_grounded_unless_something_joins_it(body):
     sense = kc.Port("sense", "electrical", pins=("sense", "cathode"))
     B = np.eye(3)

@@ -14,6 +14,7 @@ from kc2spice.parts.throw import minimum
 from kc2spice.scene.gates import stepping
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow.verify.circuit import solve
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
@@ -298,6 +299,27 @@ def test_currents_of_resistors_and_sources_count_out_of_the_pin():
     assert kind.current(part, "out", build) is None
 
 
+@pytest.mark.parametrize(
+    ("kind", "load", "key", "across", "through"),
+    [("voltage", "resistor", "resistance", "v", "i"),
+     ("current", "resistor", "resistance", "v", "i"),
+     ("displacement", "spring", "stiffness", "x", "force"),
+     ("force", "spring", "stiffness", "x", "force")],
+)  # fmt: skip
+def test_laws_of_sources_count_what_leaves_them(kind, load, key, across, through):
+    """Of 3 units on 5 Ohm or 5 N/m."""
+    scene = {"name": "c", "far": {"part": load, key: 5.0},
+             "cell": {"part": "source", "kind": kind, "ac": 3.0, "pins": {"out": "far.a"}},
+             "analysis": {"type": "ac", "start": 1.0, "stop": 2.0}}  # fmt: skip
+    _, _, build = part_of(scene, "cell")
+    found = solve(build, Waveforms({"frequency": np.array([1.0, 2.0])}, {})).results
+    ratio = 5.0 if load == "resistor" else 1 / 5.0
+    given = kind in ("voltage", "displacement")
+    pair = (3.0, 3.0 / ratio) if given else (3.0 * ratio, 3.0)
+    for name, value in zip((across, through), pair, strict=True):
+        np.testing.assert_allclose(found[f"cell.{name}"], value, rtol=1e-9)
+
+
 def test_the_voltage_of_a_source_is_read_where_the_deck_has_it():
     """Of a current source that floats there is none."""
     ends = {"out": "load.a", "ret": "load.b"}
@@ -386,7 +408,8 @@ def test_the_integrator_gets_the_same_waves():
     sine = {"amplitude": 2.0, "frequency": 500.0, "start": 1e-3}
     touching = {"high": 2.0, "width": 2**-10, "edge": 2**-13, "period": 2**-10 + 2**-13}
     for shape, given in (
-        ("pulse", train), ("sine", sine), ("pulse", train | {"count": 2}), ("pulse", touching)
+        ("pulse", train), ("sine", sine), ("pulse", train | {"count": 2}), ("pulse", touching),
+        ("pulse", train | {"low": 5.0}),
     ):  # fmt: skip
         cell = {"part": "source", shape: given, "pins": {"out": "load.a"}}
         part, _, build = part_of(CELL | {"cell": cell}, "cell")

@@ -231,7 +231,11 @@ def test_a_peak_at_the_end_of_a_rise_says_so():
     scene = load_scene(LOOP)
     kind, y = scene.parts["sphere"].type, np.array([1.0, 2.0, 3.0])
     for end, v, rising in ((3.0, 0.5, True), (3.0, 0.0, None), (2.5, 0.5, None)):
-        data = {"time": np.arange(3.0), "sphere.y": np.r_[y, end][1:], "sphere.v": np.full(3, v)}
+        data = {
+            "time": np.arange(3.0),
+            "sphere.y": np.r_[y, end][1:],
+            "sphere.v": np.r_[1.0, 1.0, v],
+        }
         data["sphere.y"][1] = 2.9
         found = kind.metrics(scene.parts["sphere"], Build(scene, {}), Waveforms(data, {}))
         assert found.get("still_rising") is rising
