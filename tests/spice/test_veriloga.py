@@ -546,6 +546,7 @@ def test_laws_of_elements(card, laws):
         "R1 a b {nothing}",
         "R1 a b 1 rough\n.model rough R(tc1=1e-3)",
         "R1 a b R=1",
+        "C1 a b IC=1",
         "L1 a b 1 IC=2",
         "G1 a b a b 1 m=2",
         "E1 a b vol='V(a)'",
