@@ -182,7 +182,7 @@ def test_what_a_sphere_is_made_of():
 @pytest.mark.parametrize(
     ("fits", "refused", "word"),
     [("radius=0.1", "radius=0.101", "adhesion"), ("density=1", "density=0.99", "aerogel"),
-     ("density=22600", "density=22700", "osmium")],
+     ("density=22600", "density=22600.5", "osmium"), ("radius=1 um", "radius=0.99 um", "adhesion")],
 )  # fmt: skip
 def test_where_a_sphere_begins_to_be_refused(fits, refused, word):
     alone = {"name": "ball", "sphere": {"velocity": -1.0}}
@@ -288,6 +288,51 @@ def test_a_diodes_current_leaves_what_feeds_its_anode():
              "one": {"part": "diode", "pins": {"cathode": "gnd"}}}  # fmt: skip
     part, kind, build = part_of(scene, "one")
     assert [kind.current(part, pin, build).factor for pin in ("anode", "cathode")] == [-1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("part", "keys", "told", "card"),
+    [
+        ("resistor", {"resistance": 5.0}, {"v": (1.0, "V"), "i": (0.2, "A")}, 5.0),
+        ("capacitor", {"capacitance": 5e-6}, {"v": (1.0, "V"), "i": (1.0, "A")}, 5e-6),
+        ("inductor", {"inductance": 5e-6}, {"v": (1.0, "V"), "i": (1.0, "A")}, 5e-6),
+        ("spring", {"stiffness": 5.0}, {"force": (5e-6, "N")}, 2e5),  # um for each newton
+        ("damper", {"damping": 5.0}, {"force": (1.0, "N")}, 5e-6),
+        ("mass", {"mass": 5.0}, {"x": (1e-6, "m"), "v": (1.0, "m/s"), "force": (1.0, "N")}, None),
+    ],
+)  # fmt: skip
+def test_a_part_of_two_pins_is_one_card_and_tells_in_si(part, keys, told, card):
+    kind = {"resistor": "voltage", "capacitor": "voltage", "inductor": "current"}.get(part, "force")
+    scene = {"name": "one", "it": {"part": part, **keys},
+             "feed": {"part": "source", "kind": kind, "pins": {"out": "it.a"}}}  # fmt: skip
+    it, type_, build = part_of(scene, "it")
+    found = {n.removeprefix("it."): (pytest.approx(v.factor, rel=1e-9), v.unit)
+             for n, v in type_.vectors(it, build).items()}  # fmt: skip
+    assert told == found
+    ends = {pin.name: pin.default for pin in type_.pins(it, build.scene)}
+    assert ends == ({"a": None, "base": "gnd"} if part == "mass" else {"a": None, "b": "gnd"})
+    if card is not None:
+        assert float(type_.cards(it, build)[-1].split()[-1]) == pytest.approx(card, rel=1e-9)
+
+
+def test_a_controller_sees_its_inputs_in_their_units():
+    scene = {
+        "name": "c",
+        "brain": {"part": "controller", "inputs": ["x", "u", "s"], "units": {"u": "V", "s": "m/s"},
+                  "output": "current", "pins": {"x": "box.a", "u": "load.a", "s": "ball.v",
+                                                "out": "load.a"}},
+        "box": {"part": "mass", "mass": 1.0}, "load": {"part": "resistor", "resistance": 1.0},
+        "hold": {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a"}}, "ball": {
+            "part": "sphere", "velocity": -1.0},
+    }  # fmt: skip
+    part, kind, build = part_of(scene, "brain")
+    found = {n: (v.factor, v.unit) for n, v in kind.vectors(part, build).items()}
+    assert found == {"brain.x": (1e-6, "m"), "brain.u": (1.0, "V"), "brain.s": (1.0, "m/s")}
+    source, drive = kind.cards(part, build)
+    assert source == "Vbrain brain_held 0 EXTERNAL"
+    assert drive == f"Gbrain 0 {build.net(part, 'out')} brain_held 0 1"
+    part, kind, build = part_of(scene, "brain", "brain.output=voltage")
+    assert kind.cards(part, build) == (f"Vbrain {build.net(part, 'out')} 0 EXTERNAL",)
 
 
 def test_currents_of_resistors_and_sources_count_out_of_the_pin():

@@ -283,6 +283,24 @@ def test_where_a_stack_begins_to_be_refused(scene, fits, refused, word):
         load_scene(scene, refused)
 
 
+def test_how_small_and_how_strong_a_stack_may_be():
+    """0.1 mm wide, 10 um high, layers of 1 um, 20 V/um."""
+    narrow = ["kick.mesh.ring_spacing=10 um", "kick.mesh.rings=1", "kick.drive.voltage=1"]
+    flat = ["kick.layers=2", "kick.drive.voltage=1"]
+    exact = ["kick.layers=32", "kick.height=2 mm"]  # 62.5 um a layer
+    for keys, fits, refused, word in (
+        (narrow, "kick.side=0.1 mm", "kick.side=0.0999 mm", "kick.side"),
+        (narrow, "kick.diameter=0.1 mm", "kick.diameter=0.0999 mm", "kick.diameter"),
+        (flat, "kick.height=10 um", "kick.height=9.99 um", "kick.height"),
+        (["kick.drive.voltage=1"], "kick.height=33.1 um", "kick.height=32.9 um", "kick.layers"),
+        (exact, "kick.drive.voltage=1250", "kick.drive.voltage=1250.00003", "breaks down"),
+    ):  # fmt: skip
+        load_scene(ALONE, [*keys, fits])
+        with pytest.raises(UsageError, match="hardly exists") as raised:
+            load_scene(ALONE, [*keys, refused])
+        assert word in str(raised.value)
+
+
 def test_nothing_presses_on_a_stack_that_shears():
     with pytest.raises(UsageError, match="moves sideways"):
         load_scene(LOOP, ["kick.poling=x", "kick.mounting=glued"])
