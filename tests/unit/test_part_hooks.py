@@ -1,6 +1,7 @@
 """What single parts refuse, measure and say, on scenes and waves made by hand."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -794,6 +795,33 @@ def test_a_driver_says_what_it_is_and_measures_its_first_terminal():
     assert ac.parts["amp"].type.vectors(ac.parts["amp"], Build(ac, {})) == {}
 
 
+def test_voltages_of_a_driver_are_those_over_its_reference():
+    """Which may float; a pin on it has none."""
+    scene = {"name": "d", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "amp.command"}},
+             "amp": {"part": "amplifier", "pins": {"out": "load.a"}},
+             "load": {"part": "resistor", "resistance": 1.0},
+             "hold": {"part": "resistor", "resistance": 1.0}}  # fmt: skip
+    for pins, told in (
+        ({"out": "load.a"}, {"command": "v(command)", "out": "v(out)"}),
+        ({"out": "load.a", "ref": "hold.a"},
+         {"command": "v(command)-v(ref)", "out": "v(out)-v(ref)"}),
+        ({"out": "gnd", "ref": "hold.a"}, {"command": "v(command)-v(ref)", "out": "-v(ref)"}),
+        ({"out": "hold.a", "ref": "hold.a"}, {"command": "v(command)-v(ref)"}),
+        ({"out": "gnd"}, {"command": "v(command)"}),
+    ):  # fmt: skip
+        free = {"load": {**scene["load"], "pins": {"a": "amp.command"}}}
+        tables = scene | ({} if "load.a" in pins.values() else free)
+        if "hold.a" not in pins.values():
+            tables = {name: table for name, table in tables.items() if name != "hold"}
+        part, kind, build = part_of(tables | {"amp": {"part": "amplifier", "pins": pins}}, "amp")
+        found = {n.removeprefix("amp."): v for n, v in kind.vectors(part, build).items()}
+        assert found.pop("i").unit == "A"
+        nets = {build.net(part, pin): pin for pin in ("command", "out", "ref")}
+        texts = {n: re.sub(r"v\((\w+)\)", lambda m, nets=nets: f"v({nets[m[1]]})", v.expression)
+                 for n, v in found.items()}  # fmt: skip
+        assert texts == told
+
+
 def test_drivers_tell_the_current_of_their_first_terminal_alone():
     scene = {"name": "d", "kick": {"driver": {"charge": {}}}}
     part, kind, build = part_of(scene, "kick_driver")
@@ -833,6 +861,11 @@ def test_a_coil_driver_is_made_for_coils_at_the_set_point():
     load = kind.load(part, build)
     assert (load.inductance, load.resistance) == (pytest.approx(4 + 3 - 2 * 1), 12.0)
     assert kind.current(part, "drive", build) is None
+    hand = {"name": "hand", "sphere": {}, "catch": {"pins": {"y": "gnd"}},
+            "amp": {"part": "linear_drive", "pins": {"drive": "catch.up", "ret": "catch.lp"}},
+            "cell": {"part": "source", "dc": 1.0, "pins": {"out": "amp.command"}}}  # fmt: skip
+    part, kind, build = part_of(hand, "amp", models={"catch": table})
+    assert kind.load(part, build).inductance == pytest.approx(3.75 + 3 - 2 * 1)  # at height 0
     alone = load_scene({"name": "alone", "amp": {"part": "linear_drive",
                                                  "pins": {"drive": "load.a", "ret": "load.b"}},
                         "load": {"part": "resistor", "resistance": 1.0}})  # fmt: skip
