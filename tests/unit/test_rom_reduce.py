@@ -26,6 +26,7 @@ from kc2spice.rom.subspace import (
     _Sketch,
     _solution_error,
     _telling_quickly,
+    _whole,
     is_definite,
     subspace,
 )  # fmt: skip
@@ -473,6 +474,33 @@ def test_a_whole_small_model_knows_whether_it_is_held(sparse_parts):
         assert space.static is static
         assert space.pencil.size == 2
         assert space.error < 1e-12
+
+
+def test_a_small_model_is_taken_as_a_whole_where_its_response_is_cheap(monkeypatch):
+    """Of any size where damping decouples; else up to a limit, a lower one without eigenvectors."""
+    monkeypatch.setattr("kc2spice.rom.subspace.WHOLE", 15)
+    for n, model in ((15, chain(15, dashpot=0.3)), (16, chain(16))):
+        whole = _whole(model.pencil.dense(), (0.0, 0.1), 1e-6)
+        assert whole.pencil.size == n
+        assert whole.proof.startswith("being all of the full model, solved to ")
+    assert _whole(chain(16, dashpot=0.3).pencil.dense(), (0.0, 0.1), 1e-6) is None
+    monkeypatch.setattr("kc2spice.rom.subspace.WHOLE", 300)
+    for n, whole in ((150, True), (151, False)):
+        lags = LinearModel(A=np.eye(n, k=1) - np.eye(n), B=np.eye(n)[:, [3]], C=np.eye(n)[[0]])
+        assert (_whole(lags.pencil.dense(), (0.0, 0.1), 1e-6) is not None) is whole
+
+
+def test_unknowns_are_scaled_for_the_end_of_the_band(monkeypatch):
+    """Where the energy of each is one, of the whole and of what is sampled."""
+    seen = []
+    for name in ("_whole", "_rational"):
+        monkeypatch.setattr(f"kc2spice.rom.subspace.{name}", lambda p, *_: seen.append(p.dense()))
+    M, E, K = np.diag([1.0, 100.0]), np.diag([0.1, 7.0]), np.diag([4.0, 9.0])
+    subspace(LinearModel(M=M, E=E, K=K, B=np.eye(2)).pencil, (1.0, 3.0), 1e-8, 1e-3, "scipy")
+    assert len(seen) == 2
+    for found in seen:
+        energy = sum((6 * np.pi) ** k * P for k, P in enumerate(found.coefficients))
+        np.testing.assert_allclose(energy, np.eye(2))
 
 
 def exact_response(model, frequency):

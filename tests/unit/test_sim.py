@@ -150,6 +150,23 @@ def test_whole_finite_points_of_an_aborted_run_are_kept(values, kept, tmp_path):
         np.testing.assert_array_equal(found["v(a)"], values[1 : 2 * kept : 2])
 
 
+@pytest.mark.parametrize(
+    ("at", "good"), [(None, True), (1, True), (0, False), (2, False), (3, False)]
+)
+def test_numbers_are_finite_but_for_the_imaginary_part_of_the_scale(at, good, tmp_path):
+    values = [1.0, 0.0, 2.0, 3.0]  # two complex numbers
+    if at is not None:
+        values[at] = np.nan
+    path = tmp_path / "a.raw"
+    path.write_bytes(raw(1, values, ("frequency", "v(a)"), flags="complex"))
+    if good:
+        found = read_raw(path)
+        assert (found["frequency"][0], found["v(a)"][0]) == (1.0, 2 + 3j)
+    else:
+        with pytest.raises(SimulationError, match="not finite"):
+            read_raw(path)
+
+
 def test_what_is_no_raw_file_has_no_points(tmp_path):
     path = tmp_path / "a.raw"
     assert read_partial(path) is None

@@ -264,6 +264,11 @@ def test_waves_that_never_move_or_are_not_shared_are_left_out() -> None:
     assert (found.pair, found.output, found.largest) == ("p", "a", 0.5)
 
 
+def test_waves_without_a_common_time_are_left_out() -> None:
+    early, late = (Waveforms({"time": t, "a": np.ones(2)}, {}) for t in ([0.0, 1.0], [2.0, 3.0]))
+    assert output_errors("p", early, late) == []
+
+
 UNITS = {"u": "V", "v": "m/s", "y": "m"}
 
 

@@ -902,5 +902,6 @@ def test_the_record_of_all_scenes_is_written_with_one_mesh_study(
     assert found["a"]["notes"] == ["n"]
     good = module.verify(scenes[1:2], tmp_path / "good", deck=Deck(name="d"))
     assert good["b"]["passed"]
+    assert (studied, "meshes" in good["b"]) == (asked, False)  # not unless asked for
     assert json.loads((tmp_path / "good" / "verify.json").read_text())["passed"] is True
     assert (tmp_path / "good" / "verify.html").is_file()
