@@ -564,6 +564,36 @@ def test_only_reduced_models_are_written(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("sizes", "says"),
+    [("7071 7071 1", "matrix K is"), ("7072 7071 1", "a matrix of 7072 x 7071, 1 entries"),
+     ("2 2 50000001", "a matrix of 2 x 2, 50000001 entries"), ("2 2 50000000", "cannot hold")],
+)  # fmt: skip
+def test_sizes_of_reduced_models_are_judged_before_memory_is_taken(tmp_path, sizes, says):
+    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
+    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
+    write_rom(rom, tmp_path, "r")
+    text = f"%%MatrixMarket matrix coordinate real general\n{sizes}\n1 1 1.0\n"
+    (tmp_path / "r.K").write_text(text)
+    with pytest.raises(UsageError, match="not a reduced model") as caught:
+        read_rom(tmp_path / "r.json")
+    assert says in caught.value.got
+
+
+@pytest.mark.parametrize(
+    ("limit", "says"), [("MAX_ENTRIES", "more than 3"), ("MAX_BYTES", "bytes unpacked")]
+)
+def test_archives_of_reduced_models_have_limits(tmp_path, monkeypatch, limit, says):
+    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
+    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
+    write_rom(rom, tmp_path, "r")
+    assert read_rom(tmp_path / "r.npz").order == 2
+    monkeypatch.setattr(f"kc2spice.rom.io.{limit}", 3)
+    with pytest.raises(UsageError, match="not a reduced model") as caught:
+        read_rom(tmp_path / "r.npz")
+    assert says in caught.value.got
+
+
+@pytest.mark.parametrize(
     ("letter", "values"),
     [("K", np.eye(3)), ("B", np.ones((3, 1))), ("C", np.ones((1, 3))), ("D", np.ones((2, 1))),
      ("M", np.eye(2, dtype=int)), ("E", np.full((2, 2), np.nan))],

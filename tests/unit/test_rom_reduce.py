@@ -474,6 +474,8 @@ def test_a_whole_small_model_knows_whether_it_is_held(sparse_parts):
         assert space.static is static
         assert space.pencil.size == 2
         assert space.error < 1e-12
+        rounding = np.finfo(float).eps * np.linalg.norm(space.pencil.coefficients[0], 2)
+        assert rounding <= space.rounding <= 10 * rounding
 
 
 def test_a_small_model_is_taken_as_a_whole_where_its_response_is_cheap(monkeypatch):

@@ -182,6 +182,25 @@ def test_a_response_is_that_of_the_matrices(form, n):
     )
 
 
+@pytest.mark.parametrize("free", [1, 2])
+def test_modes_that_cost_next_to_nothing_do_not_drown_the_others(free):
+    """Chains apart, each held as a whole by a spring that is rounding of its links; the sum over
+    their modes."""
+    n = 8
+    links = np.eye(n - 1, n) - np.eye(n - 1, n, k=1)
+    if free == 2:
+        links[n // 2 - 1] = 0.0
+    hold = np.kron(np.eye(free), np.ones((n // free, n // free))) * 1e-14
+    K = links.T @ links + hold
+    pencil = Pencil((K, 0 * K, np.eye(n)), np.eye(n)[:, [0]], np.eye(n)[[1]], np.zeros((1, 1)))
+    found = Response(pencil)
+    assert found.decoupled
+    values, phi = np.linalg.eigh(links.T @ links)
+    s = 1j * np.array([1e-3, 0.1, 1.0, 5.0])
+    exact = (phi[0] * phi[1] / (s[:, None] ** 2 + values * (values > 1e-12))).sum(axis=1)
+    np.testing.assert_allclose(found.transfer(s)[:, 0, 0], exact, rtol=1e-7)
+
+
 def test_a_defective_model_is_not_taken_apart():
     """A chain of equal first-order lags has one eigenvector; that of a free mass has two poles."""
     n = 14

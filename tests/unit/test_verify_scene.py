@@ -595,6 +595,16 @@ def test_circuits_share_ground_alone():
         assert all(law in own for law, _ in each.sweeps)
 
 
+def test_an_imbalance_is_a_share_of_all_that_was_turned_over():
+    def runs(*books):
+        kept = [SimpleNamespace(turnover=t, residual=r) for t, r in books]
+        return [SimpleNamespace(energy=book) for book in kept]
+
+    assert circuit._imbalance(runs((2.0, -1e-3), (3.0, 2e-3))) == pytest.approx(6e-4)
+    assert circuit._imbalance(runs((0.0, 0.0))) is None
+    assert circuit._imbalance([]) is None
+
+
 def test_nets_that_share_a_pin_of_a_law_are_one():
     """Two nets of the scene on one pin of a law; another that a law ties to ground."""
     nets = {("a", "p"): "1", ("a", "q"): "2", ("b", "p"): "2", ("b", "g"): "0", ("c", "g"): "0",
