@@ -446,6 +446,23 @@ def test_a_direction_that_keeps_rounding_alone_is_none(left, kept, unit):
     np.testing.assert_allclose(images, stiff @ columns)
 
 
+def test_what_is_left_of_a_nearly_known_direction_is_orthogonal_to_rounding():
+    """One subtraction leaves the rounding of a vector a hundred million times as long."""
+    rng = np.random.default_rng(5)
+    basis = np.linalg.qr(rng.standard_normal((20, 3)))[0]
+    new = basis @ rng.standard_normal((3, 2)) + 1e-8 * rng.standard_normal((20, 2))
+    near = np.column_stack([new[:, 0], new[:, 0] + 1e-8 * rng.standard_normal(20)])
+    K = definite(20) + np.eye(20)
+    for columns in (new, near):
+        found = np.column_stack([basis, *_independent(basis, columns)])
+        np.testing.assert_allclose(found.T @ found, np.eye(5), atol=1e-14)
+        first = extend(np.empty((20, 0)), np.empty((20, 0)), basis, lambda v: K @ v)
+        more = extend(*first, columns, lambda v: K @ v)
+        V, images = (np.hstack(both) for both in zip(first, more, strict=True))
+        np.testing.assert_allclose(V.T @ K @ V, np.eye(5), atol=1e-11)
+        np.testing.assert_allclose(images, K @ V, atol=1e-10)
+
+
 def test_a_sketch_measures_residuals_relative_to_the_load():
     """Of ``P(s) x = b`` exactly: zero at the solution, one for nothing, linear in between."""
     n = 40
