@@ -507,8 +507,10 @@ def test_a_stack_of_two_rings_tells_whether_the_outer_one_opens():
     scene, _, build = loaded("kick.mesh.rings=1", "contact.rings=all")
     check = check_of(scene, build, run_of(scene, [0.0, 1.0]), "outer_ring")
     assert (check.value, check.limit) == (0.0, 0.0)
+    assert check_of(scene, build, run_of(scene, [0.0, 1.0]), "penetration").value > 0
     scene, _, build = loaded("contact.rings=all", "contact.a=kick.ring0")
-    assert check_of(scene, build, run_of(scene, [0.0, 1.0]), "outer_ring") is None
+    for name in ("outer_ring", "penetration"):
+        assert check_of(scene, build, run_of(scene, [0.0, 1.0]), name) is None
 
 
 def test_a_bed_of_springs_holds_what_rests_on_a_stack():

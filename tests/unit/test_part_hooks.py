@@ -505,6 +505,35 @@ def test_a_table_of_a_file_is_read_with_or_without_a_head(tmp_path):
     assert text["cell"]["file"] == "w.csv"
 
 
+def test_a_table_has_room_for_forty_bytes_a_row(monkeypatch, tmp_path):
+    from kc2spice.parts import source
+
+    monkeypatch.setattr(source, "MAX_ROWS", 2)
+    (tmp_path / "s.toml").write_text(
+        "[cell]\npart='source'\nfile='w.csv'\npins={out='load.a'}\n"
+        "[load]\npart='resistor'\nresistance=5\n"
+    )
+    for more, said in ((0, None), (1, "too long")):
+        rows = "0,1\n2,3\n"
+        (tmp_path / "w.csv").write_text("#" * (80 + more - len(rows) - 1) + "\n" + rows)
+        if said is None:
+            load_scene(tmp_path / "s.toml")
+        else:
+            with pytest.raises(UsageError, match=said) as raised:
+                load_scene(tmp_path / "s.toml")
+            assert "at most 2 rows" in str(raised.value)
+
+
+def test_a_voltage_from_ground_is_that_of_the_other_pin_reversed():
+    scene = {"name": "r", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "it.b"}},
+             "it": {"part": "resistor", "resistance": 4.0, "pins": {"a": "gnd"}}}  # fmt: skip
+    part, kind, build = part_of(scene, "it")
+    found = kind.vectors(part, build)
+    net = build.net(part, "b")
+    assert (found["it.v"].expression, found["it.v"].factor) == (f"-v({net})", 1.0)
+    assert (found["it.i"].expression, found["it.i"].factor) == (f"-v({net})", 0.25)
+
+
 # --- pid ------------------------------------------------------------------------------------------
 
 
