@@ -596,7 +596,7 @@ def _driver(
     pins = {"out": f"{part.name}.anode"}
     if kind == "charge":
         pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
-    if kind == "user":
+    if kind in ("user", "netlist"):
         file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
         return {**table, "file": file, "pins": {**pins, "ref": "gnd"}}
     return {**table, "pins": pins}

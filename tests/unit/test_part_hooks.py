@@ -824,6 +824,53 @@ def test_a_driver_says_what_it_is_and_measures_its_first_terminal():
     assert ac.parts["amp"].type.vectors(ac.parts["amp"], Build(ac, {})) == {}
 
 
+@pytest.mark.parametrize("kind", ["user", "netlist"])
+def test_a_driver_of_the_user_is_in_the_file_that_it_names_or_the_first_included(kind, tmp_path):
+    body = "R1 {0} ref 1\nR2 {1} ref 1\nR3 command ref 1\n.ends mine\n"
+    chip = ".subckt mine command out ref\n" + body.format("out", "out")
+    coils = ".subckt mine command drive ret ref\n" + body.format("drive", "ret")
+    for part, text, ends, asks in (
+        ("kick", chip, {"out": "kick.anode"}, ""),
+        ("catch", coils, {"drive": "catch.up", "ret": "catch.lp"},
+         "pins = { command = 'catch_driver.command' }\n"),
+    ):  # fmt: skip
+        for name in ("one.lib", "two.lib", "own.lib"):
+            (tmp_path / name).write_text(text)
+        for include, own, file in (
+            (["one.lib", "two.lib"], "", "one.lib"), (["two.lib"], "file='own.lib'\n", "own.lib"),
+            ([], "file='own.lib'\n", "own.lib"),
+        ):  # fmt: skip
+            (tmp_path / "s.toml").write_text(
+                f"include = {include}\n[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
+                f"{asks}[{part}.driver.{kind}]\nsubckt='mine'\n{own}"
+            )
+            driver = load_scene(tmp_path / "s.toml").parts[f"{part}_driver"]
+            assert (driver.type.name, driver.keys.file) == ("netlist", file)
+            assert driver.pins == ends | {"ref": "gnd"}
+
+
+@pytest.mark.parametrize(
+    ("part", "kind", "name", "ends"),
+    [
+        ("kick", "charge", "charge_drive", {"anode": "kick.anode", "cathode": "kick.cathode"}),
+        ("kick", "amplifier", "amplifier", {"out": "kick.anode"}),
+        ("kick", "half_bridge", "half_bridge", {"out": "kick.anode"}),
+        ("catch", "linear", "linear_drive", {"drive": "catch.up", "ret": "catch.lp"}),
+        ("catch", "pwm", "pwm_drive", {"drive": "catch.up", "ret": "catch.lp"}),
+        ("catch", "linear_drive", "linear_drive", {"drive": "catch.up", "ret": "catch.lp"}),
+    ],
+)  # fmt: skip
+def test_a_driver_is_joined_to_what_it_drives(part, kind, name, ends):
+    loaded = load_scene({**CAUGHT, part: {"driver": {kind: {}}}})
+    driver = loaded.parts[f"{part}_driver"]
+    assert (driver.type.name, driver.pins) == (name, ends)
+    if part == "catch":
+        assert driver.type.links(driver, loaded) == {"command": "control.command"}
+    for other in ({}, {kind: {}, "second": {}}, {"tube": {}}):
+        with pytest.raises(UsageError, match="driver"):
+            load_scene({**CAUGHT, part: {"driver": other}})
+
+
 def test_voltages_of_a_driver_are_those_over_its_reference():
     """Which may float; a pin on it has none."""
     scene = {"name": "d", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "amp.command"}},
