@@ -15,7 +15,7 @@ from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.memory import factor_bytes, require_memory
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Reduction, ordered, reduce
-from kc2spice.rom.response import Response, grid
+from kc2spice.rom.response import Response, grid, relative_size
 from kc2spice.rom.structure import semidefinite, structure
 from kc2spice.rom.subspace import (
     FLOOR,
@@ -27,6 +27,7 @@ from kc2spice.rom.subspace import (
     _solution_error,
     _telling_quickly,
     _whole,
+    _with_rounding,
     is_definite,
     subspace,
 )  # fmt: skip
@@ -446,6 +447,25 @@ def test_a_direction_that_keeps_rounding_alone_is_none(left, kept, unit):
     np.testing.assert_allclose(images, stiff @ columns)
 
 
+def test_the_floor_is_a_margin_on_the_largest_of_some_roundings(monkeypatch):
+    """Zeros of the response are not counted; without a resonance in the band there is no floor."""
+    pencil = LinearModel(M=np.eye(2), K=np.diag([1.0, 4.0]), E=0.01 * np.eye(2), B=np.eye(2)).pencil
+    space = Subspace(pencil, 1e-9, True, "told")
+    sizes = iter([1e-9, 5e-9, 2e-9, 1e-9] * 2)
+
+    def moved(difference, reference):
+        size = np.full(reference.shape, next(sizes))
+        size[:, 0, 1] = 1.0  # no input moves the other mode
+        return size
+
+    monkeypatch.setattr("kc2spice.rom.subspace.relative_size", moved)
+    found = _with_rounding(pencil, np.eye(2), (0.0, 1.0), space)
+    assert 2.5 * 5e-9 <= found.floor <= 3.5 * 5e-9
+    assert found.proof.startswith("told, which rounding moves by ")
+    assert (found.error, found.pencil) == (1e-9, pencil)
+    assert _with_rounding(pencil, np.eye(2), (0.0, 0.1), space) is space
+
+
 def test_what_is_left_of_a_nearly_known_direction_is_orthogonal_to_rounding():
     """One subtraction leaves the rounding of a vector a hundred million times as long."""
     rng = np.random.default_rng(5)
@@ -638,6 +658,51 @@ def test_krylov_blocks_settle_at_zero_or_at_more_points(top):
     size = np.maximum(abs(exact), FLOOR * abs(exact).max(axis=0))
     error = abs(space.pencil.transfer(2j * np.pi * frequency) - exact) / size
     assert error.max() < 2e-7
+
+
+@pytest.mark.usefixtures("sampled")
+@pytest.mark.parametrize(("top", "target"), [(0.25, 1e-7), (0.12, 1e-9), (0.2, 1e-5)])
+def test_blocks_go_on_at_a_point_while_they_pay(top, target, monkeypatch):
+    """Some before that is judged, then while each changes a third of what the last one did; two
+    changes in a row within the target are the end."""
+    points: list[list[float]] = []  # changes by the blocks at each point
+    shifts = []
+    put = monkeypatch.setattr
+
+    def extending(*words):
+        points[-1].append(np.inf)
+        return extend(*words)
+
+    def sized(difference, reference):
+        size = relative_size(difference, reference)
+        points[-1][-1] = size.max()
+        return size
+
+    def solving(pencil, square, solver="scipy"):
+        if square or not points:
+            points.append([])
+            shifts.append(np.sqrt(square) / (2 * np.pi))
+        return solve(pencil, square, solver)
+
+    solve = Pencil.pencil_solver
+    put("kc2spice.rom.subspace.extend", extending)
+    put("kc2spice.rom.subspace.relative_size", sized)
+    put("kc2spice.rom.subspace._with_rounding", lambda pencil, V, band, found: found)
+    put(Pencil, "pencil_solver", solving)
+    subspace(chain(60, rayleighed=True).pencil, (0.0, top), target, 1e-3, "scipy")
+    assert shifts[0] == 0.0
+    assert len(shifts) > 1
+    assert max(shifts) <= top
+    assert np.diff(np.sort(shifts)).min() > 1e-3 * top
+    changes = [change for each in points for change in each]
+    assert max(changes[-2:]) <= target < min(map(max, changes[:-2], changes[1:-1]))
+    for k, each in enumerate(points[:-1]):
+        least = 3 if k else 4
+        assert len(each) >= least
+        before = [np.inf, *each]
+        judged = [change <= last / 3 for last, change in zip(before, each, strict=False)]
+        assert all(judged[least : len(each) - 1])
+        assert not judged[-1]
 
 
 def test_definite_is_what_krylov_vectors_need():
