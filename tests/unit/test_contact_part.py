@@ -125,6 +125,19 @@ def test_where_a_pressure_begins_to_be_refused(fits, refused, word):
         load_scene(LOOP, [*PRESSED, *refused])
 
 
+def test_a_pressure_says_what_it_found_instead_of_a_sphere():
+    with pytest.raises(UsageError, match="under a sphere") as raised:
+        load_scene(LOOP, [*PRESSED, "sphere.radius=0.25 mm"])
+    assert raised.value.got == "a radius of 0.00025 m"
+    assert "more than 0.00025 m" in raised.value.expected
+    box = {"part": "mass", "mass": 1e-3, "pins": {"a": "hold.a"}}
+    flat = {"name": "flat", "kick": {}, "box": box, "hold": {"part": "spring", "stiffness": 1.0},
+            "contact": {"a": "kick", "b": "box.a", "shape": "pressure"}}  # fmt: skip
+    with pytest.raises(UsageError, match="under a sphere") as raised:
+        load_scene(flat)
+    assert raised.value.got == "no sphere"
+
+
 def test_rings_lie_below_the_sphere():
     load_scene(LOOP, ["sphere.radius=251 um"])
     with pytest.raises(UsageError, match="beyond the sphere"):
@@ -516,3 +529,39 @@ def test_a_stack_of_two_rings_tells_whether_the_outer_one_opens():
 def test_a_bed_of_springs_holds_what_rests_on_a_stack():
     found = load_scene(LOOP, ["kick.mounting=1e14 N/m3"])
     assert found.parts["kick"].keys.mounting == 1e14
+
+
+def test_the_netlist_of_a_pressure_has_radius_and_pace():
+    """Of a sphere no smaller than the law is deep; elastic ones carry their dent on a pin."""
+    law = Normal(1e8, 1.5, curve=(1.0, 0.5), depth=4e-6, pace=2e-9, radius=1e-3)
+    header = Header("t", "0")
+    for elastic in (False, True):
+        found = contact_subcircuit(header, ("patch",), np.array([3e-6]), law,
+                                   under=(1e-3, np.zeros(1)), elastic=elastic)  # fmt: skip
+        params = {p.name: (p.default, p.unit, p.low) for p in found.params}
+        least = params.pop("eps")[2]
+        assert 0 < least < 1e-20
+        assert params == {
+            "radius": (1e-3, "m", 4e-6), "pace": (2e-9, "s", -math.inf),
+            "gap_patch": (3e-6, "m", -math.inf),
+        }  # fmt: skip
+        dent_ = ["dent"] if elastic else []
+        assert [p.name for p in found.pins] == ["patch", "v", "bottom", *dent_, "base"]
+    both = contact_subcircuit(header, ("a",), np.zeros(1), Normal(1e8), rigid=(True, True))
+    assert [(p.name, p.unit) for p in both.pins] == [
+        ("va", "m/s"), ("a", "um"), ("v", "m/s"), ("bottom", "um"), ("base", "um"),
+    ]  # fmt: skip
+    none = contact_subcircuit(header, ("a",), np.zeros(1), Normal(1e8), rigid=(False, False))
+    assert [p.name for p in none.pins] == ["a", "b", "base"]
+    assert "radius" not in {p.name for p in none.params}
+
+
+def test_rings_lie_under_a_sphere_that_may_change_its_radius():
+    """``r^2 / (R + sqrt(R^2 - r^2))`` of the rings that have a spring, R no less than theirs."""
+    radii = np.array([0.0, 50e-6, 100e-6, 150e-6])
+    found = contact_subcircuit(Header("t", "0"), ("r0", "r1", "r2"), np.zeros(3), Normal(1e8),
+                               under=(1e-3, radii))  # fmt: skip
+    assert {p.name: p.low for p in found.params}["radius"] == 100e-6
+    for r in radii[1:3]:
+        assert f"{float(r) ** 2!r}" in found.text
+    assert f"{float(radii[3]) ** 2!r}" not in found.text

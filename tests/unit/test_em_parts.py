@@ -259,8 +259,12 @@ def test_the_heights_are_judged_at_the_controllers_limit():
 def test_where_an_actuator_begins_to_be_refused(fits, refused, word):
     """Coils of 2 mm at 1 and 3 mm touch; wire of 25 um fills a section of 2 mm2 4074 times."""
     load_scene({**EM, "catch": {}}, [fits])
-    with pytest.raises(UsageError, match=word):
+    with pytest.raises(UsageError, match=word) as raised:
         load_scene({**EM, "catch": {}}, [refused])
+    if word == "empty range":
+        assert raised.value.got == "-0.0025 … -0.0025 m"
+    if word == "do not fit":
+        assert "4120 turns of 2.5e-05 m wire" in str(raised.value)
 
 
 def test_side_by_side_bodies_may_share_heights():
