@@ -565,3 +565,24 @@ def test_rings_lie_under_a_sphere_that_may_change_its_radius():
     for r in radii[1:3]:
         assert f"{float(r) ** 2!r}" in found.text
     assert f"{float(radii[3]) ** 2!r}" not in found.text
+
+
+@pytest.mark.parametrize("name", ["anvil", "zinc"])
+def test_a_body_of_any_name_is_no_ground(name):
+    """What lies before and after ``gnd`` in the alphabet."""
+    scene = load_scene({"name": "named", name: {"part": "piezo_stack", "drive": {}}, "sphere": {},
+                        "contact": {"a": name, "rings": 2}})  # fmt: skip
+    contact = scene.parts["contact"]
+    joins = contact.type.links(contact, scene)
+    assert joins == {"ring0": f"{name}.ring0", "ring1": f"{name}.ring1", "v": "sphere.v",
+                     "bottom": "sphere.bottom"}  # fmt: skip
+    own = sides(contact, scene)[0]
+    waves = Waveforms({"time": np.arange(2.0), f"{name}.u.ring1": np.array([1e-6, 2e-6])}, {})
+    found = contacts._height(name, own, "ring1", Build(scene, {}), waves)
+    np.testing.assert_array_equal(found, [1e-6, 2e-6])
+    floor = load_scene({"name": "floor", "sphere": {}, "contact": {"a": "gnd"}})
+    contact = floor.parts["contact"]
+    assert contact.type.links(contact, floor)["floor"] == "gnd"
+    own = sides(contact, floor)[0]
+    none = contacts._height("gnd", own, "floor", Build(floor, {}), waves)
+    np.testing.assert_array_equal(none, [0.0, 0.0])

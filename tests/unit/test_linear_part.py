@@ -521,6 +521,11 @@ def test_an_impedance_is_drawn_over_its_band_and_around_its_resonances():
     assert figure.panels[0].curves[0].x[0] == 159.0
     bare = resonator()
     assert not own_figures(0.0, 1.0, bare)
+    certificate = Certificate((5.0, 1500.0), 1e-3, "made up", True, True)
+    first = kc.LinearModel(E=np.eye(1), K=np.eye(1), B=np.eye(1), D=np.eye(1), ports=(ANODE,),
+                           certificate=certificate)  # fmt: skip
+    (figure,) = own_figures(5.0, 1500.0, first)  # without resonances
+    np.testing.assert_allclose(figure.panels[0].curves[0].x, np.geomspace(5.0, 1500.0, 600))
     assert not list(linear._own_impedances(SimpleNamespace(name="beam"), None))
 
 
