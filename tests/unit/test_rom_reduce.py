@@ -22,6 +22,7 @@ from kc2spice.rom.subspace import (
     Subspace,
     _independent,
     _modes,
+    _rational,
     _Search,
     _Sketch,
     _solution_error,
@@ -605,6 +606,60 @@ def test_static_answers_are_those_of_a_model_that_is_held(held):
     search = _Search(free.pencil, (0.0, 0.1), "scipy")
     assert search.static is held
     assert (search.basis.shape[1] > 0) is held
+
+
+@pytest.mark.parametrize(
+    ("checks", "taken", "error"),
+    [
+        # error, change and growth of each check; the target is 1e-6
+        ([(1e-2, 1.0, 1), (1e-7, 1e-8, 1), (3e-7, 1e-8, 1), (1e-9, 1e-9, 1)], 3, 3e-7),
+        ([(1e-7, 1.0, 1), (1e-7, 1e-8, 1), (1e-8, 1e-8, 1)], 3, 1e-7),
+        ([(1e-7, 1e-8, 1), (1e-2, 1e-8, 1), (1e-7, 1e-8, 1), (2e-7, 1e-8, 1)], 4, 2e-7),
+        # without growth the last errors are those of the same projection
+        ([(1e-2, 1.0, 1), (1e-4, 1.0, 0), (1e-5, 1.0, 0), (1e-9, 1e-9, 1)], 3, 1e-4),
+        ([(1e-4, 1.0, 0), (1e-2, 1.0, 1), (1e-5, 1.0, 0), (1e-6, 1.0, 0)], 4, 1e-5),
+        ([(1e-2, 1.0, 1)] * 7 + [(1e-4, 1.0, 1), (3e-5, 1.0, 1)], 9, 1e-4),  # no more points
+    ],
+)
+def test_sampling_ends_where_two_checks_in_a_row_say_so(checks, taken, error, monkeypatch):
+    asked = []
+
+    class Scripted:
+        basis, static, response, modal = np.eye(2), True, None, None
+
+        def __init__(self, pencil, band, solver):
+            self.points, self.response = 1, Response(pencil)
+
+        def add(self, s):
+            asked.append(s)
+            self.points += 1
+
+        def next_point(self):
+            self.change = checks[len(asked) - 1][1]
+            return 1j * len(asked)
+
+        def check(self, s):
+            asked.append(s)
+            self.points += 1
+            error, _, grown = checks[len(asked) - 2]
+            return error, bool(grown)
+
+    monkeypatch.setattr("kc2spice.rom.subspace._Search", Scripted)
+    monkeypatch.setattr("kc2spice.rom.subspace.MAX_POINTS", 11)
+    monkeypatch.setattr(
+        "kc2spice.rom.subspace._with_rounding", lambda pencil, V, band, found: found
+    )
+
+    def run(limit):
+        asked.clear()
+        return _rational(chain(2).pencil, (0.0, 3.0), 1e-6, limit, "scipy")
+
+    found = run(error)
+    assert (found.error, len(asked) - 1) == (error, taken)
+    assert asked[0] == 6j * np.pi  # the end of the band
+    assert found.proof == f"checked against the full model at {taken + 2} frequencies"
+    with pytest.raises(SimulationError):
+        run(0.99 * error)
 
 
 @pytest.mark.usefixtures("sampled")
