@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from skfem import MeshHex, MeshQuad, MeshTet
+from skfem import MeshHex, MeshQuad
 
 from kc2spice.bodies import vtu
 from kc2spice.core.errors import UsageError
@@ -213,11 +213,6 @@ def test_a_fine_surface_is_drawn_by_its_edges_alone():
     """From a thousand faces on: 4 (a + b + c) of a box, all 4 (ab + bc + ca) of a coarser one."""
     assert meshed._edges(box(10, 10, 20)).shape == (2, 160)
     assert meshed._edges(box(10, 10, 19)).shape == (2, 4 * (100 + 190 + 190))
-    tets = MeshTet.init_tensor(*(np.linspace(0.0, 1.0, 10),) * 3)
-    assert tets.boundary_facets().size < 1000
-    fine = MeshTet.init_tensor(*(np.linspace(0.0, 1.0, 12),) * 3)
-    assert fine.boundary_facets().size > 1000
-    assert meshed._edges(fine).shape == (2, 12 * 11)
 
 
 @pytest.mark.parametrize(("angle", "seen"), [(24.0, False), (27.0, True)])
