@@ -837,7 +837,7 @@ def test_a_point_has_its_time_and_its_values(called):
     assert called._on_point(data, 2, 0, None) == 0
     seen = []
     called._sampler = lambda time, values: seen.append((time, values()))
-    called._on_point(data, 2, 0, None)
+    assert called._on_point(data, 2, 0, None) == 0
     data.contents.vectors = vectors[:1] + vectors[2:]
     called._on_point(data, 2, 0, None)
     assert seen == [(0.5, {"v(a)": 2.0, "time": 0.5}), (0.0, {"v(a)": 2.0, "beyond": 9.0})]
