@@ -34,6 +34,7 @@ def sides(*args, **more):
         ("B1 b 0 I=V(a)*V(c,0)+I(V9)\nV9 b 0 0", {"a", "c"}),
         ("M1 b 0 a 0 nch\nR1 b 0 1", set()),
         ("E1 b 0 a 0 2\nZ1 a c 0 mes", set()),
+        ("E1 b a 0 0 2\nE2 c 0 a 0 1", set()),
         ("B1 b 0 I=I(a)\nR1 b c 1", set()),  # a current, not a voltage
         ("E1 b 0 VALUE={2*V(a)}\nR1 a c 1", set()),
         ("R1 a b 1\nB1 c 0 V=V(a)*", set()),
@@ -76,7 +77,8 @@ def test_an_operational_amplifier_is_a_triangle():
         (3, "out", "right", 3, 0, 1.0), (4, "vcc", "top", 0, 3, 2.0),
         (5, "vee", "bottom", 0, -3, 2.0), (6, "ref", "bottom", -1, -3, 1.5),
     ]  # fmt: skip
-    assert not layout(part("R1 inp inn 1", *names[:4])).triangle
+    for other in (names[:4], (*names, "more")):
+        assert not layout(part("R1 inp inn 1", *other)).triangle
 
 
 @pytest.mark.parametrize(
