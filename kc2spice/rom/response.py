@@ -27,7 +27,9 @@ FLANK = 1e-4
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
 GRID = 200
-NOTCHES, ZOOM, ROUNDS = 60, 9, 4
+NOTCHES, ZOOM, ROUNDS = 60, 9, 20
+SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
+STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
 
 
@@ -229,23 +231,46 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
     frequency = np.union1d(frequency, beside(at, ratio, band[1] / GRID))
     frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
     frequency = clear_of_poles(frequency, at, ratio)
-    size = np.abs(response.transfer(2j * np.pi * frequency))
+    H = response.transfer(2j * np.pi * frequency)
     for _ in range(ROUNDS):
-        depth = size / (size.max(axis=0) + np.finfo(float).tiny)
-        inner = (depth[1:-1] < depth[:-2]) & (depth[1:-1] <= depth[2:])
-        lowest = np.where(inner, depth[1:-1], np.inf).reshape(len(depth) - 2, -1).min(axis=1)
+        peak = np.abs(H).max(axis=0) + np.finfo(float).tiny
+        lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
         spans = [np.linspace(frequency[k], frequency[k + 2], ZOOM) for k in deepest]
-        new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+        new = clear_of_poles(_others(np.concatenate(spans), frequency), at, ratio)
         if not new.size:
             break
-        size = np.concatenate([size, np.abs(response.transfer(2j * np.pi * new))])
+        H = np.concatenate([H, response.transfer(2j * np.pi * new)])
         frequency = np.concatenate([frequency, new])
         order = np.argsort(frequency)
-        frequency, size = frequency[order], size[order]
+        frequency, H = frequency[order], H[order]
     return frequency
+
+
+def _leading(H: np.ndarray) -> np.ndarray:
+    """Sizes of the inner minima of responses ``H`` with a peak of 1 that may lead to a deeper one,
+    infinite elsewhere: a neighbour is much larger, or the straight line to it passes much nearer
+    to zero. Errors count against the floor where a notch is deeper: those are found."""
+    size = np.abs(H)
+    step = np.diff(H, axis=0)
+    share = -(np.conj(step) * H[:-1]).real / (np.abs(step) ** 2 + np.finfo(float).tiny)
+    line = np.abs(H[:-1] + np.clip(share, 0.0, 1.0) * step)
+    inner = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] > FLOOR)
+    steep = np.maximum(size[:-2], size[2:]) > STEEP * size[1:-1]
+    inner &= steep | (STEEP * np.minimum(line[:-1], line[1:]) < size[1:-1])
+    return np.where(inner, size[1:-1], np.inf)
+
+
+def _others(points: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """``points`` that are not ``known``, each once: of two that rounding sets apart, one would hide
+    a maximum that lies beside the other."""
+    points = np.unique(points)
+    points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
+    at = np.searchsorted(known, points)
+    below, above = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
+    return points[np.minimum(np.abs(points - below), np.abs(points - above)) > SAME * points]
 
 
 @dataclass(frozen=True)
@@ -284,7 +309,7 @@ class Judge:
                 np.linspace(frequency[i], frequency[j], ZOOM)
                 for i, j in zip(low, high, strict=True)
             ]
-            new = np.setdiff1d(clear_of_poles(np.concatenate(spans), at, ratio), frequency)
+            new = clear_of_poles(_others(np.concatenate(spans), frequency), at, ratio)
             if not new.size:
                 break
             error = np.r_[error, sizes(new, self.exact.transfer(2j * np.pi * new))]

@@ -97,8 +97,10 @@ def check(seed):
     assert estimate <= 3 * error + ROUNDING, (seed, error, estimate)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 6, 8, 9, 209, 374])  # the last two: sharp notches
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 6, 8, 9, 166, 209, 241, 374])
 def test_estimate_is_between_the_error_and_three_times_it(seed):
+    """The last four: sharp notches, one of them behind a hundred others, and points that rounding
+    alone sets apart."""
     check(seed)
 
 
