@@ -250,6 +250,7 @@ def verify(
     ] = None,
     out: Out = None,
     set_: Set = None,
+    trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -272,7 +273,7 @@ def verify(
         shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:
             found = verify_scenes(loaded, directory, full=full, meshes=meshes, deck=shipped,
-                                 progress=progress)  # fmt: skip
+                                 trust=trust, progress=progress)  # fmt: skip
         passed = all(record["passed"] for record in found.values())
         if as_json:
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))

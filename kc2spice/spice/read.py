@@ -102,8 +102,9 @@ def read_deck(main: Path) -> Deck:
                 raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
             continue  # named with its line when the circuit is read
         for s in statements(files[name], name):
-            if s.keyword in (".include", ".inc") and " " in s.text:
-                target = beside(name, s.text.split(None, 1)[1].strip("\"' "))
+            named = s.text.split(None, 1)[1:]
+            if s.keyword in (".include", ".inc") and named:
+                target = beside(name, named[0].strip("\"' "))
                 waiting += [target] if target not in files else []
     text = files.pop(main.name)
     return Deck(name=main.stem, text=text, more=files)

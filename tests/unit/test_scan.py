@@ -15,6 +15,7 @@ from kc2spice.spice.included import included_netlists, included_sources
 from kc2spice.spice.lint import lint
 from kc2spice.spice.read import read_deck
 from kc2spice.spice.scan import third_party
+from kc2spice.workflow.verify.verify import verify
 
 AMPLIFIER = """* a vendor's amplifier
 .subckt amp inp inn out
@@ -130,6 +131,19 @@ def test_hostile_circuits_are_refused(text, tmp_path):
         third_party(path)
     assert caught.value.exit_code == 2
     assert "user.lib" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+def test_hostile_decks_are_not_verified(text, tmp_path):
+    """Neither their own lines nor those of what they include, however that is written."""
+    (tmp_path / "part.lib").write_bytes((AMPLIFIER + text + "\n").encode())
+    deck = tmp_path / "deck.cir"
+    for line in (".include\tpart.lib", f".inc\t{tmp_path}/part.lib", AMPLIFIER + text):
+        deck.write_bytes(f"* deck\n{line}\n.end\n".encode())
+        with pytest.raises(UsageError) as caught:
+            verify([load_scene("harmonic")], tmp_path / "out", deck=read_deck(deck))
+        assert caught.value.where.startswith(("deck.cir", "file name"))
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("text", BENIGN.values(), ids=BENIGN)

@@ -21,10 +21,11 @@ from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.ngspice import find_ngspice, run_deck
+from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.read import subcircuits
+from kc2spice.spice.scan import third_party
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
@@ -60,6 +61,7 @@ def verify(
     full: bool = False,
     meshes: bool = False,
     deck: Deck | None = None,
+    trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, dict[str, Any]]:
     """Verify ``scenes``, write ``verify.json``, ``verify.html`` and plots into ``out``.
@@ -69,18 +71,22 @@ def verify(
     full : take every baseline in full instead of a timed sample of it.
     meshes : add the mesh study of the first part that has one.
     deck : a shipped deck of the one scene, run and taken apart instead of the one just emitted.
+    trust : let it, and included netlists, act on the machine.
 
     Returns the contract's record of each scene by name; a missed gate is in its ``passed``, not an
     exception.
 
     Raises
     ------
-    UsageError : a ``deck`` for several scenes, or one without the scene's subcircuits.
+    UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or one with a
+        line that could act on the machine.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a solution path ended without a result.
     """
     if deck is not None and len(scenes) != 1:
         raise UsageError("one deck is one scene's", where="--deck", got=f"{len(scenes)} scenes")
+    if deck is not None and not trust:
+        _refuse_threats(deck)
     find_ngspice()
     found: dict[str, Findings] = {}
     tables: dict[str, Table] = {}
@@ -90,7 +96,7 @@ def verify(
             folder = work / scene.name
             folder.mkdir()
             clock = Clock(progress)
-            build = build_models(scene, clock)
+            build = build_models(scene, clock, trust=trust)
             with TemporaryDirectory() as scratch:
                 result = _Verification(build, clock, Path(scratch), full, deck).findings()
             if meshes and not tables:
@@ -106,6 +112,16 @@ def verify(
         passed = all(record["passed"] for record in records.values())
         write_record({"passed": passed, "scenes": records}, work, "verify.json")
     return cast(dict[str, dict[str, Any]], plain(records))
+
+
+def _refuse_threats(deck: Deck) -> None:
+    """Its texts as they will be run, in a folder with nothing else to include."""
+    with TemporaryDirectory() as folder:
+        try:
+            third_party(write_deck(deck, Path(folder)))
+        except UsageError as error:
+            error.where = (error.where or "").replace(f"{folder}/", "")
+            raise
 
 
 def _mesh_study(build: Build, clock: Clock, full: bool) -> dict[str, Table]:
