@@ -79,13 +79,12 @@ def resonators(rom: LinearModel) -> Resonators:
             np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate,
             massless,
         )  # fmt: skip
-    indefinite = _unfit("M or K is not positive definite", "M, K > 0, E >= 0 and C = B'")
     try:
         mu, phi = linalg.eigh(M, K)
     except np.linalg.LinAlgError:
-        raise indefinite from None
+        mu = np.zeros(1)
     if mu[0] <= 0:
-        raise indefinite
+        raise _unfit("M or K is not positive definite", "M, K > 0, E >= 0 and C = B'")
     mu, phi = mu[::-1], phi[:, ::-1] / np.sqrt(mu[::-1])
     damping = phi.T @ E @ phi
     damp = np.diag(damping).copy()
