@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from scipy.signal import StateSpace, lsim
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import BlockModel, block_model
+from kc2spice.rom.blocks import BlockModel, _poles, block_model
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import _steps, chip_response
 from kc2spice.rom.massless import _beyond, without_inertia
@@ -29,6 +29,12 @@ def modes(hertz, gain, ports=(TIP,), *, ratio=0.05, D=None, massless=0, pace=Non
     gain = np.asarray(gain, dtype=float).reshape(omega.size, len(ports))
     D = np.zeros((len(ports),) * 2) if D is None else D
     return Resonators(omega, damp, gain, D, tuple(ports), CERTIFICATE, massless)
+
+
+def test_poles_of_a_real_schur_form_are_those_of_its_blocks():
+    T = block_diag([[-1.0, 2.0], [-8.0, -1.0]], [[-3.0]])
+    T[0, 2] = 5.0
+    np.testing.assert_allclose(_poles(T), [-1 + 4j, -3.0], rtol=1e-15)
 
 
 # ---------------------------------------------------------------------------------- resonators
