@@ -7,11 +7,12 @@ import pytest
 from device import bench
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.blocks import BlockModel
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, FOLLOWED, STRIKING, realize, subcircuit
+from kc2spice.spice.realize import COARSE, FOLLOWED, STRIKING, _balanced, realize, subcircuit
 
 HEADER = Header("made up", "0")
 FREQUENCY = "lin 6 150 1400"
@@ -350,3 +351,13 @@ def test_an_integrator_has_an_operating_point(tmp_path):
     cards = "Vu u 0 PWL(0 0 1e-6 2)\nXsum u y 0 sum\n.tran 1e-3 0.1"
     waves = run_deck(bench([part], cards, {"y": ("v(y)", 1.0)}, 0.1), tmp_path)
     assert waves["y"][-1] == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_complex_pair_is_balanced_and_answers_as_before(sign):
+    one, other = np.ones((2, 1)), np.array([[1.0, 3.0]])
+    model = BlockModel((np.array([[-1.0, 8 * sign], [-2 * sign, -1.0]]),), one, other, np.eye(1))
+    found = _balanced(model, 1.0)
+    np.testing.assert_allclose(found.blocks[0], [[-1.0, 4 * sign], [-4 * sign, -1.0]], rtol=1e-14)
+    at = np.array([0.0, 0.3, 2.0])
+    np.testing.assert_allclose(found.response(at), model.response(at), rtol=1e-13)

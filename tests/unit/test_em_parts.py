@@ -556,3 +556,10 @@ def test_eddy_currents_in_the_sphere_are_told_by_its_diffusion_time():
         eddy, *_ = coils.type.left_out(coils, scene)
         assert eddy.why == "a poor conductor, 150000 S/m"
         assert eddy.error == f"force lags by about {mu * 150e3 * (radius / np.pi) ** 2:.2g} s"
+
+
+def test_forces_of_current_pairs_have_gates_of_field_and_of_lookup():
+    scene = load_scene("em_force", {"gates.field": 0.03, "gates.lookup": 0.002})
+    (part,) = (p for p in scene.parts.values() if isinstance(p.type, current_cases.CurrentCases))
+    (gate,) = part.type.gates(part, Build(scene, {}))
+    assert gate.limits == {"rom_vs_fom": 0.03, "ngspice_vs_rom": 0.002, "ngspice_vs_fom": 0.03}
