@@ -895,7 +895,9 @@ def test_the_record_of_all_scenes_is_written_with_one_mesh_study(
         return module.Findings((Limit("x", 0.7, limit),), {}, {}, (), {}, notes=("n",))
 
     monkeypatch.setattr(module, "find_ngspice", lambda: None)
-    monkeypatch.setattr(module, "build_models", lambda scene, _: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(
+        module, "build_models", lambda scene, _, trust: SimpleNamespace(scene=scene)
+    )
     monkeypatch.setattr(module, "_mesh_study", study)
     monkeypatch.setattr(module._Verification, "findings", findings)
     scenes = [SimpleNamespace(name=name) for name in "abc"]
