@@ -238,8 +238,7 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
-        spans = [np.linspace(frequency[k], frequency[k + 2], ZOOM) for k in deepest]
-        new = clear_of_poles(_others(np.concatenate(spans), frequency), at, ratio)
+        new = clear_of_poles(_zoomed(frequency, deepest, deepest + 2), at, ratio)
         if not new.size:
             break
         H = np.concatenate([H, response.transfer(2j * np.pi * new)])
@@ -263,10 +262,10 @@ def _leading(H: np.ndarray) -> np.ndarray:
     return np.where(inner, size[1:-1], np.inf)
 
 
-def _others(points: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """``points`` that are not ``known``, each once: of two that rounding sets apart, one would hide
-    a maximum that lies beside the other."""
-    points = np.unique(points)
+def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """``ZOOM`` frequencies from each ``known[low]`` to ``known[high]`` that are not ``known``, each
+    once: of two that rounding sets apart, one would hide a maximum that lies beside the other."""
+    points = np.unique(np.linspace(known[low], known[high], ZOOM))
     points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
     at = np.searchsorted(known, points)
     below, above = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
@@ -305,11 +304,7 @@ class Judge:
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
             low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-            spans = [
-                np.linspace(frequency[i], frequency[j], ZOOM)
-                for i, j in zip(low, high, strict=True)
-            ]
-            new = clear_of_poles(_others(np.concatenate(spans), frequency), at, ratio)
+            new = clear_of_poles(_zoomed(frequency, low, high), at, ratio)
             if not new.size:
                 break
             error = np.r_[error, sizes(new, self.exact.transfer(2j * np.pi * new))]
