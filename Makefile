@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: demo test slow campaign bench mutants netlists symbols docs setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
-	$(KC2SPICE) run kick_and_catch --out out/kick_and_catch
+	$(KC2SPICE) run kick_and_catch --png --out out/kick_and_catch
 
 test: setup  ## run the test suite
 	$(PYTEST) -n auto -m "not slow"
@@ -25,19 +25,16 @@ bench: setup  ## speed against error beside peers: make bench OUT=DIR, 15 minute
 
 SAMPLE ?= 60
 SEED ?= 1
-mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/mutants.md
+mutants: setup  ## do tests notice changed operators? SAMPLE of them, an hour at first: docs/notes/mutants.md
 	.venv/bin/python -m pip install --quiet --editable '.[dev]'
 	.venv/bin/python tools/mutants.py record
 	.venv/bin/python tools/mutants.py run --sample $(SAMPLE) --seed $(SEED)
 
-netlists: setup  ## write the committed netlists anew
-	for scene in kc2spice/scenes/*.toml; do \
-		name=$$(basename $$scene .toml); rm -rf netlists/$$name; \
-		$(KC2SPICE) export $$name --out netlists/$$name --quiet || exit 1; \
-	done
+netlists: setup  ## write the committed netlists, symbols and examples of dialects anew
+	.venv/bin/python tools/netlists.py
 
 symbols: setup  ## one KiCad library of all parts, with its models: a package for a release
-	.venv/bin/python tools/symbol_package.py build/kc2spice_symbols.zip
+	.venv/bin/python tools/netlists.py build/kc2spice_symbols.zip
 
 docs: setup  ## the static site in build/site, every link checked
 	.venv/bin/python -m pip install --quiet --editable '.[docs]'

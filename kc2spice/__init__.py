@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from kc2spice.core.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from kc2spice.api import (
         Result,
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
     from kc2spice.scene.parttype import PartType
     from kc2spice.spice.circuit import Param, Pin, Subcircuit
     from kc2spice.spice.deck import Deck
-
-__version__ = "0.1.0"
 
 _API = (
     "load_scene", "run", "build", "read_model", "reduce", "subcircuit", "read_lib", "deck",

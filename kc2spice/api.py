@@ -6,7 +6,6 @@ Exceptions are those of :mod:`kc2spice.core.errors`, at hand as ``kc.errors``.
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,8 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.version import __version__
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     import numpy as np
 
     from kc2spice.core.figure import Figure
@@ -117,12 +119,13 @@ def reduce(
     *,
     tolerance: float | None = None,
     order: int | None = None,
-    band: tuple[float, float] | None = None,
+    band: tuple[float | str, float | str] | None = None,
 ) -> LinearModel:
     """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
 
     The result has the same ports in the same order and a ``certificate`` of its error with respect
-    to ``model``: the largest relative error of any transfer function over ``band`` [Hz]. Without a
+    to ``model``: the largest relative error of any transfer function over ``band``, two frequencies
+    in Hz or as texts (``"20 kHz"``). Without a
     band it is the model's own, else up to a little above the fifth natural frequency. An order of a
     symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter and
     Bechtold, Actuators 10 (2021) 279, section 2.3.
@@ -132,8 +135,23 @@ def reduce(
     UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
+    from kc2spice.core.units import quantity
     from kc2spice.rom import reduce as reduction
 
+    if band is not None:
+        if isinstance(band, (str, float, int)) or len(band) != 2:
+            raise UsageError(
+                "not a frequency band", where="band", got=repr(band),
+                expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
+            )  # fmt: skip
+        low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
+        band = low, high
+    if model.rayleigh is not None and isinstance(model.rayleigh, (int, float)):
+        raise UsageError(
+            "not the pair of Rayleigh's damping", where=f"{model.name}: rayleigh",
+            got=repr(model.rayleigh), expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
+            hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
+        )  # fmt: skip
     return reduction.reduce(model, tolerance=tolerance, order=order, band=band)
 
 
@@ -194,6 +212,7 @@ def run(
     deck: str | Path | None = None,
     trust: bool = False,
     functions: Mapping[str, Function] | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> Result:
     """Build, reduce, export and simulate a scene.
 
@@ -204,18 +223,24 @@ def run(
     trust : let netlists and Python files that the scene names act on the machine.
     functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
         instead of the Python file beside the scene.
+    overrides : as those of :func:`load_scene`.
 
     Raises
     ------
     UsageError : as :func:`load_scene`; a ``deck`` that does not save what the metrics need.
     MissingToolError : no ngspice.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
-        in ``OUT.failed``.
+        in ``OUT.failed`` until a run with the same ``out`` succeeds.
     """
     from kc2spice.workflow.run import complete
-    from kc2spice.workflow.simulate import kept_on_failure
+    from kc2spice.workflow.simulate import forget_failure, kept_on_failure
 
-    loaded = load_scene(scene)
+    if out is not None and not isinstance(out, (str, Path)):
+        raise UsageError(
+            "not a directory", where="out", got=repr(out)[:120], expected="a path",
+            hint='other values of keys: kc.run(SCENE, overrides={"rom.order": 10})',
+        )  # fmt: skip
+    loaded = load_scene(scene, overrides)
     edited = None if deck is None else Path(deck)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         if out is None:
@@ -226,6 +251,7 @@ def run(
             done = complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
     result = _result(done)
     result.save(out)
+    forget_failure(Path(out))
     return result
 
 
@@ -363,8 +389,9 @@ class Result:
             ),
         )  # fmt: skip
 
-    def save(self, out: str | Path) -> Path:
-        """Write deck, libraries, waveforms, ``result.json`` and, of a scene, report and plots.
+    def save(self, out: str | Path, *, png: bool = False) -> Path:
+        """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
+        ``png`` its figures as files too.
 
         Returns the directory ``out``; it gets all files at once or none.
 
@@ -379,10 +406,9 @@ class Result:
         with staged(out) as work:
             write_deck(self.deck, work)
             if self._done is not None:
-                from kc2spice.report.figures import draw_all
                 from kc2spice.workflow.run import write_run_files
 
-                write_run_files(self._done, work, lambda found: lambda: draw_all(work, found))
+                write_run_files(self._done, work, png=png)
             else:
                 files = [*self.deck.files, *write_waveforms(self._waveforms, self.units, work)]
                 write_record({**self.record, "files": [*files, "result.json"]}, work)
@@ -439,9 +465,7 @@ def _result(done: Completed) -> Result:
 
 
 def _plain_result(deck: Deck, waves: Waveforms) -> Result:
-    import kc2spice
-
-    record = {"scene": deck.name, "version": kc2spice.__version__, "netlist": deck.main}
+    record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
     return Result(deck.name, {}, waves.data, _units(deck, waves), (), record, deck)
 
 
@@ -517,17 +541,20 @@ def sweep(
     scene: Scene | str | Path | Mapping[str, Any],
     values: Mapping[str, Sequence[Any]],
     *,
+    executor: Executor | None = None,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Table:
     """Run a scene at every combination of ``values``, the last key varying fastest.
 
-    The engine is that of ``kc2spice sweep`` with threads of this process as workers; use the
-    command for tables that survive a kill, for Slurm and for Dask.
+    The loop is that of ``kc2spice sweep``; use the command for tables that survive a kill.
 
     Parameters
     ----------
     values : dotted keys and the values that each takes.
+    executor : where the points run: any :class:`concurrent.futures.Executor`, such as
+        ``dask.distributed.Client(ADDRESS).get_executor()``; threads of this process unless given.
+        Workers elsewhere get a scene's files along if it is given by name or path.
     workers : simulations at a time; the number of processors unless given.
     progress : called with the number of points that are done and that of all.
 
@@ -540,57 +567,35 @@ def sweep(
     UsageError : no values, or a point that is no scene; noticed before anything is run.
     MissingToolError : no ngspice.
     """
+    from concurrent.futures import ThreadPoolExecutor
+    from contextlib import ExitStack, nullcontext
+
     from kc2spice.sim.ngspice import find_ngspice
-    from kc2spice.workflow.sweep.plan import Grid
-    from kc2spice.workflow.sweep.pool import ThreadEngine, cores
-    from kc2spice.workflow.sweep.run import tabulate
-    from kc2spice.workflow.sweep.study import study_in_memory
+    from kc2spice.workflow.sweep.plan import Grid, make_plan
+    from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
+    from kc2spice.workflow.sweep.run import Sweep, outcomes
+    from kc2spice.workflow.sweep.table import columns, require_columns
+    from kc2spice.workflow.sweep.workers import cores
 
-    if not values or not all(len(found) for found in values.values()):
+    if not values or not all(len(each) for each in values.values()):
         raise UsageError("nothing to sweep", where="values", expected="{key: [value, …]}")
-    find_ngspice()
-    grids = [Grid(key, tuple(map(_override_text, found))) for key, found in values.items()]
-    study = study_in_memory(load_scene(scene), grids)
-
-    def told(stage: str, share: float | None, text: str) -> None:
-        if progress is not None and stage == "sweep" and share is not None:
-            progress(round(share * study.plan.size), study.plan.size)
-
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work, warnings.catch_warnings():
+    if executor is None:
+        find_ngspice()
+    named = isinstance(scene, (str, Path))
+    source = scene_text(str(scene)) if named else LoadedScene(load_scene(scene))
+    plan = make_plan([Grid(key, tuple(each)) for key, each in values.items()])
+    asked = Sweep(source.load(()), Job(source), plan, dict.fromkeys(plan.keys, ""))
+    found: dict[int, Any] = {}
+    with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = tabulate(study, Path(work), ThreadEngine(workers or cores()), told)
-    points = itertools.product(*values.values())
-    return Table(
-        tuple(study.header),
-        tuple(
-            dict(zip(values, point, strict=True))
-            | {name: _cell(found[name][k], study.kinds[name]) for name in study.job.metrics}
-            | {"status": str(found["status"][k])}
-            for k, point in enumerate(points)
-        ),
-    )
-
-
-def _override_text(value: Any) -> Any:
-    """A value as :func:`load_scene` reads it behind ``key=``: numbers and texts as they are."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + "}"
-    return value if isinstance(value, (int, float, str)) else _toml(value)
-
-
-def _toml(value: Any) -> str:
-    import json
-
-    if isinstance(value, Mapping):
-        return str(_override_text(value))
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value)
-
-
-def _cell(value: Any, kind: type) -> float | bool | None:
-    if value != value:  # no number: the point has no such metric
-        return None
-    return bool(value) if kind is bool else float(value)
+        count = workers or cores()
+        pool = executor or opened.enter_context(ThreadPoolExecutor(count))
+        for index, outcome in outcomes(asked, range(plan.size), lambda: nullcontext((pool, count))):
+            found[index] = outcome
+            if outcome.failure is None and len(found) == 1:
+                require_columns(outcome, (), asked.scene.name)
+            if progress is not None:
+                progress(len(found), plan.size)
+    table = columns(sorted(found.items()), plan)
+    rows = (dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
+    return Table(tuple(table), tuple(rows))

@@ -87,7 +87,7 @@ class Answer:
 def simulate(name: str, *overrides: str) -> tuple[dict[str, Any], dict[str, np.ndarray], Path]:
     """Record, waveforms and folder of a run."""
     out = Path(tempfile.mkdtemp()) / name
-    record = run(load_scene(name, list(overrides)), out)
+    record = run(load_scene(name, list(overrides)), out, png=True)
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
         return record, dict(waves), out
 

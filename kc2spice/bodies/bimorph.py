@@ -40,7 +40,7 @@ from kc2spice.core.quantities import Length, Section, si
 from kc2spice.core.schema import validated
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 
 Mass: TypeAlias = Annotated[float, si("kg")]
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
@@ -52,8 +52,8 @@ UP = np.array([0.0, 0.0, 1.0])
 class Layer(Section):
     """One layer, over the whole beam."""
 
-    material: str | dict[str, Any]
-    thickness: Length = Field(gt=0)
+    material: str | dict[str, Any] = Field(description="name or table")
+    thickness: Length = Field(gt=0, description="of the layer")
 
 
 class Bimorph(Section):
@@ -64,15 +64,19 @@ class Bimorph(Section):
     further ports on the centre line of the top, by distance from the clamp.
     """
 
-    length: Length = Field(gt=0)
-    width: Length = Field(gt=0)
+    length: Length = Field(gt=0, description="along the beam, free part")
+    width: Length = Field(gt=0, description="across")
     layers: tuple[Layer, ...] = Field(min_length=1)
-    wiring: Literal["series", "parallel"] | None = None
-    tip_mass: Mass = Field(0.0, ge=0)
-    support: Literal["cantilever", "clamped", "simply_supported", "free"] = "cantilever"
+    wiring: Literal["series", "parallel"] | None = Field(None, description="of two ceramic layers")
+    tip_mass: Mass = Field(0.0, ge=0, description="spread over the end face")
+    support: Literal["cantilever", "clamped", "simply_supported", "free"] = Field(
+        "cantilever", description="what holds it"
+    )
     points: dict[
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
-    ] = Field(default_factory=dict)
+    ] = Field(
+        default_factory=dict, description="further ports on the top by distance from the clamp"
+    )
     damping: Damping = Damping()
 
     @model_validator(mode="after")
@@ -93,13 +97,6 @@ class _Wires:
     anode: list[int]
     cathode: list[int]
     poling: dict[int, float]  # of each piezoelectric layer, +1 is up
-
-
-def build(
-    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
-) -> LinearModel:
-    """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine, where=where).model
 
 
 def device(

@@ -5,7 +5,7 @@ Groups of the file name materials, supports, electrodes and ports::
     [bracket]
     part = "body"
     mesh = "bracket.step"
-    unit = "mm"                   # of .msh and .brep files; STEP files state their own
+    unit = "mm"                   # needed with .msh and .brep; STEP files state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
     poling = { patch = [0, 0, 1] }
@@ -42,13 +42,13 @@ from kc2spice.bodies.device import (
 )
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Length, Section
 from kc2spice.core.schema import validated
-from kc2spice.core.units import quantity
 from kc2spice.fem.materials import material
-from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, read_mesh
+from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, extent, length_unit, read_mesh
 from kc2spice.fem.solid import Solid
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 
 Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
@@ -62,14 +62,14 @@ _KINDS = ("elements", "faces", "curves", "points")
 class GroupKeys(Section):
     """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
 
-    solids: tuple[Point, ...] = ()
-    faces: tuple[Point, ...] = ()
-    curves: tuple[Point, ...] = ()
-    points: tuple[Point, ...] = ()
-    solids_in: tuple[Point, Point] | None = None
-    faces_in: tuple[Point, Point] | None = None
-    curves_in: tuple[Point, Point] | None = None
-    points_in: tuple[Point, Point] | None = None
+    solids: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    faces: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    curves: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    points: tuple[Point, ...] = Field((), description="those at one of these points")
+    solids_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    faces_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    curves_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    points_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
 
     @model_validator(mode="after")
     def _one(self) -> GroupKeys:
@@ -87,8 +87,10 @@ class GroupKeys(Section):
 class FixedKeys(Section):
     """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
 
-    group: str
-    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = "xyz"
+    group: str = Field(description="nodes that are held")
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
+        "xyz", description="along which; x is the radius if axisymmetric"
+    )
 
 
 class PortKeys(Section):
@@ -101,11 +103,15 @@ class PortKeys(Section):
     a point instead of a group.
     """
 
-    name: Name
-    group: str | None = None
-    at: Point | None = None
-    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = None
-    kind: Literal["mean", "rigid", "base"] = "mean"
+    name: Name = Field(description="of the port and its pin")
+    group: str | None = Field(None, description="where it acts")
+    at: Point | None = Field(None, description="the mesh node nearest to a point")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
+        None, description="direction, or rotation about one"
+    )
+    kind: Literal["mean", "rigid", "base"] = Field(
+        "mean", description="mean of a group, rigid face, or base"
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> PortKeys:
@@ -137,16 +143,26 @@ class Body(Section):
     ``floating`` electrodes are equipotential and carry no charge.
     """
 
-    mesh: str
-    unit: str = "mm"
-    size: Length | None = Field(None, gt=0)
-    axisymmetric: bool = False
+    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
+        description="file beside the scene: mesh, STEP, BREP, IGES"
+    )
+    unit: str | None = Field(
+        None, description="of the file's coordinates; needed where the file states none"
+    )
+    size: Length | None = Field(None, gt=0, description="of elements of a CAD file")
+    axisymmetric: bool = Field(False, description="the mesh is a half plane, x the radius")
     groups: dict[str, GroupKeys] = Field(default_factory=dict)
-    materials: dict[str, str | dict[str, Any]] = Field(min_length=1)
-    poling: dict[str, Vector] = Field(default_factory=dict)
-    fixed: tuple[str | FixedKeys, ...] = ()
-    electrodes: dict[Name, str | tuple[str, ...]] = Field(default_factory=dict)
-    floating: tuple[str, ...] = ()
+    materials: dict[str, str | dict[str, Any]] = Field(
+        min_length=1, description="name or table, by group"
+    )
+    poling: dict[str, Vector] = Field(
+        default_factory=dict, description="direction of each group's third axis; z unless told"
+    )
+    fixed: tuple[str | FixedKeys, ...] = Field((), description="groups that are held")
+    electrodes: dict[Name, str | tuple[str, ...]] = Field(
+        default_factory=dict, description="by group: the pin of each"
+    )
+    floating: tuple[str, ...] = Field((), description="groups of one potential without a pin")
     ports: tuple[PortKeys, ...] = ()
     damping: Damping = Damping()
 
@@ -182,13 +198,6 @@ def ports(keys: Body) -> tuple[Port, ...]:
     return tuple(found)
 
 
-def build(
-    keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
-) -> LinearModel:
-    """The linear model of :func:`device`."""
-    return device(keys, home, refine=refine, where=where).model
-
-
 def device(
     keys: Body | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "body"
 ) -> Device:
@@ -205,9 +214,10 @@ def device(
     """
     keys = validated(Body, keys, where)
     with part_named(where):
+        path = beside(home, keys.mesh, "mesh")
         found = read_mesh(
-            home / keys.mesh,
-            unit=quantity(f"1 {keys.unit}", "m", where="unit"),
+            path,
+            unit=length_unit(path, keys.unit),
             size=None if keys.size is None else keys.size / refine,
             picks={name: group.pick() for name, group in keys.groups.items()},
             dimension=2 if keys.axisymmetric else 3,
@@ -215,7 +225,23 @@ def device(
         )
         groups = _Groups(found, keys)
         solid = _solid(keys, groups)
-        return make_device(solid, _setup(keys, groups, solid))
+        made = make_device(solid, _setup(keys, groups, solid))
+    axes = ("radius", "height") if keys.axisymmetric else "xyz"
+    sides = zip(axes, 1e3 * np.ptp(found.mesh.p, axis=1), strict=True)
+    facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
+    return replace(made, model=replace(made.model, facts=facts))
+
+
+def size_in_words(keys: Body, home: Path = HERE) -> str:
+    """The bounding box of its file in mm.
+
+    Raises
+    ------
+    UsageError : as :func:`device`.
+    """
+    path = beside(home, keys.mesh, "mesh")
+    sides = 1e3 * length_unit(path, keys.unit) * extent(path)
+    return " x ".join(f"{side:.4g}" for side in sides) + " mm"
 
 
 class _Groups:

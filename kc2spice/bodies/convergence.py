@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from kc2spice.rom.linear import LinearModel
 
@@ -42,16 +41,6 @@ def headline_error(
         return MeshError(fact, None, expected)
     fine = build(2).facts[fact]
     return MeshError(fact, bound(coarse[fact], fine, 2), time.process_time() - start)
-
-
-def mesh_error(
-    build: Callable[..., LinearModel],
-    keys: Mapping[str, Any] | Any,
-    fact: str = "resonance_short_hz",
-    refine: int = 2,
-) -> float:
-    """Relative mesh error of ``fact`` on the mesh that ``keys`` ask for."""
-    return bound(build(keys).facts[fact], build(keys, refine=refine).facts[fact], refine)
 
 
 def bound(coarse: float, fine: float, refine: int) -> float:

@@ -19,9 +19,9 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float]:
     """Capacitances (of the first electrical port, those of others under their names, each with the
-    rest shorted), static stroke of the first
-    mechanical port per volt, and the lowest resonances that the electrical ports excite (of a body
-    without any: the others), all electrodes shorted and all open, without damping.
+    rest shorted), static stroke of the first mechanical port, by its name, per volt, and the lowest
+    resonances that the electrical ports excite (of a body without any: the others), all electrodes
+    shorted and all open, without damping.
 
     ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; 0 for a supported body. A resonance that is
     not among the lowest modes is left out.
@@ -52,7 +52,8 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
         free = float(model.D[port, port] + load[:, k] @ rest[:, k])
         facts[f"{model.ports[port].name}_capacitance_f"] = free
     if force is not None:
-        facts["free_stroke_m_per_v"] = float(model.B[:, force] @ rest[:, 0])
+        stroke = f"free_stroke_{model.ports[force].name}_m_per_v"
+        facts[stroke] = float(model.B[:, force] @ rest[:, 0])
     facts["resonance_short_hz"] = _resonance(model, solve, e, shift)
     facts["resonance_open_hz"] = _resonance(model, opened, e, shift)
     return {name: value for name, value in facts.items() if value is not None}

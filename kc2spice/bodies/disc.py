@@ -26,7 +26,6 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Ratio, Section
 from kc2spice.core.schema import validated
 from kc2spice.fem.materials import Material, material
-from kc2spice.rom.linear import LinearModel
 
 _CELLS = 20  # along the largest radius (or half the height) before refinement
 
@@ -37,20 +36,22 @@ class Feedback(Section):
     Sheets show a tongue; the ring stands for it: the area counts, not the angle.
     """
 
-    inner: Length = Field(0.0, ge=0)
-    outer: Length = Field(gt=0)
+    inner: Length = Field(0.0, ge=0, description="radius; 0 cuts out a disc")
+    outer: Length = Field(gt=0, description="radius")
     gap: Length = Field(0.5e-3, gt=0, description="bare ceramic to the main electrode")
 
 
 class Layer(Section):
     """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
 
-    material: str | dict[str, Any]
-    diameter: Length = Field(gt=0)
-    thickness: Length = Field(gt=0)
-    electrodes: Length | None = Field(None, gt=0)
+    material: str | dict[str, Any] = Field(description="name or table")
+    diameter: Length = Field(gt=0, description="outer")
+    thickness: Length = Field(gt=0, description="of the layer")
+    electrodes: Length | None = Field(
+        None, gt=0, description="diameter of its electrodes; the whole face unless told"
+    )
     feedback: Feedback | None = None
-    poling: Literal["up", "down"] = "up"
+    poling: Literal["up", "down"] = Field("up", description="of a ceramic")
     quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
 
 
@@ -67,17 +68,14 @@ class Disc(Section):
 
     layers: tuple[Layer, ...] = Field(min_length=1)
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"
-    wiring: Literal["parallel", "series"] = "parallel"
+    wiring: Literal["parallel", "series"] = Field(
+        "parallel", description="of several ceramic layers"
+    )
     centre: Length | None = Field(
         None, gt=0, description="diameter of the port's patch; the thickness on the axis if absent"
     )
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
-
-
-def build(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc") -> LinearModel:
-    """The linear model of :func:`device`."""
-    return device(keys, refine=refine, where=where).model
 
 
 def device(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "disc") -> Device:

@@ -13,7 +13,7 @@ from kc2spice.core.quantities import Count, Frequency, Rate, Ratio, Section
 class Mesh(Section):
     """``refine`` divides every cell along each axis."""
 
-    refine: Count = Field(1, ge=1, le=8)
+    refine: Count = Field(1, ge=1, le=8, description="multiplies the cells along each edge")
 
 
 class Damping(Section):
@@ -26,12 +26,16 @@ class Damping(Section):
     ``K_i/(Q_i omega)`` over the materials i instead.
     """
 
-    ratio: Ratio | tuple[Ratio, Ratio] | None = None
-    quality: Ratio | None = Field(None, gt=0)
-    loss_factor: Ratio | None = Field(None, ge=0)
-    per_material: bool = False
-    at: Frequency | tuple[Frequency, Frequency] | None = None
-    alpha: Rate = Field(0.0, ge=0)
+    ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
+        None, description="of critical, at the first resonance or `at`; two for two frequencies"
+    )
+    quality: Ratio | None = Field(None, gt=0, description="1 / (2 ratio)")
+    loss_factor: Ratio | None = Field(None, ge=0, description="2 ratio")
+    per_material: bool = Field(False, description="from the materials' quality")
+    at: Frequency | tuple[Frequency, Frequency] | None = Field(
+        None, description="where the ratio holds; the first resonance unless told"
+    )
+    alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
 
     @model_validator(mode="after")
     def _one(self) -> Damping:

@@ -26,7 +26,6 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Ratio, Section
 from kc2spice.core.schema import validated
 from kc2spice.fem.materials import material
-from kc2spice.rom.linear import LinearModel
 
 _CELLS = 8  # along the largest radius before refinement
 
@@ -34,21 +33,21 @@ _CELLS = 8  # along the largest radius before refinement
 class Cylinder(Section):
     """One step of a mass; ``quality`` is for damping per material."""
 
-    material: str | dict[str, Any]
-    diameter: Length = Field(gt=0)
-    length: Length = Field(gt=0)
-    quality: Ratio | None = Field(None, gt=0)
+    material: str | dict[str, Any] = Field(description="name or table")
+    diameter: Length = Field(gt=0, description="outer")
+    length: Length = Field(gt=0, description="along the axis")
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
 
 
 class Rings(Section):
     """``count`` equal rings (even, so that both masses are cathodes)."""
 
-    material: str | dict[str, Any]
-    outer: Length = Field(gt=0)
-    inner: Length = Field(gt=0)
-    thickness: Length = Field(gt=0)
-    count: Count = Field(2, ge=2, le=20)
-    quality: Ratio | None = Field(None, gt=0)
+    material: str | dict[str, Any] = Field(description="ceramic, name or table")
+    outer: Length = Field(gt=0, description="diameter")
+    inner: Length = Field(gt=0, description="diameter of the bore")
+    thickness: Length = Field(gt=0, description="of one ring")
+    count: Count = Field(2, ge=2, le=20, description="an even number")
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
 
     @model_validator(mode="after")
     def _possible(self) -> Rings:
@@ -63,12 +62,12 @@ class Bolt(Section):
     """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
     back mass, where its head (if any) sits on the end."""
 
-    material: str | dict[str, Any]
-    diameter: Length = Field(gt=0)
+    material: str | dict[str, Any] = Field(description="name or table")
+    diameter: Length = Field(gt=0, description="of the shank")
     depth: Length | None = Field(None, gt=0, description="in the front mass; its first step")
-    head_diameter: Length | None = Field(None, gt=0)
-    head_length: Length | None = Field(None, gt=0)
-    quality: Ratio | None = Field(None, gt=0)
+    head_diameter: Length | None = Field(None, gt=0, description="with head_length")
+    head_length: Length | None = Field(None, gt=0, description="with head_diameter")
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
 
     @model_validator(mode="after")
     def _head(self) -> Bolt:
@@ -84,16 +83,9 @@ class Langevin(Section):
     back: tuple[Cylinder, ...] = Field(min_length=1)
     rings: Rings
     bolt: Bolt
-    support: Literal["free", "back"] = "free"
+    support: Literal["free", "back"] = Field("free", description="back: its end face is held")
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
-
-
-def build(
-    keys: Langevin | Mapping[str, Any], *, refine: int = 1, where: str = "langevin"
-) -> LinearModel:
-    """The linear model of :func:`device`."""
-    return device(keys, refine=refine, where=where).model
 
 
 def device(

@@ -14,7 +14,6 @@ from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.assembly import (
-    assemble_kick,
     electrodes,
     free_displacements,
     piezo_material,
@@ -30,21 +29,6 @@ if TYPE_CHECKING:
     from kc2spice.fem.piezo.system import PiezoSystem
 
 USUAL = "PZT-5H"  # whose limits a ceramic is assumed to have that states none of its own
-
-
-def piezo_stack(kick: Chip, mesh: KickMesh | None = None) -> LinearModel:
-    """The whole stack: ports ``ring0``...``ringN`` (mean displacement of each ring of the top,
-    upwards, against a force spread over it) and ``anode`` (pins ``anode``, ``cathode``), with
-    facts.
-
-    ``kick`` holds the keys of a ``piezo_stack`` part (side, height, layers, material, mesh,
-    damping); ``mesh`` is built from it unless given.
-
-    Raises
-    ------
-    SimulationError : the model is not positive definite (an impossible material).
-    """
-    return from_sector(assemble_kick(kick, mesh))
 
 
 def from_sector(system: PiezoSystem) -> LinearModel:
@@ -63,7 +47,8 @@ def from_sector(system: PiezoSystem) -> LinearModel:
     )  # fmt: skip
     facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}
     facts |= electromechanical(model, system.shift)
-    facts["free_stroke_m_per_100v"] = 100 * facts.pop("free_stroke_m_per_v")  # as data sheets do
+    for name in [name for name in facts if name.endswith("_m_per_v")]:
+        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
     return model.with_facts(facts)
 
 

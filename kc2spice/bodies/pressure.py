@@ -44,7 +44,6 @@ from kc2spice.fem.piezo.assembly import (
     patch_shape,
     piezo_material,
 )
-from kc2spice.fem.piezo.contact import ContactSurface, contact_forces
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.piezo.system import PiezoSystem
@@ -58,6 +57,7 @@ WIDEST = 0.5  # of the patch's radius, of the contacts that a law is for
 RESOLVED = 5  # hats under the narrowest contact that the law is fitted to
 DEGREE = 5  # of its polynomial in the contact's radius
 DEPTHS = 300  # that it is fitted to
+ITERATIONS = 60  # of the closed hats
 RIGID = 1e7  # stiffness of what keeps surfaces apart, of a hat's own
 PATCH = "patch"
 
@@ -381,25 +381,32 @@ def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.n
     return np.array([contact_forces(compliance, x - gap, rigid)[0] for x in depth])
 
 
-def with_hats(
-    system: PiezoSystem, own: Pressed, gap: np.ndarray
-) -> tuple[PiezoSystem, ContactSurface]:
-    """``system``, whose mechanical port is the patch, with the hats as unknowns without inertia
-    behind it, damped as stiffness is, and the contact of each of them: what :func:`dented` makes
-    one law of, hat by hat.
+def contact_forces(
+    compliance: np.ndarray, penetration: np.ndarray, penalty: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Solve ``f = penalty * max(0, penetration - compliance f)`` for f >= 0; also the iterations.
+
+    ``compliance`` (c, c) is symmetric positive semi-definite, which makes the solution unique.
+    The iteration stops only when the set of closed springs repeats, that is at the solution.
+
+    Raises
+    ------
+    SimulationError : no set repeats within the limit.
     """
-    n, count = system.sectors * own.compliance, len(gap)
-    size, shapes = np.linalg.eigh(n)
-    stiff = 1.0 / size.max()
-    modes = np.sqrt(stiff * size)[:, None] * shapes.T
-    more = replace(
-        system,
-        M=sparse.block_diag([system.M, sparse.csc_array((count, count))], format="csc"),
-        K_uu=sparse.block_diag([system.K_uu, stiff * sparse.eye_array(count)], format="csc"),
-        K_up=sparse.vstack([system.K_up, sparse.csc_array((count, system.K_up.shape[1]))],
-                           format="csc"),
-        k_uV=np.append(system.k_uV, np.zeros(count)),
-    )  # fmt: skip
-    B = np.vstack([np.repeat(system.B, count, axis=1), modes])
-    rigid = np.full(count, RIGID / n.diagonal().max())
-    return replace(more, B=B), ContactSurface(B, gap, rigid, np.arange(count))
+    closed = penetration > 0
+    for iteration in range(1, ITERATIONS + 1):
+        force = np.zeros_like(penetration)
+        index = np.flatnonzero(closed)
+        system = compliance[np.ix_(index, index)] + np.diag(1 / penalty[index])
+        force[index] = np.linalg.solve(system, penetration[index])
+        now = penetration - compliance @ force > 0
+        if np.array_equal(now, closed):
+            return force, iteration
+        closed = now
+    raise SimulationError(
+        "contact does not settle",
+        where="semi-smooth Newton",
+        got=f"{ITERATIONS} different sets of closed springs",
+        expected="a set that repeats",
+        hint="the sphere may move too far in one step: make the step smaller",
+    )

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.console import print_table, reported_errors, shown_progress
+from kc2spice.cli.console import directory, print_table, reported_errors, shown_progress
 from kc2spice.core.errors import GateMissedError
 
 
@@ -37,7 +37,13 @@ def bench(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Where to write; default: ./NAME_bench."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            parser=directory,
+            help="Where to write; default: ./NAME_bench.",
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,

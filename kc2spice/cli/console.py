@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
-from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
+from kc2spice.core.files import FULL
 
 if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
     from rich.progress import Progress, TaskID
@@ -89,6 +92,7 @@ def reported_errors() -> Iterator[None]:
     warnings.showwarning = _show_warning
     try:
         yield
+        sys.stdout.flush()  # what cannot be written is told here, not by the interpreter's end
     except Kc2spiceError as error:
         _fail(str(error))
         raise typer.Exit(error.exit_code) from None
@@ -96,16 +100,29 @@ def reported_errors() -> Iterator[None]:
         _fail("interrupted; nothing was written")
         raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:  # the reader of a pipe left, as in `kc2spice scenes | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         raise typer.Exit(0) from None
     except typer.Exit:
         raise
+    except MemoryError:
+        _fail("the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory")
+        raise typer.Exit(SimulationError.exit_code) from None
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in FULL:
+            _drop_stdout()
+            _fail(f"cannot be written: {error.strerror}\n  next:     free some space")
+            raise typer.Exit(UsageError.exit_code) from None
         if os.environ.get("KC2SPICE_DEBUG"):
             traceback.print_exc()
         detail = f"{type(error).__name__}: {error}".splitlines()[0]
         _fail(f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details")
-        raise typer.Exit(1) from None
+        raise typer.Exit(SimulationError.exit_code) from None
+
+
+def _drop_stdout() -> None:
+    """What is still to be written goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # a stream without a file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(text: str) -> None:
@@ -116,30 +133,56 @@ def _show_warning(message: Any, *_: Any, **__: Any) -> None:
     print(f"kc2spice: warning: {message}", file=sys.stderr, flush=True)
 
 
-def print_table(title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> None:
-    """A small table on stdout; plain text where stdout is no terminal."""
+def print_table(
+    title: str,
+    rows: Sequence[Sequence[str]],
+    header: Sequence[str] = (),
+    *,
+    names: int | None = None,
+) -> None:
+    """A small table on stdout; plain text where stdout is no terminal.
+
+    The column ``names`` is never broken: what stands there is meant to be searched and copied.
+    """
     from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     table.show_header = bool(header)
-    for name in header or [""] * max((len(row) for row in rows), default=0):
-        table.add_column(name, overflow="fold")
+    for k, name in enumerate(header or [""] * max((len(row) for row in rows), default=0)):
+        table.add_column(name, overflow="fold", no_wrap=k == names)
     for row in rows:
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
     width = None if sys.stdout.isatty() else COLUMNS
     Console(width=width).print(table)
 
 
-def print_facts(title: str, facts: Mapping[str, Any]) -> None:
-    """Numbers of a result, each with the unit that its key ends in."""
+def print_facts(
+    title: str, facts: Mapping[str, Any], units: Mapping[str, str] | None = None
+) -> None:
+    """Numbers of a result, each with the unit of ``units`` or the one that its key ends in."""
     from kc2spice.report.words import fact, flat
 
     plain = {name: value for name, value in flat(facts).items() if _is_plain(value)}
-    rows = [fact(name, value, digits=6) for name, value in plain.items()]
+    rows = [
+        fact(name, value, digits=6, unit=(units or {}).get(name, ""))
+        for name, value in plain.items()
+    ]
     if rows:
         print_table(title, [(name, text.replace("\u2212", "-")) for name, text in rows])
 
 
 def _is_plain(value: Any) -> bool:
     return value is None or isinstance(value, (bool, int, float, str))
+
+
+def directory(text: str) -> Path:
+    """The directory that an option names.
+
+    Raises
+    ------
+    typer.BadParameter : nothing is named: ``Path("")`` would be where one stands.
+    """
+    if not text.strip():
+        raise typer.BadParameter("names no directory; . is the one you are in")
+    return Path(text)

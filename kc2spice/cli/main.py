@@ -4,7 +4,6 @@ Imports that take time stand inside the commands, so that ``--help`` answers at 
 reason no module of a command postpones its annotations: typer evaluates each such text three times.
 """
 
-import gc
 import json
 import os
 import signal
@@ -13,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kc2spice import __version__
 from kc2spice.cli.bench import bench
-from kc2spice.cli.console import COLUMNS, print_table, reported_errors, shown_progress
+from kc2spice.cli.console import COLUMNS, directory, print_table, reported_errors, shown_progress
 from kc2spice.cli.reduce import export_rom, reduce
 from kc2spice.cli.sweep import sweep
 from kc2spice.cli.tables import (
@@ -27,6 +25,7 @@ from kc2spice.cli.tables import (
     show_verdicts,
 )
 from kc2spice.core.errors import GateMissedError, UsageError
+from kc2spice.core.version import __version__
 
 if TYPE_CHECKING:
     from kc2spice.scene.model import Scene
@@ -63,7 +62,11 @@ SceneName = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "--out", "-o", metavar="DIR", help="Where to write; default: ./NAME of the scene."
+        "--out",
+        "-o",
+        metavar="DIR",
+        parser=directory,
+        help="Where to write; default: ./NAME of the scene.",
     ),
 ]
 Set = Annotated[
@@ -91,11 +94,12 @@ def main() -> None:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
-    # Imports make objects that stay; to look through them again and again is a tenth of a start.
-    gc.set_threshold(50_000)
-    os.environ["MPLBACKEND"] = "agg"  # ours; one inherited from a notebook may not be installed
     _leave_on_signals()
-    app()
+    try:
+        with reported_errors():  # also of what stands outside the commands, such as --help
+            app()
+    except typer.Exit as end:
+        raise SystemExit(end.exit_code) from None
 
 
 def _leave_on_signals() -> None:
@@ -139,6 +143,9 @@ def run(
             "and plots.",
         ),
     ] = None,
+    png: Annotated[
+        bool, typer.Option("--png", help="Write the report's figures as PNG files too.")
+    ] = False,
     keep: Annotated[
         bool,
         typer.Option(
@@ -149,20 +156,18 @@ def run(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Build, reduce, export, simulate and plot SCENE.
+    """Build, reduce, export and simulate SCENE.
 
-    All files appear in DIR at the end.
+    All files appear in DIR at the end; report.html has the plots.
     """
     with reported_errors():
-        from kc2spice.report.plotworker import PlotWorker
+        study_scene, directory = _load(scene, set_, out)
+        from kc2spice.workflow import run as study
 
-        with PlotWorker() as plots:  # which loads what draws meanwhile
-            study_scene, directory = _load(scene, set_, out)
-            from kc2spice.workflow import run as study
-
-            with shown_progress(quiet) as progress:
-                result = study.run(study_scene, directory, progress, plots=plots, trust=trust,
-                                   deck=deck, keep=keep)  # fmt: skip
+        with shown_progress(quiet) as progress:
+            result = study.run(
+                study_scene, directory, progress, trust=trust, deck=deck, keep=keep, png=png
+            )
         if as_json:
             print(json.dumps({**result, "directory": str(directory.absolute())}))
         elif not quiet:
@@ -239,10 +244,7 @@ def verify(
     all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
     full: Annotated[
         bool,
-        typer.Option("--full", help="Take the full model's baselines whole, not a timed sample."),
-    ] = False,
-    meshes: Annotated[
-        bool, typer.Option("--meshes", help="Compare meshes too, for the first scene with contact.")
+        typer.Option("--full", help="Follow full models to the scene's end, whatever it takes."),
     ] = False,
     deck: Annotated[
         Path | None,
@@ -256,7 +258,7 @@ def verify(
 ) -> None:
     """Check SCENE three ways: full model, reduced model, emitted netlist.
 
-    Writes verify.json, verify.html and plots into DIR (default ./NAME_verify). Exit code 4 when a
+    Writes verify.json and verify.html into DIR (default ./NAME_verify). Exit code 4 when a
     gate of the scene is missed.
     """
     with reported_errors():
@@ -272,7 +274,7 @@ def verify(
 
         shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:
-            found = verify_scenes(loaded, directory, full=full, meshes=meshes, deck=shipped,
+            found = verify_scenes(loaded, directory, full=full, deck=shipped,
                                  trust=trust, progress=progress)  # fmt: skip
         passed = all(record["passed"] for record in found.values())
         if as_json:
@@ -291,18 +293,26 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         import textwrap
         from dataclasses import asdict
 
+        from kc2spice.core.progress import Clock, silent
         from kc2spice.scene.hash import scene_hash
         from kc2spice.scene.load import load_scene
         from kc2spice.scene.plan import plan
+        from kc2spice.workflow.models import build_models
 
         loaded = load_scene(scene, set_ or [])
         found = plan(loaded, estimate=True)
+        timed = loaded.analysis.type == "transient"
+        limit = build_models(loaded, Clock(silent)).largest if timed else None
         if as_json:
-            print(json.dumps({"scene": loaded.name, "hash": scene_hash(loaded), **asdict(found)}))
+            head = {"scene": loaded.name, "hash": scene_hash(loaded)}
+            step = None if limit is None else {"s": limit.step, "why": limit.why}
+            print(json.dumps({**head, "largest_step": step, **asdict(found)}))
             return
         print(textwrap.fill(f"{loaded.name}: {loaded.title}", COLUMNS))
         print(f"scene hash {scene_hash(loaded)}\n")
         show_plan(found)
+        if limit is not None:
+            print(textwrap.fill(f"largest step {limit.step:.3g} s: {limit.why}", COLUMNS))
 
 
 @app.command()

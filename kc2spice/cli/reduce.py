@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from kc2spice.cli.console import print_table, reported_errors, shown_progress
+from kc2spice.cli.console import directory, print_table, reported_errors, shown_progress
 from kc2spice.cli.tables import above_band
 
 
@@ -23,7 +23,13 @@ def reduce(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Where to write; default: ./NAME_rom."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            parser=directory,
+            help="Where to write; default: ./NAME_rom.",
+        ),
     ] = None,
     band: Annotated[
         tuple[float, float] | None,
@@ -38,6 +44,14 @@ def reduce(
     ] = None,
     order: Annotated[
         int | None, typer.Option(metavar="Q", help="Number of states instead of a tolerance.")
+    ] = None,
+    norm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NORM",
+            help="Of the error: pointwise (relative at every frequency, notches included) or peak "
+            "(relative to the largest value in the band; default where all ports are signals).",
+        ),
     ] = None,
     solver: Annotated[
         str,
@@ -63,7 +77,7 @@ def reduce(
         with shown_progress(quiet) as progress:
             found = reduce_study(
                 model, out, band=band, tolerance=tolerance, order=order, solver=solver,
-                progress=progress,
+                norm=norm, progress=progress,
             )  # fmt: skip
         if as_json:
             print(json.dumps(found))
@@ -73,9 +87,9 @@ def reduce(
                 ("equations", f"{found['unknowns']}, {found['form']}"),
                 ("states", str(found["order"])),
                 ("band", f"{low:g} … {high:g} Hz"),
-                ("error estimate", f"{found['error_estimate']:.3g}"),
+                ("error estimate", f"{found['error_estimate']:.3g}, {found['norm']}"),
                 *above_band(found),
-                ("stable", "yes" if found["stable"] else "NO"),
+                ("stable", {True: "yes", False: "NO", None: "not known"}[found["stable"]]),
                 ("passive", "yes" if found["passive"] else "not shown"),
                 ("method", found["method"]),
                 ("reduced model", found["rom"]),

@@ -28,10 +28,8 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
         rows += above_band(rom)
-        if "contact_error" in rom:
-            rows.append(("error of the launch", contact_error(rom["contact_error"])))
         print_table("reduced model", rows)
-    print_facts("metrics", result.get("metrics", {}))
+    print_facts("metrics", result.get("metrics", {}), result.get("metric_units", {}))
     _show_checks(result.get("checks", ()))
     _show_attempts(result.get("simulator", {}).get("attempts", ()))
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
@@ -46,16 +44,9 @@ def above_band(rom: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Rows of what a certificate says of the compliance above its band."""
     errors = rom.get("above_band_compliance_error", ())
     return [
-        (f"compliance at {f:g} Hz", f"{error:.2g} off, which contact sees")
+        (f"compliance at {f:g} Hz", f"{error:.2g} off, above the band")
         for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True)
     ]
-
-
-def contact_error(value: float | None) -> str:
-    """What the reduction does where bodies meet; its certificate is that of the response."""
-    if value is None:
-        return "not estimated; checks.reduction = 'warn' compares with a closer run"
-    return f"{value:.2g}"
 
 
 def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
@@ -97,23 +88,11 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
             for check in record["checks"]
         ]
         print_table(f"{name}: gates", rows, header=("", "check", "value", "limit"))
-        costs = [(cost["name"], f"{cost['wall_s']:.3g} s") for cost in record["costs"]]
-        print_table(f"{name}: solutions", costs, header=("solution", "wall time"))
-        for baseline, ratio in record["speedup"].items():
-            print(f"  speed-up over the full model ({baseline}): {ratio:.3g}")
+        times = [(stage, f"{time:.3g} s") for stage, time in record["wall_s"].items()]
+        print_table(f"{name}: time", times, header=("stage", "wall time"))
         for note in record["notes"]:
             print(f"  {note}")
-        if "meshes" in record:
-            _show_meshes(name, record["meshes"])
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")
-
-
-def _show_meshes(name: str, points: Sequence[Mapping[str, Any]]) -> None:
-    """A row for each mesh, its quantities in the units that their keys end in."""
-    from kc2spice.report.words import fact
-
-    rows = [[fact(key, value)[1] for key, value in point.items()] for point in points]
-    print_table(f"{name}: meshes", rows, header=[fact(key, None)[0] for key in points[0]])
 
 
 def show_plan(plan: Plan) -> None:
@@ -154,7 +133,7 @@ def show_keys(keys: Iterable[Key]) -> None:
         )
         for key in keys
     ]
-    print_table("keys of a scene", rows, header=("key", "unit", "default", ""))
+    print_table("keys of a scene", rows, header=("key", "unit", "default", ""), names=0)
 
 
 def show_parts(docs: Iterable[PartDoc]) -> None:
@@ -167,7 +146,7 @@ def show_parts(docs: Iterable[PartDoc]) -> None:
              "" if key.default is None else f"default {key.default}")
             for key in doc.keys
         ]  # fmt: skip
-        print_table(f"{doc.name}: {doc.title}", rows)
+        print_table(f"{doc.name}: {doc.title}", rows, names=1)
 
 
 def show_findings(findings: Iterable[Finding]) -> None:

@@ -1,8 +1,8 @@
 """Expensive results on disk, found again by a hash of everything that they depend on.
 
-An entry is the hex SHA-256 of an ``.npz`` archive followed by the archive: arrays without pickle
-and one JSON text with the structure around them. It is written to a temporary name and renamed, so
-readers see whole entries only; a damaged one is noticed by its checksum and built again.
+An entry is an ``.npz`` archive: arrays without pickle and one JSON text with the structure around
+them. It is written to a temporary name and renamed, so readers see whole entries only; a damaged
+one is noticed by the checksums of its members and built again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import importlib.metadata
 import importlib.util
-import io
 import json
 import os
 import shutil
@@ -22,6 +21,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +29,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from kc2spice.core.foreign import read_bounded
+from kc2spice.core.archive import read_archive
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
@@ -90,20 +90,42 @@ def cached(
     known = {cls.__name__: cls for cls in classes}
     modules = {*sources, *(cls.__module__ for cls in known.values())}
     path = cache_dir() / kind / f"{_digest(key, modules)}.entry"
-    found, result = _load(path, known)
-    if found:
-        return cast(T, result), True
-    with _alone(path):
-        if path.exists():  # somebody else has built it since
-            found, result = _load(path, known)
-            if found:
-                return cast(T, result), True
-        result = build()
-        try:
-            _store(path, _archive(result, known))
-        except OSError as error:
-            warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=2)
-    return result, False
+    found = _load(path, known)
+    if found is None:
+        with _alone(path):
+            found = _load(path, known)  # somebody else may have built it since
+            if found is None:
+                result = build()
+                _store(path, result, known)
+                return result, False
+    return cast(T, found[0]), True
+
+
+_memory: ContextVar[dict[str, tuple[str, Any]] | None] = ContextVar("memory", default=None)
+
+
+@contextmanager
+def remembering() -> Iterator[None]:
+    """Within this block :func:`remembered` keeps the last result of each kind."""
+    token = _memory.set({})
+    try:
+        yield
+    finally:
+        _memory.reset(token)
+
+
+def remembered(kind: str, key: Any, build: Callable[[], T]) -> T:
+    """``build()``, or what it gave last for an equal ``key`` where :func:`remembering` says so.
+
+    For what is too large for the disk and needed again at once, such as a full model.
+    """
+    memory, text = _memory.get(), json.dumps(key, sort_keys=True, default=_plain)
+    if memory is None:
+        return build()
+    if memory.get(kind, ("", None))[0] != text:
+        memory.pop(kind, None)  # before the next one is built: two would need twice the memory
+        memory[kind] = (text, build())
+    return cast(T, memory[kind][1])
 
 
 @contextmanager
@@ -178,25 +200,26 @@ def _source_digest(module: str) -> str:
     return digest.hexdigest()
 
 
-def _archive(result: Any, known: Mapping[str, type]) -> bytes:
+def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
     arrays: dict[str, np.ndarray] = {}
-    structure = json.dumps(_encode(result, arrays, known))
-    buffer = io.BytesIO()
-    np.savez(buffer, structure=np.array(structure), **arrays)  # type: ignore[arg-type]
-    return buffer.getvalue()
-
-
-def _store(path: Path, archive: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
+    structure = json.dumps(_encode(result, arrays, known)).encode()
+    arrays["structure"] = np.frombuffer(structure, dtype=np.uint8)
+    temporary = None
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(hashlib.sha256(archive).hexdigest().encode() + archive)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=".", suffix=".part", delete=False
+        ) as file:
+            temporary = Path(file.name)
+            np.savez(file, **arrays)  # type: ignore[arg-type]
         os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    _prune(cache_dir())
+        _prune(cache_dir())
+    except BaseException as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
+        warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=3)
 
 
 def _prune(root: Path) -> None:
@@ -217,56 +240,54 @@ def _prune(root: Path) -> None:
         total -= stat.st_size
 
 
-def _load(path: Path, known: Mapping[str, type]) -> tuple[bool, Any]:
+def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
+    """The result of an entry in a tuple of its own, None where there is none that can be read."""
+    if not path.exists():
+        return None
     try:
-        content = read_bounded(path, MAX_TOTAL_BYTES)
-    except OSError:
-        return False, None
-    checksum, archive = content[:64], content[64:]
-    if hashlib.sha256(archive).hexdigest().encode() != checksum:
-        warnings.warn(f"damaged cache entry {path.name} is built again", stacklevel=3)
-        return False, None
-    try:
-        with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
-            structure = json.loads(str(arrays["structure"]))
-            result = _decode(structure, arrays, known)
-    except Exception as error:  # the sum is right, but nobody here wrote this
-        warnings.warn(f"cache entry {path.name} is not ours: {error}", stacklevel=3)
-        return False, None
+        arrays = read_archive(
+            path, lambda name: True, entries=lambda name: MAX_TOTAL_BYTES, total=MAX_TOTAL_BYTES
+        )
+        result = _decode(json.loads(arrays["structure"].tobytes()), arrays, known)
+    except Exception as error:
+        warnings.warn(f"damaged cache entry {path.name} is built again: {error}", stacklevel=3)
+        return None
     with contextlib.suppress(OSError):  # a read-only cache serves as well
         os.utime(path)  # keeps it from being pruned
-    return True, result
+    return (result,)
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """JSON structure of ``value``: ``[tag, ...]`` lists, with arrays set aside by number."""
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return ["plain", value.item() if isinstance(value, np.generic) else value]
+    """JSON structure of ``value``: what JSON lacks as ``{tag: …}``, arrays set aside by number."""
     if isinstance(value, np.generic):
-        return ["plain", value.item()]
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
     if isinstance(value, np.ndarray):
         name = f"a{len(arrays)}"
         arrays[name] = value
-        return ["array", name]
+        return {"array": name}
+    if isinstance(value, list):
+        return [_encode(item, arrays, known) for item in value]
+    if isinstance(value, tuple):
+        return {"tuple": _encode(list(value), arrays, known)}
+    if isinstance(value, Mapping):
+        return {"dict": {name: _encode(item, arrays, known) for name, item in value.items()}}
     if is_dataclass(value) and known.get(type(value).__name__) is type(value):
         content = {item.name: getattr(value, item.name) for item in fields(value)}
-        return ["class", type(value).__name__, _encode(content, arrays, known)]
-    if isinstance(value, Mapping):
-        return ["dict", {name: _encode(item, arrays, known) for name, item in value.items()}]
-    if isinstance(value, (tuple, list)):
-        return [type(value).__name__, [_encode(item, arrays, known) for item in value]]
+        return {type(value).__name__: _encode(content, arrays, known)["dict"]}
     raise TypeError(f"{type(value).__name__} cannot be cached; name it in classes")
 
 
 def _decode(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    tag, *content = node
-    if tag == "plain":
-        return content[0]
+    if isinstance(node, list):
+        return [_decode(item, arrays, known) for item in node]
+    if not isinstance(node, dict):
+        return node
+    ((tag, content),) = node.items()
     if tag == "array":
-        return arrays[content[0]]
-    if tag == "class":
-        return known[content[0]](**_decode(content[1], arrays, known))
-    if tag == "dict":
-        return {name: _decode(item, arrays, known) for name, item in content[0].items()}
-    items = [_decode(item, arrays, known) for item in content[0]]
-    return tuple(items) if tag == "tuple" else items
+        return arrays[content]
+    if tag == "tuple":
+        return tuple(_decode(content, arrays, known))
+    found = {name: _decode(item, arrays, known) for name, item in content.items()}
+    return found if tag == "dict" else known[tag](**found)

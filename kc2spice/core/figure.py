@@ -11,19 +11,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Curve:
-    """One line: ``x`` and ``y`` (n,) in the panel's units."""
+    """``x`` and ``y`` (n,) in the panel's units; a value that is not finite leaves a gap.
+
+    ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
+    up to the next point), ``bar`` (bars as wide as the points are apart), ``o`` (points), ``o-``
+    (points and a line). ``names`` (n,) of the points are shown where the pointer is.
+    """
 
     label: str
     x: np.ndarray
     y: np.ndarray
     style: str = "-"
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Map:
+    """Colours ``z`` (rows, columns) at the centres ``x`` (columns,) and ``y`` (rows,), ascending;
+    a value that is not finite stays grey. ``label`` is that of the colour bar."""
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    label: str
 
 
 @dataclass(frozen=True)
 class Panel:
     """One pair of axes. ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded
     ranges ``(low, high, label)``, ``marks`` vertical lines; ``span`` is the range of x; ``equal``
-    gives both axes one scale.
+    gives both axes one scale; ``map`` lies below the curves.
+
+    ``x`` and ``y`` are labels of the form ``quantity in unit``.
     """
 
     x: str
@@ -36,16 +55,19 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     equal: bool = False
+    map: Map | None = None
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels above each other with one x axis; ``name`` is that of its file, without ending."""
+    """Panels above each other with one x axis, or in a grid of so many ``columns`` where each has
+    its own; ``name`` is that of its file, without ending."""
 
     name: str
     title: str
     caption: str
     panels: tuple[Panel, ...]
+    columns: int = 1
 
 
 @dataclass(frozen=True)

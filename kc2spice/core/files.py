@@ -23,7 +23,7 @@ ENTRIES = (".cir", "verify.json", RESULT)
 _SUFFIX = ".part"
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _LARGEST = 10_000_000  # bytes of a record that is read back
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED = 60.0  # s after which a work directory without a living owner is cleared away
 
 
@@ -53,7 +53,7 @@ def staged(out: Path | str) -> Iterator[Path]:
             try:
                 yield work
             except OSError as error:
-                if error.errno not in _FULL:
+                if error.errno not in FULL:
                     raise
                 raise _unwritable(parent, error) from None
             try:

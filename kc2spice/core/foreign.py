@@ -8,6 +8,8 @@ import re
 import stat
 from pathlib import Path
 
+from kc2spice.core.errors import UsageError
+
 # One part of a path: it cannot hide, climb, be expanded by a shell or break a line.
 _PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.+-]")
@@ -58,6 +60,32 @@ def name_threat(name: str) -> str | None:
     if "\\" in name or any(_PART.fullmatch(part) is None for part in parts if part != "."):
         return "a name with characters that are not allowed"
     return None
+
+
+def beside(home: Path, name: str, where: str) -> Path:
+    """The file ``name`` in the folder ``home`` of the scene that names it, or below.
+
+    Tables that a Python program hands over have no folder (``Path()``): what they name is the
+    program's own choice.
+
+    Raises
+    ------
+    UsageError : an absolute path, one with ``..``, or behind a link that leads elsewhere.
+    """
+    path = home / name
+    if home == Path():
+        return path
+    given = Path(name)
+    try:
+        outside = not path.resolve().is_relative_to(home.resolve())
+    except (OSError, ValueError, RuntimeError):  # a zero byte, too long, a circle of links
+        outside = True
+    if given.is_absolute() or ".." in given.parts or outside:
+        raise UsageError(
+            "leads out of the scene's folder", where=where, got=repr(name)[:200],
+            expected="a file beside the scene or below", hint="copy it there",
+        )  # fmt: skip
+    return path
 
 
 def identifier(name: str, otherwise: str) -> str:

@@ -18,21 +18,14 @@ def silent(stage: str, done: float | None, text: str) -> None:
 
 @dataclass
 class Clock:
-    """Wall time by stage; a stage that was not needed or came from the cache says 0.
-
-    ``before_work`` is called once, before the first stage.
-    """
+    """Wall time by stage; a stage that was not needed or came from the cache says 0."""
 
     progress: Progress = silent
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
-    before_work: Callable[[], None] | None = None
 
     @contextmanager
     def stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
         """Announce a stage, time it, and hand out a function that takes the share done."""
-        begin, self.before_work = self.before_work, None
-        if begin is not None:
-            begin()
         self.progress(name, None, text)
         start = time.perf_counter()
         yield lambda done: self.progress(name, done, text)

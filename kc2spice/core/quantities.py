@@ -34,6 +34,16 @@ def _rings(value: object) -> object:
     raise PydanticCustomError("quantity", "{reason}", context)
 
 
+def _place(value: object) -> float:
+    for unit in ("Hz", "s", "V", "A", "N", "m"):
+        try:
+            return quantity(value, unit)
+        except UsageError:
+            continue
+    context = {"reason": "no place on the scale", "expected": 'such as "46 Hz" or "2 ms"'}
+    raise PydanticCustomError("quantity", "{reason}", context)
+
+
 MOUNTINGS = ("roller", "glued", "free")
 
 
@@ -79,6 +89,7 @@ Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
+Place = Annotated[float, BeforeValidator(_place)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]

@@ -70,7 +70,7 @@ def _product(text: str) -> _Unit | None:
     for factor in text.split():
         match = _FACTOR.fullmatch(factor)
         unit = _symbol(match[1]) if match else None
-        if match is None or unit is None:
+        if match is None or unit is None or (factor == "1" and factor != text.strip()):
             return None
         power = int(match[2] or 1)
         exponent += power * unit.exponent

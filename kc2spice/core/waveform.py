@@ -93,8 +93,9 @@ class Waveform:
         """The short form of a trapezoid with a flat top, or of triangles without end."""
         if len(self.points) == 3 and self.period is not None:
             (t0, v0), (t1, v1), (t2, _) = self.points
-            top = TOP * (t1 - t0)  # a width of zero means "until the end"
-            numbers = (scale * v0, scale * v1, t0, t1 - t0, t2 - t1 - top, top, self.period)
+            rise = _span(t0, t1)
+            top = TOP * rise  # a width of zero means "until the end"
+            numbers = (scale * v0, scale * v1, t0, rise, _span(t1, t2) - top, top, self.period)
             return f"PULSE({' '.join(map(_number, numbers))})"
         if len(self.points) != 4:
             return None
@@ -102,7 +103,8 @@ class Waveform:
         if v0 != v3 or v1 != v2 or not t1 < t2:
             return None
         period = NEVER if self.period is None else self.period
-        numbers = (scale * v0, scale * v1, t0, t1 - t0, t3 - t2, t2 - t1, period)
+        edges = (_span(t0, t1), _span(t2, t3), _span(t1, t2))
+        numbers = (scale * v0, scale * v1, t0, *edges, period)
         return f"PULSE({' '.join(map(_number, numbers))})"
 
 
@@ -146,6 +148,14 @@ def pulse(
     many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
     unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
     return Waveform("linear", tuple(unique))
+
+
+def _span(first: float, last: float) -> float:
+    """``last - first`` with the fewest digits that rounding of both leaves open."""
+    exact = last - first
+    slack = 2 * np.spacing(max(abs(first), abs(last)))
+    rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
+    return next((value for value in rounded if abs(value - exact) <= slack), exact)
 
 
 def _number(value: float) -> str:

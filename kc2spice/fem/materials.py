@@ -35,7 +35,17 @@ from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si
 from kc2spice.core.schema import validated
 from kc2spice.core.units import EPSILON_0, quantity
 
-Symmetry: TypeAlias = Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"]
+# Point groups as data sheets name them, whose free components are those of a class below; "32" is
+# that of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
+_GROUPS = {
+    "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
+    "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
+    "43m": "cubic",
+}  # fmt: skip
+Symmetry: TypeAlias = Annotated[
+    Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"],
+    BeforeValidator(lambda said: _GROUPS.get(said, said) if isinstance(said, str) else said),
+]
 
 # Components that a symmetry class leaves free, and where else in the tensor they stand.
 _ELASTIC: dict[str, dict[str, tuple[tuple[str, float], ...]]] = {
@@ -232,24 +242,48 @@ class MaterialTable(Section):
     """
 
     density: Density = Field(gt=0)
-    symmetry: Symmetry | None = None
-    youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = None
-    poisson_ratio: Annotated[float | dict[str, float], _components("")] | None = None
-    shear_modulus: Annotated[dict[str, float], _components("Pa")] | None = None
-    stiffness: Annotated[_Tensor, _components("Pa")] | None = None
-    compliance: Annotated[_Tensor, _components("1/Pa")] | None = None
-    stress_coupling: Annotated[_Tensor, _components("C/m2")] | None = None
-    strain_coupling: Annotated[_Tensor, _components("C/N")] | None = None
-    permittivity: Annotated[_Tensor, _components("")] | None = None
-    permittivity_at: Literal["stress", "strain"] | None = None
-    conductor: bool = False
-    quality: Ratio | None = Field(None, gt=0)
-    loss_tangent: Ratio | None = Field(None, ge=0)
-    tensile_strength: Pressure | None = Field(None, gt=0)
-    depoling_field: Annotated[float, si("V/m")] | None = Field(None, gt=0)
-    breakdown_field: Annotated[float, si("V/m")] | None = Field(None, gt=0)
-    source: str = ""
-    sources: dict[str, str] = Field(default_factory=dict)
+    symmetry: Symmetry | None = Field(None, description="of components; or a point group: 6mm, 32")
+    youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = Field(
+        None, description="isotropic, or three along x, y, z"
+    )
+    poisson_ratio: Annotated[float | dict[str, float], _components("")] | None = Field(
+        None, description="isotropic, or nu_xy, nu_yz, nu_xz"
+    )
+    shear_modulus: Annotated[dict[str, float], _components("Pa")] | None = Field(
+        None, description="g_yz, g_xz, g_xy, beside three moduli"
+    )
+    stiffness: Annotated[_Tensor, _components("Pa")] | None = Field(
+        None, description="c11 …, at constant field"
+    )
+    compliance: Annotated[_Tensor, _components("1/Pa")] | None = Field(
+        None, description="s11 …, at constant field"
+    )
+    stress_coupling: Annotated[_Tensor, _components("C/m2")] | None = Field(
+        None, description="e31 …"
+    )
+    strain_coupling: Annotated[_Tensor, _components("C/N")] | None = Field(
+        None, description="d31 …"
+    )
+    permittivity: Annotated[_Tensor, _components("")] | None = Field(
+        None, description="relative, eps11 eps22 eps33"
+    )
+    permittivity_at: Literal["stress", "strain"] | None = Field(
+        None, description="which is constant; most sheets say stress (T)"
+    )
+    conductor: bool = Field(False, description="no field inside; its faces are electrodes")
+    quality: Ratio | None = Field(None, gt=0, description="mechanical, of damping per material")
+    loss_tangent: Ratio | None = Field(None, ge=0, description="dielectric")
+    tensile_strength: Pressure | None = Field(
+        None, gt=0, description="largest principal stress that it stands"
+    )
+    depoling_field: Annotated[float, si("V/m")] | None = Field(
+        None, gt=0, description="against the poling"
+    )
+    breakdown_field: Annotated[float, si("V/m")] | None = Field(
+        None, gt=0, description="in any direction"
+    )
+    source: str = Field("", description="of all numbers")
+    sources: dict[str, str] = Field(default_factory=dict, description="of single keys")
 
     @model_validator(mode="after")
     def _one_form(self) -> MaterialTable:

@@ -7,25 +7,35 @@ their solids are first made to share faces. Their groups are the labels of the f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
 
+from kc2spice.core.child import in_child
 from kc2spice.core.errors import UsageError
-from kc2spice.core.gmsh_session import gmsh_session
+from kc2spice.core.foreign import read_bounded
+from kc2spice.core.units import quantity
 
-SUFFIXES = {".msh": b"$MeshFormat", ".step": b"ISO-10303", ".stp": b"ISO-10303",
-            ".brep": b"DBRep_DrawableShape"}  # fmt: skip
 STEP = (".step", ".stp")
+# How each file must begin, and the name under which gmsh gets it.
+FORMATS = {
+    ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
+    ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
+}  # fmt: skip
+VERSIONS = ("2", "2.0", "2.1", "2.2", "4", "4.0", "4.1")  # of .msh files
+MAX_BYTES = 2_000_000_000  # of a file
+_HEAD = 200  # bytes that tell its format
+LENGTHS = ("m", "cm", "mm", "um")  # that a file without unit may be in
 MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))  # order of gmsh's mid-edge nodes
 _TRI_EDGES = ((0, 1), (1, 2), (2, 0))
-_DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-TOUCHING = 1e-6  # of the body's size: how near a face passes by a point that picks it
+_STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -76,7 +86,7 @@ def read_mesh(
     UsageError : no such file, not of the kind that its name says, without solids, a CAD file
         without size, or a pick that selects nothing.
     """
-    _require_kind(path)
+    data = _content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
         raise UsageError("a STEP file states its own unit", where="unit", got=f"{unit:g} m",
                          expected="no unit, or mm")  # fmt: skip
@@ -89,143 +99,174 @@ def read_mesh(
     if picks and not cad:
         raise UsageError("groups are picked in CAD files only", where="groups",
                          hint="name physical groups in the mesh")  # fmt: skip
-    with gmsh_session(path.stem) as gmsh:
-        try:
-            gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
-            gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-            gmsh.merge(str(path))
-            if cad:
-                assert size is not None
-                _make(gmsh, size / unit, dimension, _scaled(picks or {}, unit))
-            for _ in range(splits):
-                gmsh.model.mesh.refine()
-        except Exception as error:
-            if isinstance(error, UsageError):
-                raise
-            raise UsageError(
-                "gmsh cannot read or mesh this", where=str(path), got=str(error)
-            ) from None
-        return _collect(gmsh, unit, dimension, str(path))
-
-
-def _require_kind(path: Path) -> None:
-    """gmsh runs scripts by their content, so only what the name says is let through."""
-    magic = SUFFIXES.get(path.suffix.lower())
-    if magic is None:
-        raise UsageError("not a kind of mesh", where=str(path), got=path.suffix,
-                         expected=", ".join(SUFFIXES))  # fmt: skip
-    try:
-        with path.open("rb") as file:
-            head = file.read(200)
-    except OSError as error:
-        raise UsageError("cannot be read", where=str(path), got=error.strerror) from None
-    if magic not in head:
-        raise UsageError("is not what its name says", where=str(path),
-                         expected=f"{magic.decode()} at its beginning")  # fmt: skip
-
-
-def _scaled(picks: Mapping[str, Pick], unit: float) -> dict[str, Pick]:
-    return {
-        name: Pick(p.dimension, np.reshape(p.at, (-1, 3)) / unit,
-                   None if p.box is None else np.asarray(p.box) / unit)
-        for name, p in picks.items()
+    request = {
+        "size": None if size is None else size / unit, "dimension": dimension,
+        "picks": _scaled(picks or {}, unit), "splits": splits,
     }  # fmt: skip
+    found = _ask_gmsh("tables", path, data, **request)
+    return _collect(found, unit, dimension, str(path))
 
 
-def _make(gmsh: ModuleType, size: float, dimension: int, picks: Mapping[str, Pick]) -> None:
-    """Join the solids, name the groups, mesh with quadratic elements."""
-    bodies = gmsh.model.getEntities(dimension)
-    if not bodies:
-        raise UsageError(f"has no {_DIMENSION[dimension]}", where="mesh")
-    labels = {entity: _label(gmsh, entity) for entity in gmsh.model.getEntities()}
-    if len(bodies) > 1:
-        _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
-        gmsh.model.occ.synchronize()
-        found = set(gmsh.model.getEntities())
-        kept = {e: text for e, text in labels.items() if e[0] == dimension or e in found}
-        origin = dict(zip(bodies, pieces, strict=True))
-        labels = {new: text for e, text in kept.items() for new in origin.get(e, [e])}
-    names: dict[tuple[str, int], list[int]] = {}
-    for (d, tag), text in labels.items():
-        if text:
-            names.setdefault((text, d), []).append(tag)
-    for name, pick in picks.items():
-        names[name, pick.dimension] = _pick(gmsh, name, pick)
-    for (name, d), tags in names.items():
-        gmsh.model.addPhysicalGroup(d, tags, name=name)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-    gmsh.option.setNumber("Mesh.SaveAll", 1)
-    gmsh.model.mesh.generate(dimension)
-    gmsh.model.mesh.setOrder(2)
-    if dimension == 3:
-        gmsh.model.mesh.optimize("HighOrder")
+def length_unit(path: Path, unit: str | None) -> float:
+    """The unit of length [m] of a file's numbers, which ``unit`` names where the format does not.
+
+    Raises
+    ------
+    UsageError : neither of them says it; the message has the size in units that it may be.
+    """
+    if path.suffix.lower() in STEP or unit is not None:
+        return quantity(f"1 {unit or 'mm'}", "m", where="unit")
+    sides = extent(path)
+    sizes = (f'"{name}" if it is {_sides(quantity(f"1 {name}", "m") * sides)}' for name in LENGTHS)
+    raise UsageError(
+        f"a {path.suffix} file does not state its unit of length", where="unit",
+        got=f"{' x '.join(f'{side:.4g}' for side in sides)} in that unit",
+        expected=", ".join(sizes), hint='state it beside mesh, such as unit = "mm"',
+    )  # fmt: skip
 
 
-def _label(gmsh: ModuleType, entity: tuple[int, int]) -> str:
-    return str(gmsh.model.getEntityName(*entity)).rsplit("/", 1)[-1]
+def extent(path: Path) -> np.ndarray:
+    """Sides (3,) of the bounding box of a file, in its own unit (mm of STEP files).
+
+    Raises
+    ------
+    UsageError : as :func:`read_mesh`.
+    """
+    low, high = _ask_gmsh("box", path, _content(path))["box"]
+    return np.asarray(high - low)
 
 
-def _pick(gmsh: ModuleType, name: str, pick: Pick) -> list[int]:
-    everything = gmsh.model.getBoundingBox(-1, -1)
-    near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
-    found: list[int] = []
-    for point in pick.at:
-        hits = [tag for d, tag in gmsh.model.getEntities(pick.dimension)
-                if _contains(gmsh, d, tag, np.asarray(point), near)]  # fmt: skip
-        if not hits:
-            raise UsageError(
-                f"no {_DIMENSION[pick.dimension][:-1]} contains this point",
-                where=f"groups.{name}.at", got=[float(x) for x in point],
-                expected="a point of the geometry, in the file's unit here",
-            )  # fmt: skip
-        found += hits
-    if pick.box is not None:
-        low, high = np.min(pick.box, axis=0) - near, np.max(pick.box, axis=0) + near
-        inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, pick.dimension)
-        found += [tag for _, tag in inside]
-    if not found:
-        raise UsageError("group selects nothing", where=f"groups.{name}")
-    return sorted(set(found))
+def _sides(sides: np.ndarray) -> str:
+    return " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
 
 
-def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Whether the entity passes within ``near`` of the point, itself and not its continuation."""
-    box = np.array(gmsh.model.getBoundingBox(d, tag))
-    if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):
+def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
+    file = FORMATS[path.suffix.lower()][1]
+    request["file"] = file
+    try:
+        return in_child(
+            f"kc2spice.fem.gmsh_reader:{function}", request, lambda home: _write(home / file, data)
+        )
+    except ValueError as error:
+        raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
+
+
+def require_format(path: Path, head: bytes | None = None) -> None:
+    """Refuse a file that is not what its name says: gmsh runs what it does not know as a script.
+
+    ``head`` is how the file begins, looked up if absent; a file that is not there passes.
+
+    Raises
+    ------
+    UsageError : a suffix that is not read, or a file that begins otherwise.
+    """
+    known = FORMATS.get(path.suffix.lower())
+    if known is None:
+        raise UsageError("not a kind of mesh", where=str(path), got=path.suffix or "no suffix",
+                         expected=", ".join(FORMATS))  # fmt: skip
+    if head is None:
+        if not path.is_file():
+            return
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    magic, wrong = known[0], "is not what its name says"
+    if not head.startswith(magic):
+        raise UsageError(
+            wrong, where=str(path), got=repr(head[:20])[1:],
+            expected=f"{magic.decode()} as its very first characters",
+        )  # fmt: skip
+    if magic == b"$MeshFormat" and not _is_mesh(head):
+        raise UsageError(
+            wrong, where=str(path), got=repr(head[:40])[1:],
+            expected="a header of version 2 or 4, as text or binary",
+            hint='gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write',
+        )  # fmt: skip
+
+
+def _content(path: Path) -> bytes:
+    """What a file holds, which is what its name says."""
+    require_format(path)
+    try:
+        data = read_bounded(path, MAX_BYTES)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError("cannot be read", where=str(path), got=reason) from None
+    require_format(path, data[:_HEAD])
+    if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
+        raise UsageError(
+            "refers to other files", where=str(path), got="DOCUMENT_FILE",
+            expected="one file with all solids", hint="export it without external references",
+        )  # fmt: skip
+    return data
+
+
+def _is_mesh(head: bytes) -> bool:
+    """Whether the lines of ``$MeshFormat`` are those of a version that is read."""
+    first, second, rest = [*head.split(b"\n", 2), b"", b""][:3]
+    words = second.decode("ascii", "replace").split()
+    if first.strip() != b"$MeshFormat" or len(words) != 3:
         return False
-    if d == 0:
-        return True
-    if d == 3:
-        return bool(gmsh.model.isInside(d, tag, point))
-    closest, parameter = gmsh.model.getClosestPoint(d, tag, point)
-    return bool(
-        np.linalg.norm(closest - point) <= near
-        and gmsh.model.isInside(d, tag, parameter, parametric=True)
-    )
+    version, binary, width = words
+    if version not in VERSIONS or width != "8" or binary not in ("0", "1"):
+        return False
+    one = rest[:4] in (b"\1\0\0\0", b"\0\0\0\1")
+    return one if binary == "1" else rest.lstrip().startswith(b"$EndMeshFormat")
 
 
-def _collect(gmsh: ModuleType, unit: float, dimension: int, where: str) -> GroupedMesh:
-    tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    place = np.zeros(int(tags.max(initial=0)) + 1, int)
-    place[tags.astype(int)] = np.arange(len(tags))
-    points = unit * coordinates.reshape(-1, 3)
+def _write(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+
+
+def _scaled(picks: Mapping[str, Pick], unit: float) -> dict[str, Any]:
+    return {
+        name: {
+            "dimension": p.dimension,
+            "at": (np.reshape(p.at, (-1, 3)) / unit).tolist(),
+            "box": None if p.box is None else (np.asarray(p.box) / unit).tolist(),
+        }
+        for name, p in picks.items()
+    }
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Elements of one kind in one entity: tags (k,), nodes (k, nodes each), corners first."""
+
+    dimension: int
+    entity: int
+    name: str
+    corners: int
+    tags: np.ndarray
+    nodes: np.ndarray
+
+
+def _collect(
+    found: Mapping[str, np.ndarray], unit: float, dimension: int, where: str
+) -> GroupedMesh:
+    record = json.loads(str(found["record"]))
+    blocks = [
+        _Block(d, entity, name, corners, found[f"tags{k}"], found[f"nodes{k}"])
+        for k, (d, entity, name, corners) in enumerate(record["blocks"])
+    ]
+    place = _places(found["tags"], where)
+    points = unit * found["points"]
+    if not np.isfinite(points).all():
+        raise UsageError("a node is not at a finite place", where=where)
     if dimension == 2:
         points = _meridian(points, where)
-    found = _elements(gmsh, dimension, -1)
-    if not found:
+    body = _simplices(blocks, dimension)
+    if not body:
         raise UsageError(f"has no {'tetrahedra' if dimension == 3 else 'triangles'}", where=where)
-    cells = np.concatenate([place[nodes[:, : dimension + 1]] for _, nodes in found])
-    mesh = _quadratic(points, cells, [place[nodes] for _, nodes in found])
+    cells = np.concatenate([place(nodes[:, : dimension + 1]) for _, nodes in body])
+    mesh = _quadratic(points, cells, [place(nodes) for _, nodes in body])
     table = _Table(mesh, np.unique(cells), len(points))
-    number = {tag: k for k, tag in enumerate(np.concatenate([tags for tags, _ in found]))}
+    number = {tag: k for k, tag in enumerate(np.concatenate([tags for tags, _ in body]))}
     groups = {}
-    for d, physical in gmsh.model.getPhysicalGroups():
-        name = gmsh.model.getPhysicalName(d, physical) or str(physical)
+    for name, d, entities in record["groups"]:
         if name in groups:
             raise UsageError("two groups of one name", where=where, got=name)
-        parts = [part for entity in gmsh.model.getEntitiesForPhysicalGroup(d, physical)
-                 for part in _elements(gmsh, d, entity)]  # fmt: skip
-        corners = [place[nodes[:, : d + 1]] for _, nodes in parts]
+        parts = [part for entity in entities for part in _simplices(blocks, d, entity)]
+        corners = [place(nodes[:, : d + 1]) for _, nodes in parts]
         joined = np.concatenate(corners) if corners else np.empty((0, d + 1), int)
         if d == dimension:
             members = np.array([number[tag] for tags, _ in parts for tag in tags], int)
@@ -237,20 +278,38 @@ def _collect(gmsh: ModuleType, unit: float, dimension: int, where: str) -> Group
     return GroupedMesh(mesh, groups)
 
 
-def _elements(gmsh: ModuleType, d: int, entity: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Tags and nodes (elements, nodes each) of the simplices of a dimension, corners first.
+def _places(tags: np.ndarray, where: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Where in ``tags`` (n,) each of an array of nodes stands; tags may be far apart."""
+    order = np.argsort(tags)
+    ranked = tags[order]
+
+    def place(nodes: np.ndarray) -> np.ndarray:
+        at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
+        if len(ranked) == 0 or (ranked[at] != nodes).any():
+            raise UsageError("an element has a node that is not there", where=where)
+        return np.asarray(order[at])
+
+    return place
+
+
+def _simplices(
+    blocks: Sequence[_Block], d: int, entity: int | None = None
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Tags and nodes of the simplices of a dimension, or of one entity of it.
 
     Raises
     ------
     UsageError : elements of another shape.
     """
     result = []
-    for kind, tags, nodes in zip(*gmsh.model.mesh.getElements(d, entity), strict=True):
-        name, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
-        if corners != d + 1 or count not in (corners, corners * (d + 2) // 2):
-            raise UsageError("element that is not supported", where="mesh", got=name,
+    for block in blocks:
+        if block.dimension != d or entity not in (None, block.entity):
+            continue
+        count = block.nodes.shape[1]
+        if block.corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
+            raise UsageError("element that is not supported", where="mesh", got=block.name,
                              expected="triangles, tetrahedra of order 1 or 2")  # fmt: skip
-        result.append((tags, nodes.reshape(-1, count).astype(int)))
+        result.append((block.tags, block.nodes))
     return result
 
 

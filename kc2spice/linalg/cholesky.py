@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-
-from kc2spice.core.lazy import lazy
-
-if TYPE_CHECKING:
-    from scipy import sparse
-else:
-    sparse = lazy("scipy.sparse")
-cvxopt = lazy("cvxopt")
+import scipy
 
 
 class Cholesky:
@@ -23,8 +14,11 @@ class Cholesky:
     RuntimeError : not positive definite.
     """
 
-    def __init__(self, matrix: sparse.csc_array, order: np.ndarray | None) -> None:
-        lower = sparse.coo_array(sparse.tril(matrix))
+    def __init__(self, matrix: scipy.sparse.csc_array, order: np.ndarray | None) -> None:
+        import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
+
+        self._library = cvxopt
+        lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
         entries = cvxopt.spmatrix(
             lower.data, lower.row.astype(np.int64), lower.col.astype(np.int64), matrix.shape
         )
@@ -37,6 +31,6 @@ class Cholesky:
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solution (n,) or (n, k)."""
-        x = cvxopt.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
-        cvxopt.cholmod.solve(self._factor, x)
+        x = self._library.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
+        self._library.cholmod.solve(self._factor, x)
         return np.array(x).reshape(rhs.shape)

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.lazy import lazy
 from kc2spice.linalg.cholesky import Cholesky
 from kc2spice.linalg.ordering import nested_dissection
 from kc2spice.linalg.pardiso import Pardiso
-
-if TYPE_CHECKING:
-    from scipy import sparse
-else:
-    sparse = lazy("scipy.sparse")
-linalg = lazy("scipy.linalg")
 
 # 'scipy' is banded or sparse Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
 Solver = Literal["scipy", "pardiso"]
@@ -41,7 +35,7 @@ class Factor:
     A solution beyond ``RESIDUAL_LIMIT`` is refined first: ``x + A^-1 (rhs - A x)`` (Skeel 1980).
     """
 
-    matrix: sparse.csc_array
+    matrix: scipy.sparse.csc_array
     norm: float
     apply_inverse: Inverse
 
@@ -75,7 +69,7 @@ class Factor:
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
 
 
-def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
+def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
@@ -88,7 +82,7 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
     SimulationError : ``definite`` was promised and is not true, or the matrix is singular.
     """
     norm = float(abs(matrix).sum(axis=0).max())
-    coo = sparse.coo_array(matrix)
+    coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
         if definite and bandwidth <= NARROW:
@@ -106,16 +100,16 @@ def factorise(matrix: sparse.csc_array, *, definite: bool) -> Factor:
         ) from error
 
 
-def _banded(coo: sparse.coo_array, bandwidth: int) -> Inverse:
+def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
     band = np.zeros((bandwidth + 1, coo.shape[0]))
     lower = coo.row >= coo.col
     band[(coo.row - coo.col)[lower], coo.col[lower]] = coo.data[lower]
-    factor = linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    return lambda rhs: linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
+    factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+    return lambda rhs: scipy.linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
 def inverses(
-    matrix: sparse.csc_array, *, symmetric: bool, solver: Solver = "scipy"
+    matrix: scipy.sparse.csc_array, *, symmetric: bool, solver: Solver = "scipy"
 ) -> tuple[Inverse, Inverse]:
     """Solutions with the matrix and with its transpose, real or complex.
 
@@ -129,10 +123,12 @@ def inverses(
     if solver == "pardiso":
         factors = Pardiso(matrix, symmetric=symmetric)
         return factors.solve, lambda rhs: factors.solve(rhs, transposed=True)
-    matrix = sparse.csc_array(matrix)
+    from scipy.sparse.linalg import splu
+
+    matrix = scipy.sparse.csc_array(matrix)
     order = _order(matrix) if symmetric else None
-    lu = sparse.linalg.splu(
-        matrix if order is None else sparse.csc_array(matrix[order][:, order]),
+    lu = splu(
+        matrix if order is None else scipy.sparse.csc_array(matrix[order][:, order]),
         permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
         diag_pivot_thresh=0.0 if symmetric else 0.01,
         options={"SymmetricMode": symmetric},
@@ -149,6 +145,6 @@ def inverses(
     return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")
 
 
-def _order(matrix: sparse.csc_array) -> np.ndarray | None:
+def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Nested dissection of large matrices; None leaves the order to the solver."""
     return nested_dissection(matrix) if matrix.shape[0] >= LARGE else None

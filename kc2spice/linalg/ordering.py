@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.gmsh_session import gmsh_session
-from kc2spice.core.lazy import lazy
-
-if TYPE_CHECKING:
-    from scipy import sparse
-else:
-    sparse = lazy("scipy.sparse")
 
 _LINE = 1  # gmsh's number of the element type with two nodes
 _KEPT = 2  # orders: a reduction factorises matrices of one pattern, or of two
 _orders: dict[bytes, np.ndarray | None] = {}
 
 
-def nested_dissection(matrix: sparse.csc_array) -> np.ndarray | None:
+def nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Order ``p`` (n,) in which factors of ``matrix[p][:, p]`` stay sparse; None, with a warning,
     where gmsh is missing.
 
@@ -32,7 +26,7 @@ def nested_dissection(matrix: sparse.csc_array) -> np.ndarray | None:
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """
-    matrix = sparse.csc_array(matrix)
+    matrix = scipy.sparse.csc_array(matrix)
     pattern = hashlib.blake2b(matrix.indptr.tobytes())
     pattern.update(matrix.indices.tobytes())
     key = pattern.digest()
@@ -43,9 +37,9 @@ def nested_dissection(matrix: sparse.csc_array) -> np.ndarray | None:
     return _orders[key]
 
 
-def _dissected(matrix: sparse.csc_array) -> np.ndarray | None:
+def _dissected(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     group, first = _nodes(matrix)
-    columns = sparse.coo_array(matrix[:, first])
+    columns = scipy.sparse.coo_array(matrix[:, first])
     pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     key = np.sort(pairs[:, 0] * first.size + pairs[:, 1])
@@ -61,7 +55,7 @@ def _dissected(matrix: sparse.csc_array) -> np.ndarray | None:
     return np.argsort(place[group], kind="stable")
 
 
-def _nodes(matrix: sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
+def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
     """Group of every unknown and the first unknown of each, by a hash of the columns' patterns."""
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]

@@ -7,18 +7,13 @@ runs on ``MKL_NUM_THREADS`` cores. Symmetric matrices are stored by their upper 
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.core.lazy import lazy
 from kc2spice.linalg.memory import require_bytes
-
-if TYPE_CHECKING:
-    from scipy import sparse
-else:
-    sparse = lazy("scipy.sparse")
 
 # Matrix types of PARDISO: (symmetric, complex) -> mtype; a definite one has its own.
 _TYPES = {(True, False): -2, (True, True): 6, (False, False): 11, (False, True): 13}
@@ -40,14 +35,14 @@ class Pardiso:
     """
 
     def __init__(
-        self, matrix: sparse.csc_array, *, symmetric: bool, definite: bool = False
+        self, matrix: scipy.sparse.csc_array, *, symmetric: bool, definite: bool = False
     ) -> None:
         pypardiso = _library()
         kind = _TYPES[symmetric, matrix.dtype.kind == "c"]
         self._solver = pypardiso.PyPardisoSolver(mtype=_DEFINITE if definite else kind)
         weakref.finalize(self, self._solver.free_memory, everything=True).atexit = False
         self._error = pypardiso.pardiso_wrapper.PyPardisoError
-        self._matrix = _upper(matrix) if symmetric else sparse.csr_array(matrix)
+        self._matrix = _upper(matrix) if symmetric else scipy.sparse.csr_array(matrix)
         self._matrix.sort_indices()
         unused = np.zeros((matrix.shape[0], 1), dtype=matrix.dtype)
         self._call(_ANALYSIS, unused)
@@ -87,10 +82,10 @@ def _library() -> Any:
     return pypardiso
 
 
-def _upper(matrix: sparse.csc_array) -> sparse.csr_array:
+def _upper(matrix: scipy.sparse.csc_array) -> scipy.sparse.csr_array:
     """Upper triangle with every diagonal entry stored, zero or not, as PARDISO demands."""
     n = np.arange(matrix.shape[0])
-    part = sparse.coo_array(sparse.triu(matrix))
+    part = scipy.sparse.coo_array(scipy.sparse.triu(matrix))
     row, column = np.r_[part.row, n], np.r_[part.col, n]
     data = np.r_[part.data, np.zeros(n.size, dtype=matrix.dtype)]
-    return sparse.csr_array((data, (row, column)), shape=matrix.shape)
+    return scipy.sparse.csr_array((data, (row, column)), shape=matrix.shape)

@@ -6,6 +6,7 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.sphere import integral
+from kc2spice.rom.linear import Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import Balance
@@ -34,6 +35,47 @@ def port_forces(part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndar
     return found
 
 
+def recorded(
+    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
+) -> np.ndarray:
+    """Loads (n, ports) that a run put on the body: volts and newtons."""
+    none = np.zeros(waves["time"].size)
+    return np.column_stack(
+        [
+            waves[f"{terminal(name, model, p)}.voltage"]
+            if p.kind == "electrical"
+            else forces.get(p.name, none)
+            for p in model.ports
+        ]
+    )
+
+
+def terminal(name: str, model: Resonators, port: Port) -> str:
+    """What the waves of an electrical port begin with: the part's name at the first of them."""
+    first = next(p for p in model.ports if p.kind == "electrical")
+    return name if port == first else f"{name}.{port.name}"
+
+
+def exact_outputs(
+    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """What the run has and what the body answers exactly to the run's loads, each (n,), by wave:
+    displacements [m] and, where a current was recorded, charges [C]."""
+    t = waves["time"]
+    response = chip_response(model, t, recorded(name, model, waves, forces))
+    found = {}
+    for k, port in enumerate(model.ports):
+        exact = response.output[:, k]
+        if port.kind == "mechanical" and f"{name}.u.{port.name}" in waves:
+            found[f"{name}.u.{port.name}"] = waves[f"{name}.u.{port.name}"], exact
+        elif port.kind == "electrical":
+            at = terminal(name, model, port)
+            if f"{at}.current" in waves:
+                charge = integral(waves[f"{at}.current"], t)
+                found[f"charge of {at}"] = charge + exact[0], exact
+    return found
+
+
 def balance(
     name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray],
     *, pressed: bool,
@@ -45,13 +87,7 @@ def balance(
     what rounds it where nothing moves.
     ``pressed`` judges until nothing presses on the body any more: the ringing after that is coarse.
     """
-    t, none = waves["time"], np.zeros(waves["time"].size)
-    loads = np.column_stack(
-        [
-            waves[f"{name}.voltage"] if p.kind == "electrical" else forces.get(p.name, none)
-            for p in model.ports
-        ]
-    )
+    t, loads = waves["time"], recorded(name, model, waves, forces)
     response = chip_response(model, t, loads)
     entries: dict[str, float] = {}
     gap, damped = np.zeros(t.size), response.stored[0] - response.stored
@@ -60,8 +96,9 @@ def balance(
         electrical = port.kind == "electrical"
         took = integral(load, exact)
         damped = damped + took
-        if electrical and f"{name}.current" in waves:
-            found = integral(load * waves[f"{name}.current"], t)
+        current = f"{terminal(name, model, port)}.current" if electrical else ""
+        if current in waves:
+            found = integral(load * waves[current], t)
         elif electrical:
             found = took
         else:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import stat
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +17,7 @@ from pydantic import Field
 
 from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import cached, remembered
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, time_axis, window
 from kc2spice.core.progress import Clock, silent
@@ -24,12 +26,14 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.structure import structure
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.plausible import dimensions, layers
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, FOLLOWED, UNRATED, Watch, reference, subcircuit
+from kc2spice.spice.realize import COARSE, FOLLOWED, LEAK, UNRATED, Watch, reference, subcircuit
 
 # SI per netlist unit, SI unit and short word of what a port answers with
 ANSWERS = {
@@ -40,7 +44,17 @@ ANSWERS = {
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
+WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
+REDUCED = "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
+GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
+LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
+STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
+STILL = 1e-9  # of a run: time points that are one
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
+KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
+NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
+LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
+MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
 POINTS = 600  # of an impedance, besides those near resonances
 PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
@@ -49,7 +63,7 @@ PATIENCE = 15.0  # s of processor time that explain spends on the error of a mes
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.units", "kc2spice.core.quantities", "kc2spice.core.schema",
-    "kc2spice.core.gmsh_session",
+    "kc2spice.core.gmsh_session", "kc2spice.core.child",
 )  # fmt: skip
 
 
@@ -94,14 +108,17 @@ class LinearBody(PartType):
         """First line of its library: what it is and what it assumes."""
         return self.title
 
-    def rated(self, part: Part) -> float | None:
+    def by_material(self, part: Part) -> float | None:
         """Largest voltage [V] that the material stands between electrodes, None if not known."""
         return None
 
+    def rated(self, part: Part) -> float | None:
+        known: float | None = part.keys.rated_voltage or self.by_material(part)
+        return known
+
     def limit(self, part: Part, build: Build) -> float | None:
         """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
-        known: float | None = part.keys.rated_voltage or self.rated(part)
-        return known or build.model(part).facts.get("depoling_voltage_v")
+        return self.rated(part) or build.model(part).facts.get("depoling_voltage_v")
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         """What the full model depends on."""
@@ -114,7 +131,8 @@ class LinearBody(PartType):
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
-        All where the body is the only part: the scene is there to export it.
+        All where the body is the only part: the scene is there to export it; and in an export all
+        that the scene's author declares.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1:
@@ -127,6 +145,8 @@ class LinearBody(PartType):
                     f"{part.name} has no such port", where=part.name, got=repr(name),
                     expected=", ".join(p.name for p in every),
                 )  # fmt: skip
+        if scene.exported and self.declares:
+            return every
         used = [
             p
             for p in every
@@ -140,6 +160,18 @@ class LinearBody(PartType):
 
     def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return tuple(_terminals(part, self.ports(part, scene), scene))
+
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
+        found = tuple(super().holds(part, scene, model))
+        if model is None or not free_to_move(model):
+            return found
+        names = {port.name for port in self.kept(part, scene)}
+        first, *others = [pin for pin, _ in found if pin in names] or [GROUND]
+        fixed = tuple((pin, end) for pin, end in found if pin not in names)
+        return fixed + tuple((first, other) for other in others)
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from dimensions(part.name, part.keys)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.kind == "mechanical"]
@@ -188,35 +220,59 @@ class LinearBody(PartType):
     def usual(self, scene: Scene) -> Rom:
         """Where nothing is said: a tolerance over the band that the analysis sees.
 
-        That is the range of ``ac`` and a fifth more, and for a transient what ten of its largest
-        steps to a period resolve. A thousandth is a tenth of what meshes are off, and above what
-        rounding does to a thin plate that is free to move (some 1e-4 at its resonances).
+        That is the range of ``ac`` and a fifth more. In a transient it is what the scene excites,
+        see :meth:`PartType.time_scales`, as far as the body's first :data:`MOTIONS` natural
+        frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
+        does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
         if scene.analysis.type == "ac":
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             return Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
-        return Rom(tolerance=1e-4, band=(0.0, 0.1 / scene.solver.max_step))
+        rows = [row for p in scene.parts.values() for row in p.type.time_scales(p, scene)]
+        content = max((row.content for row in rows), default=0.0)
+        return Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+
+    def sure(self, part: Part, scene: Scene) -> float | None:
+        """What the band of a transient reaches at least [Hz], whatever natural frequencies the body
+        has; None where somebody chose the band."""
+        chosen = getattr(part.keys, "rom", None) or "rom" in scene.frame.model_fields_set
+        if chosen or scene.analysis.type != "transient":
+            return None
+        rows = [row for p in scene.parts.values() for row in p.type.time_scales(p, scene)]
+        return max([LEAST, *(row.content for row in rows if math.isfinite(row.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = self.reduction(part, scene)
         kept = [port.name for port in self.kept(part, scene)]
         own = rom.model_dump(mode="json")
         found = {"type": self.name, "full": self.full_key(part, scene), "ports": kept, "rom": own}
-        return found | {"massless": massless(part, scene)}
+        sure = self.sure(part, scene)
+        reached = {} if sure is None else {"sure": sure, "motions": MOTIONS}
+        return found | reached | {"massless": massless(part, scene)}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         target = self.reduction(part, scene)
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         without, kept = massless(part, scene), [port.name for port in self.kept(part, scene)]
+        sure = self.sure(part, scene)
 
         def build() -> LinearModel:
+            from kc2spice.rom.band import reach
             from kc2spice.rom.massless import without_inertia
-            from kc2spice.rom.reduce import reduce
+            from kc2spice.rom.reduce import default_norm, reduce
 
-            chosen = self.full(part, scene, clock).select(kept)
+            key = [self.name, self.full_key(part, scene)]
+            full = remembered("full", key, lambda: self.full(part, scene, clock))
+            chosen = full.select(kept)
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
-                small = reduce(chosen, order=order, tolerance=target.tolerance, band=target.band)
+                band = target.band
+                if sure is not None and band[1] > sure:
+                    band = band[0], min(band[1], max(sure, reach(chosen.pencil, MOTIONS, band[1])))
+                norm = target.norm or default_norm(chosen)
+                small = reduce(
+                    chosen, order=order, tolerance=target.tolerance, band=band, norm=norm
+                )
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None:
                 return small
@@ -280,14 +336,22 @@ class LinearBody(PartType):
             return figures
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
-        certificate = build.model(part).certificate if "frequency" in waves else None
+        model: LinearModel = build.model(part)
+        certificate = model.certificate
         if certificate is not None:
+            yield from _reduction_checks(part.name, model, certificate)
+        if certificate is not None and "time" in waves:
+            yield from self._excited(part, build, waves, certificate)
+        if certificate is not None and "frequency" in waves:
             highest, limit = float(waves["frequency"].real.max()), certificate.band_hz[1]
             name, slack = f"band of {part.name}", 1 + 1e-9  # a last point that is rounded
             yield Check(name, highest, slack * limit, "Hz", OUTSIDE, "warn")
         volts = self.limit(part, build)
         electrical = [p for p in self.kept(part, build.scene) if p.kind == "electrical"]
-        if volts is None or "time" not in waves:
+        if "time" not in waves:
+            return
+        yield from _charge_kept(part, build)
+        if volts is None:
             return
         for k, port in enumerate(electrical):
             name = part.name if k == 0 else f"{part.name}.{port.name}"
@@ -295,22 +359,59 @@ class LinearBody(PartType):
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
+    def _excited(
+        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+    ) -> Iterator[Check]:
+        """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
+        of a sine and a third of the reciprocal of an edge."""
+        scene, t = build.scene, waves["time"]
+        rows = (row for p in scene.parts.values() for row in p.type.time_scales(p, scene))
+        if any(row.decides for row in rows):  # a contact excites it more than any drive
+            return
+        apart = np.diff(t) > STILL * t[-1]
+        for port in self.kept(part, scene):
+            if port.kind != "electrical" or not apart.any():
+                continue
+            name = chipbook.terminal(part.name, build.model(part), port)
+            voltage = waves.data.get(f"{name}.voltage")
+            if voltage is None or not np.ptp(voltage):
+                continue
+            slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
+            name = f"band of {part.name}, drive of {port.name}"
+            content, high = float(slope / (np.pi * np.ptp(voltage))), certificate.band_hz[1]
+            yield Check(name, content, high, "Hz", STEEP, "warn")
+
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
-        if "time" not in waves:
+        found = self._recorded(part, build, waves)
+        if found is None:
             return {}
+        pressed = self.coarse(part, build.scene)
+        return {part.name: chipbook.balance(part.name, *found, pressed=pressed)}
+
+    def exact_outputs(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
+        found = self._recorded(part, build, waves)
+        if found is None or self.coarse(part, build.scene):
+            return {}
+        return chipbook.exact_outputs(part.name, *found)
+
+    def _recorded(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> tuple[Resonators, Waveforms, dict[str, np.ndarray]] | None:
+        """Its modes, the run and the forces on its ports, where all loads were recorded."""
+        if "time" not in waves:
+            return None
         modal = modal_form(build.model(part))
         kinds = {port.kind for port in self.kept(part, build.scene)}
         if modal is None or not kinds <= {"electrical", "mechanical"}:
-            return {}
+            return None
         if part_starts_moving(part, build.scene):
-            return {}
+            return None
         forces = chipbook.port_forces(part, build, waves)
         voltages = [p for p in modal.ports if p.kind == "electrical"]
-        known = all(_voltage_name(part, modal, p) in waves for p in voltages)
-        if forces is None or not known:
-            return {}
-        pressed = self.coarse(part, build.scene)
-        return {part.name: chipbook.balance(part.name, modal, waves, forces, pressed=pressed)}
+        known = all(f"{chipbook.terminal(part.name, modal, p)}.voltage" in waves for p in voltages)
+        return (modal, waves, forces) if forces is not None and known else None
 
     def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
         """(ports, ports) displacement [m] per force [N] at rest, electrodes at constant voltage."""
@@ -350,16 +451,19 @@ class LinearBody(PartType):
         pins = {pin.name for pin in self.pins(part, build.scene)}
         if build.net(part, next(p for p in ("base", "ground", "ref") if p in pins)) != "0":
             return None
-        if all(port.kind in ("input", "output") for port in ports):
-            return _signal_law(n, model)
-        if model.first_order or not all(port.conservative for port in ports):
-            return None
-        modal = modal_form(model)
+        signals = all(port.kind in ("input", "output") for port in ports)
         kinds = {"mechanical": "displacement", "rotational": "rotation"}
         own = tuple(
             laws.Port(p.name, kinds.get(p.kind, p.kind), "".join(p.terminals[1:])) for p in ports
         )
-        if modal is not None:
+        if not signals and (model.first_order or not all(port.conservative for port in ports)):
+            return None
+        law: laws.Law
+        if not model.pencil.is_dense:
+            law = laws.PortBody(n, model, own)
+        elif signals:
+            law = _signal_law(n, model)
+        elif (modal := modal_form(model)) is not None:
             law = laws.LinearBody(
                 n, modal.inertia, modal.damp, modal.omega**2, modal.gain, modal.gain.T,
                 modal.D, own,
@@ -383,7 +487,8 @@ class LinearBody(PartType):
         )
         low, high = rom.band
         ports = ", ".join(port.name for port in self.kept(part, scene))
-        detail = f"reduced to {target}, band {low:g} … {high:g} Hz; ports {ports}"
+        reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
+        detail = f"reduced to {target}, band {low:g} … {high:g} Hz{reach}; ports {ports}"
         return Modelled(part.name, self.source, detail)
 
     def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
@@ -421,8 +526,38 @@ class LinearBody(PartType):
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
         if rest:
             what = f"{part.name}: ports {', '.join(rest)}"
-            yield LeftOut(what, "nothing of the scene needs them", "none")
+            why = "nothing of the scene needs them"
+            if self.declares:
+                why = "nothing joins them: a run leaves them out, an export keeps them"
+            yield LeftOut(what, why, "none")
         yield from self.unfollowed(part, scene)
+
+
+def _charge_kept(part: Part, build: Build) -> Iterator[Check]:
+    """The netlist's leak gives a floating electrode its operating point; in long runs of small
+    capacitances it takes some of its charge."""
+    model: LinearModel = build.model(part)
+    for port in model.ports:
+        if port.kind != "electrical":
+            continue
+        clamped = float(model.D[model.outputs.index(port.name), model.inputs.index(port.name)])
+        lost = -math.expm1(-build.scene.stop * LEAK / clamped) if clamped > 0 else 0.0
+        if lost > KEPT:
+            name = f"charge kept by {part.name}.{port.name} if it floats"
+            advice = f"its netlist leaks {LEAK:g} S: a resistor across it states the real leak"
+            yield Check(name, lost, KEPT, "of it lost", advice, "warn")
+
+
+def _reduction_checks(name: str, model: LinearModel, found: Certificate) -> Iterator[Check]:
+    """What every run with a reduced body is checked for: its certified error, and that the full
+    model does not grow by itself."""
+    error = found.error_estimate
+    limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
+    yield Check(f"reduction of {name}", error, limit, "", REDUCED, action)  # type: ignore[arg-type]
+    if found.stable is False:
+        lost = structure(model.pencil.dense(), found.band_hz).stable
+        advice, then = (LOST, "fail") if lost else (GROWS, "warn")
+        yield Check(f"stability of {name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
 
 
 def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
@@ -439,10 +574,12 @@ def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
             found[f"{prefix}.current"] = laws.reading(f"{n}.{port.name}.through")
         elif port.kind in ANSWERS:
             found[f"{n}.{ANSWERS[port.kind][2]}.{port.name}"] = laws.reading(f"{n}.{port.name}")
+        elif port.kind in ("input", "output"):
+            found[f"{n}.{port.name}"] = laws.reading(f"{n}.{port.name}")
     return found
 
 
-def _signal_law(name: str, model: LinearModel) -> laws.Equations:
+def _signal_law(name: str, model: LinearModel) -> laws.SignalBlock:
     """Signals in, signals out, in first order: ``x = [q, q']`` where the model has inertia."""
     *rest, last = model.pencil.dense().coefficients
     B, C = model.B, model.C
@@ -453,10 +590,7 @@ def _signal_law(name: str, model: LinearModel) -> laws.Equations:
         E = np.block([[one, none], [none, last]])
         A = np.block([[none, one], [-rest[0], -rest[1]]])
         B, C = np.vstack([0.0 * B, B]), np.hstack([C, 0.0 * C])
-    law = laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
-    pins = tuple((port.terminals[0], f"{name}.{port.name}") for port in model.ports)
-    results = {f"{name}.{port.name}": laws.reading(f"{name}.{port.name}") for port in model.ports}
-    return laws.Equations((law,), pins, results)
+    return laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
 
 
 def wanted(part: Part, scene: Scene) -> set[str]:
@@ -503,6 +637,15 @@ def depoling_voltage(layers: Sequence[Any], where: str, *, series: bool) -> floa
     return float(min(limit * thick for limit, (_, thick) in zip(fields, active, strict=True)))
 
 
+def layer_problems(part: Part, widths: Sequence[float], *, plate: bool) -> Iterator[UsageError]:
+    """What :func:`kc2spice.scene.plausible.layers` says of a body's layers, each this wide [m]."""
+    from kc2spice.fem.materials import material
+
+    found = [(width, layer.thickness, material(layer.material, part.name).piezoelectric)
+             for layer, width in zip(part.keys.layers, widths, strict=True)]  # fmt: skip
+    yield from layers(f"{part.name}.layers", found, plate=plate)
+
+
 def layered(part: Part, widths: Sequence[float]) -> Iterator[Shape]:
     """Side view of the layers of a body, which its keys have from the bottom up."""
     from kc2spice.fem.materials import material
@@ -520,6 +663,8 @@ def file_stamp(path: Path) -> str:
     """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
         found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            return "no regular file"
         return _content(path, found.st_size, found.st_mtime_ns)
     except OSError:
         return "absent"
@@ -537,6 +682,18 @@ def modal_form(model: LinearModel) -> Resonators | None:
         return resonators(model)
     except UsageError:
         return None
+
+
+def free_to_move(model: LinearModel) -> bool:
+    """Whether some motion of it costs no energy at rest, such as that of a body without support."""
+    if modal_form(model) is not None:
+        return False
+    rest = model.pencil.dense().coefficients[0]
+    for axis in (1, 0):
+        size = np.abs(rest).max(axis=axis, keepdims=True, initial=0.0)
+        rest = rest / np.where(size > 0, size, 1.0)
+    values = np.linalg.svd(rest, compute_uv=False)
+    return bool(values.min(initial=np.inf) <= NO_ENERGY * values.max(initial=0.0))
 
 
 def impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
@@ -562,7 +719,7 @@ def _own_impedances(part: Part, model: LinearModel | None) -> Iterator[Figure]:
     modal = modal_form(model)
     poles = np.empty(0) if modal is None else modal.omega / (2 * np.pi)
     near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
-    f = np.union1d(np.geomspace(max(low, high / 300), high, POINTS), near)
+    f = np.sort(np.concatenate((np.geomspace(max(low, high / 300), high, POINTS), near)))
     f = f[(f >= max(low, high / 300)) & (f <= high)]
     answers = model.transfer(f)
     for port in (p for p in model.ports if p.kind == "electrical"):
@@ -663,11 +820,6 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
         yield Terminal(reference(ports), "um", "N", "gnd")
     if not electrical and not moved:
         yield Terminal("ref", "V", "A", "gnd")
-
-
-def _voltage_name(part: Part, model: Resonators, port: Port) -> str:
-    first = next(p for p in model.ports if p.kind == "electrical")
-    return f"{part.name}.voltage" if port == first else f"{part.name}.{port.name}.voltage"
 
 
 def _electrical(part: Part, port: Port, prefix: str, build: Build) -> dict[str, Vector]:

@@ -243,6 +243,12 @@ def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str)
     return Figure(f"{name}_{stem}", f"Deformed {name}", caption, (panel,))
 
 
+def outline(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of a mesh's surface as one line with gaps, x and y [mm] of an oblique projection."""
+    found = _wires("", mesh.p[:, : mesh.nvertices], _edges(mesh), "-")
+    return found.x, found.y
+
+
 def _edges(mesh: Any) -> np.ndarray:
     """Vertices (2, edges) of the surface mesh; only where faces meet at an angle if it is fine."""
     facets = mesh.boundary_facets()

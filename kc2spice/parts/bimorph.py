@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from kc2spice.bodies import bimorph
 from kc2spice.bodies.device import Device
+from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import depoling_voltage, layered
+from kc2spice.parts._linear_body import depoling_voltage, layer_problems, layered
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
@@ -41,8 +42,13 @@ dc = "50 V"
 """
     source = "FE (piezoelectric, hexahedra)"
 
-    def rated(self, part: Part) -> float | None:
+    def by_material(self, part: Part) -> float | None:
         return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring != "parallel")
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().implausible(part, scene)
+        widths = [part.keys.width] * len(part.keys.layers)
+        yield from layer_problems(part, widths, plate=False)
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         keys = part.keys

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from kc2spice.bodies import body
-from kc2spice.bodies.device import Device
+from kc2spice.bodies.device import Device, part_named
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.foreign import beside
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.mesh_file import length_unit, require_format
 from kc2spice.parts._linear_body import file_stamp
-from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._meshed import FieldKeys, MeshedBody, outline
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import Build, Modelled, register
 
 
 class BodyKeys(body.Body, FieldKeys):
@@ -23,6 +31,7 @@ class Body(MeshedBody):
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
     schema = BodyKeys
+    declares = True
     source = "FE (piezoelectric, the user's mesh)"
     mesh_growth = 50.0  # solids
 
@@ -31,15 +40,55 @@ class Body(MeshedBody):
         return body.ports(keys)
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
         return (part.keys.mesh,)
 
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        try:
+            path = beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
+            require_format(path)
+            if path.is_file():
+                length_unit(path, part.keys.unit)
+        except UsageError as error:
+            if error.where == "unit":
+                error.where = f"{part.name}.unit"
+            yield error
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        found = super().modelled(part, scene)
+        keys = self.body_keys(part)
+
+        def size() -> str:
+            with part_named(part.name):
+                return body.size_in_words(keys, scene.home)
+
+        key = {"file": _stamp(part, scene), "unit": keys.unit}
+        text, _ = cached("extent", key, size, sources=self.sources())
+        return replace(found, detail=f"{text}; {found.detail}")
+
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
-        return {**super().full_key(part, scene), "file": file_stamp(scene.home / part.keys.mesh)}
+        return {**super().full_key(part, scene), "file": _stamp(part, scene)}
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Its mesh, then what all bodies show."""
+        x, y = cached(
+            "outline", self.full_key(part, build.scene),
+            lambda: outline(self.device(part, build.scene).solid.mesh), sources=self.sources(),
+        )[0]  # fmt: skip
+        panel = Panel("mm", "mm", (Curve("", x, y),), equal=True)
+        caption = f"Edges of the mesh {part.keys.mesh}."
+        yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
+        yield from super().figures(part, build, waves)
 
     def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
         # unset keys stay out: a group is picked by the keys that it has
         keys = self.body_keys(part).model_dump_json(exclude_unset=True)
-        return _device(keys, scene.home, refine, file_stamp(scene.home / part.keys.mesh), part.name)
+        return _device(keys, scene.home, refine, _stamp(part, scene), part.name)
+
+
+def _stamp(part: Part, scene: Scene) -> str:
+    return file_stamp(beside(scene.home, part.keys.mesh, f"{part.name}.mesh"))
 
 
 @lru_cache(maxsize=2)

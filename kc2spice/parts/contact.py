@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -38,9 +39,11 @@ from kc2spice.scene.parttype import (
     PartType,
     Reach,
     Surface,
+    TimeScale,
     Vector,
     register,
 )
+from kc2spice.spice.cards import distinct
 from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
 from kc2spice.spice.render import render
@@ -52,6 +55,7 @@ if TYPE_CHECKING:
 # exceeds; what it is where there is no certificate.
 REDUCED, BEYOND = 0.4, 1e-3
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
+STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 HATS = 3.0  # of what hats half as wide move; 1.8 of it is found against hats a quarter as wide
 CARRYING = 3.0  # hats of 10 um under a contact as wide are 5e-3 off, half as many 3e-2
@@ -60,6 +64,7 @@ OPEN = 0.95  # of its gap that the bound of a ring that was left out may reach
 # of a step. Of 37 kicks of chips damped by 0.01 to 0.05 %, those above launched wrong by 9e-4.
 EVENTS = 4e-3
 ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
+EXCITED = 500e3  # Hz that a contact excites bodies at
 CURVED, DAMPED = 0.1, 0.01  # of solver.reltol under contacts by Hertz, and under damped ones
 FEW = 20  # events that are not too many for any reltol
 FLOOR = "floor"  # port of a rigid plane
@@ -72,12 +77,19 @@ _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within
 class ContactKeys(Section):
     """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
 
-    penalty: Stiffness = Field(1e8, gt=0, description="of a ring of one symmetry sector")
+    penalty: Stiffness = Field(
+        1e8, gt=0, le=STIFFEST, description="of a ring of one symmetry sector"
+    )
     rings: Rings = Field("needed", description="needed, all, or how many from the centre on")
     a: str | tuple[str, ...] | None = Field(
-        None, description="body, its ports, or gnd; the only body that offers a surface"
+        None,
+        description="side below, whose rise closes the gap: body, its ports, or gnd; the only body",
     )
-    b: str | None = Field(None, description="sphere, or a port of a body; the only sphere")
+    b: str | None = Field(
+        None,
+        description="side above, whose rise opens the gap: sphere, or a port of a body; the only "
+        "sphere",
+    )
     gap: Length = Field(0.0, description="at rest, on top of that of the geometry")
     inertia: Literal["massless", "lumped"] = Field(
         "massless", description="of the residual modes behind the ports: left out, or a mass each"
@@ -96,10 +108,12 @@ class ContactKeys(Section):
         None, gt=0, le=180, description="opening angle in degrees of the groove in a that b lies in"
     )
     damping: Annotated[float, si("s/m")] = Field(
-        0.0, ge=0, description="of Hunt and Crossley: force times 1 + damping times closing speed"
+        0.0,
+        ge=0,
+        description="of Hunt and Crossley: force times 1 + damping times closing speed",
     )
     friction: Ratio = Field(
-        0.0, ge=0, description="Coulomb's coefficient, of pin slide over pin rail"
+        0.0, ge=0, description="Coulomb's coefficient, of pin slide over pin rail; on both flanks"
     )
     creep: Velocity = Field(
         1e-4, gt=0, description="speed below which friction is viscous, for sticking"
@@ -145,7 +159,6 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
-    throws = True
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
@@ -174,11 +187,21 @@ class Contact(PartType):
             return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
         return joins | {"b": f"{other}.{b.force[0]}"}
 
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterator[tuple[str, str]]:
+        """Surfaces that touch at rest: what presses on them finds its place."""
+        a, b = sides(part, scene)
+        yield from ((pin, GROUND) for pin in ("base", *["va"] * a.rigid, *["v"] * b.rigid))
+        if part.keys.gap <= 0.0 and not a.rigid and not b.rigid:
+            yield from ((port, "b") for port in kept_ports(part, scene))
+
     def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
         (one, a), (other, b) = _names(part, scene)
         first = a.force if a.rigid else kept_ports(part, scene)
         carried = (f"{b.elastic}.{PATCH}",) if b.elastic else ()
         return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}", *carried)
+
+    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+        yield TimeScale("contact, as far as a body has motions", content=EXCITED)
 
     def closeness(self, part: Part, scene: Scene) -> float:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
@@ -191,7 +214,12 @@ class Contact(PartType):
         return self.wants(part, scene) if part.keys.inertia == "massless" else ()
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        a, b = sides(part, scene)
+        (one, a), (other, b) = _names(part, scene)
+        if one == other != GROUND and set(a.force) & set(b.force):
+            yield UsageError(
+                "nothing touches itself", where=f"{part.name}.b",
+                got=f"{one} on both sides", expected="two parts, or two ports of a body",
+            )  # fmt: skip
         if b.radius is not None and max(a.distance) >= b.radius:
             (one, _), (other, _) = _names(part, scene)
             yield UsageError(
@@ -213,7 +241,7 @@ class Contact(PartType):
         return (
             contact_subcircuit(
                 header, ports, added, normal(part, build.scene), under=under,
-                rigid=(a.rigid, b.rigid), elastic=bool(b.elastic),
+                rigid=(a.rigid, b.rigid), elastic=bool(b.elastic), groove=part.keys.groove,
                 name=build.libraries[part.name],
             ),
         )  # fmt: skip
@@ -227,6 +255,8 @@ class Contact(PartType):
         if part.keys.friction:
             text = f"@b.x{part.name.lower()}.bslide[i]"
             found[f"{part.name}.friction"] = Vector(text, 1.0, "N")
+        if (s := flank(part)) is not None:
+            found[f"{part.name}.flank"] = Vector("+".join(forces.values()), 1 / (2 * s), "N")
         return found | {name: Vector(text, 1.0, "N") for name, text in forces.items()}
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
@@ -315,8 +345,11 @@ class Contact(PartType):
         if own.friction:
             pins += (("slide", f"{n}.slide"), ("rail", f"{n}.rail"))
             results[f"{n}.friction"] = laws.reading(f"{n}.slide.through")
-        every = tuple((1.0, f"{n}.{r}.through") for r in ports)
-        return laws.Equations((law,), pins, {f"{n}.force": laws.Reading(every)} | results)
+        sums = {"force": 1.0} | ({} if (s := flank(part)) is None else {"flank": 1 / (2 * s)})
+        for word, share in sums.items():
+            every = tuple((share, f"{n}.{r}.through") for r in ports)
+            results[f"{n}.{word}"] = laws.Reading(every)
+        return laws.Equations((law,), pins, results)
 
     def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         if part.keys.shape == "pressure":
@@ -335,10 +368,12 @@ class Contact(PartType):
             detail = f"{count} unilateral springs, {own.stiffness:g} N/m each"
         else:
             detail = f"Hertz's law, {own.stiffness:g} N/m^1.5"
+        if part.keys.groove is not None:
+            detail += f" along the axis of a groove of {part.keys.groove:g} degrees"
         if own.damping:
-            detail += f", damping of Hunt and Crossley {own.damping:g} s/m"
+            detail += f", damping of Hunt and Crossley {part.keys.damping:g} s/m"
         if own.friction:
-            detail += f", friction {own.friction:g}, viscous below {own.creep:g} m/s"
+            detail += f", friction {part.keys.friction:g}, viscous below {own.creep:g} m/s"
         return Modelled(part.name, "closed form", detail)
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
@@ -391,7 +426,9 @@ def normal(part: Part, scene: Scene) -> Normal:
     A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
     sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove of
     opening angle g both flanks are approached by ``s x``, ``s = sin(g/2)``, and push along the axis
-    with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one.
+    with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one, the damping
+    that of their closing speed ``s x'``. Each carries ``F / (2 s)``, so that friction along the
+    groove is ``1 / s`` times its coefficient.
     """
     keys, (a, b) = part.keys, sides(part, scene)
     if keys.shape == "pressure":
@@ -407,9 +444,16 @@ def normal(part: Part, scene: Scene) -> Normal:
                 hint='law = "linear"',
             )  # fmt: skip
         value, power = 4 / 3 * _modulus(part, scene) / math.sqrt(sum(round_)), 1.5
-    if keys.groove is not None:
-        value *= 2 * math.sin(math.radians(keys.groove) / 2) ** (1 + power)
+    if (s := flank(part)) is not None:
+        value *= 2 * s ** (1 + power)
+        return Normal(value, power, s * keys.damping, keys.friction / s, keys.creep)
     return Normal(value, power, keys.damping, keys.friction, keys.creep)
+
+
+def flank(part: Part) -> float | None:
+    """``sin(g/2)`` of a groove's opening angle g, by which its flanks lean; None without one."""
+    groove = part.keys.groove
+    return None if groove is None else math.sin(math.radians(groove) / 2)
 
 
 def _pressed(part: Part, scene: Scene) -> Normal:
@@ -894,6 +938,7 @@ def contact_subcircuit(
     rigid: tuple[bool, bool] = (False, True),
     under: tuple[float, np.ndarray] | None = None,
     elastic: bool = False,
+    groove: float | None = None,
     name: str = "contact",
 ) -> Subcircuit:
     """``law`` of the penetration ``u - bottom - gap`` between ring pins and the other side.
@@ -911,12 +956,18 @@ def contact_subcircuit(
     along = (Pin("slide", "um", "N"), Pin("rail", "um", "N")) if law.friction else ()
     carried = (Pin(CARRIED, "um", "N"),) if elastic else ()
     pins = (*first, *side, *carried, *along, Pin("base", "um", "N"))
+    distinct([pin.name for pin in pins], _inner(rings), where=name)
     radii = () if under is None else under[1][: len(rings)]
     sphere = [] if under is None else [
         Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
     ]  # fmt: skip
     doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     what = "contact penalty of a whole ring" if law.power == 1 else "Hertz: 4/3 E* sqrt(R)"
+    damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"
+    if groove is not None:
+        s = f"s = sin({groove:g}/2 deg)"
+        what = f"along the axis of a groove, 2 s^{1 + law.power:g} times one flank's, {s}"
+        damping, friction = f"s times that of a flank, {s}", f"1/s times Coulomb's coefficient, {s}"
     if law.radius:
         sphere = [
             Param("radius", law.radius, "m", "radius of the sphere", law.depth),
@@ -929,8 +980,8 @@ def contact_subcircuit(
             Param(f"gap_{ring}", float(gap), "m", doc.format(ring))
             for ring, gap in zip(rings, gaps, strict=True)
         ),
-        *([positive("damping", law.damping, "s/m", "of Hunt and Crossley")] if law.damping else []),
-        *([positive("friction", law.friction, "1", "Coulomb's coefficient")] if along else []),
+        *([positive("damping", law.damping, "s/m", damping)] if law.damping else []),
+        *([positive("friction", law.friction, "1", friction)] if along else []),
         *([positive("creep", law.creep, "m/s", "speed of full friction")] if along else []),
     )
     text = render(
@@ -958,6 +1009,12 @@ def contact_subcircuit(
         rate="v" if rigid[1] else "rateb",
     )
     return Subcircuit(name, pins, params, text, no_module=SLIPS if law.friction else "")
+
+
+def _inner(rings: Iterable[str]) -> str:
+    """Pattern of the nodes that the template names after a pin, in lower case."""
+    pins = "|".join(re.escape(pin.lower()) for pin in (*rings, "b", "slide"))
+    return rf"(f|x|near|edge|lag|late|copy|sensed|rate)({pins})"
 
 
 def _validity(law: Normal) -> str:

@@ -44,6 +44,7 @@ class Controller(PartType):
     name = "controller"
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
+    controls = True
     example = """
 [controller]
 part = "controller"
@@ -91,11 +92,14 @@ wiring = "parallel"
                 expected='names of its input pins, such as inputs = ["y"]',
             )  # fmt: skip
 
+    def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
+        return ((part.name.lower(), "held"),)
+
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":
             return (f"V{part.name} {out} {ret} EXTERNAL",)
-        held = f"{part.name}_held".lower()
+        held = build.own(part, part.name.lower(), "held")
         return (f"V{part.name} {held} 0 EXTERNAL", f"G{part.name} {ret} {out} {held} 0 1")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import PAIRS, FullSolution, Gate, Limit
+from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
@@ -49,22 +48,31 @@ class CurrentCases(PartType):
     def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
         return {_coils(part, build.scene).name: ()}
 
+    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        yield ("Vheight",)
+        own = ("Xcatch", "lower", "upper", "force", "Ilower", "Iupper", "Rforce")
+        yield from ((f"{name}{k}",) for k in range(len(cases(part))) for name in own)
+
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         library, cards = build.libraries[_coils(part, build.scene).name], []
-        cards.append(f"Vheight {build.net(part, 'y')} 0 0")
         y = build.net(part, "y")
+        cards.append(f"{build.own(part, 'Vheight')} {y} 0 0")
         for k, (lower, upper) in enumerate(cases(part)):
+
+            def own(name: str, k: int = k) -> str:
+                return build.own(part, f"{name}{k}")
+
             cards += [
                 f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
-                f"Xcatch{k} lower{k} 0 upper{k} 0 {y} force{k} 0 {library}",
-                f"Ilower{k} 0 lower{k} {number(lower)}",
-                f"Iupper{k} 0 upper{k} {number(upper)}",
-                f"Rforce{k} force{k} 0 1",
+                f"{own('Xcatch')} {own('lower')} 0 {own('upper')} 0 {y} {own('force')} 0 {library}",
+                f"{own('Ilower')} 0 {own('lower')} {number(lower)}",
+                f"{own('Iupper')} 0 {own('upper')} {number(upper)}",
+                f"{own('Rforce')} {own('force')} 0 1",
             ]
         return tuple(cards)
 
     def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
-        return ("Vheight", 1e6) if key == "height" else None
+        return (build.own(part, "Vheight"), 1e6) if key == "height" else None
 
     def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
         keys = _coils(part, scene).keys
@@ -73,7 +81,8 @@ class CurrentCases(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found = {f"{_sphere(part, build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
         for k in range(len(cases(part))):
-            found[f"{_coils(part, build.scene).name}.force.{k}"] = Vector(f"v(force{k})", 1.0, "N")
+            name, node = _coils(part, build.scene).name, build.own(part, f"force{k}")
+            found[f"{name}.force.{k}"] = Vector(f"v({node})", 1.0, "N")
         return found
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -92,45 +101,6 @@ class CurrentCases(PartType):
         of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
-    def full_solution(self, part: Part, build: Build, clock: Any, whole: bool) -> FullSolution:
-        """A field solution per current pair and height, and a sweep ``FINER`` times as dense.
-
-        Its spline interpolates ``FINER**4`` times better than the table's.
-        """
-        from kc2spice.fem.magnetics.field import brute_force, catch_table
-        from kc2spice.fem.magnetics.table import em_cases, force
-        from kc2spice.parts.ring_magnet_coils import field_keys, mounted, sphere_of
-
-        coils = _coils(part, build.scene)
-        table, catch = build.model(coils), field_keys(coils)
-        radius = sphere_of(coils, build.scene).keys.radius
-        pairs = np.array(cases(part))
-        largest = float(np.abs(em_cases(table, pairs)).max())
-        with clock.stage("superposition", "four fields per height") as share:
-            started = time.perf_counter()
-            catch_table(catch, radius, lambda done, total: share(done / total))
-            superposed = time.perf_counter() - started
-        with clock.stage("brute force", f"{len(pairs) * table.y.size} cases") as share:
-            started = time.perf_counter()
-            brute = brute_force(catch, radius, pairs, lambda done, total: share(done / total))
-            spent = time.perf_counter() - started
-        apart = float(np.abs(em_cases(table, pairs) - brute).max() / largest)
-        dense = catch.model_copy(update={"positions": FINER * (catch.positions - 1) + 1})
-        with clock.stage("dense sweep", f"{dense.positions} heights") as share:
-            found = catch_table(dense, radius, lambda done, total: share(done / total))
-        exact = mounted(found, 1.0, coils.keys.shift)
-        y = np.linspace(*self.sweep_range(part, build.scene), HEIGHTS)
-        y = np.clip(y, exact.y[0], exact.y[-1])
-        data = {f"{_sphere(part, build.scene)}.y": y}
-        data |= {f"{coils.name}.force.{k}": force(exact, y, *pair) for k, pair in enumerate(pairs)}
-        gates = build.scene.gates
-        return FullSolution(
-            Waveforms(data, {}), build, spent,
-            baselines={"refactor": spent, "low_rank": superposed},
-            checks=(Limit("coefficients to a field per case", apart, gates.superposition),),
-            notes=("errors are relative to the largest force of all cases",),
-        )  # fmt: skip
-
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         from kc2spice.parts.ring_magnet_coils import force_table
@@ -138,10 +108,10 @@ class CurrentCases(PartType):
         n, coils = part.name, _coils(part, build.scene)
         table, still = force_table(build.model(coils)), laws.Line.constant
         found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
-        nets = [(f"{n}.out", *(f"{coils.name}{k}.y" for k in range(len(cases(part)))))]
+        nets = [(f"{n}.out", *(f"{coils.name} {k}.y" for k in range(len(cases(part)))))]
         results = {f"{_sphere(part, build.scene)}.y": laws.reading(f"{n}.out")}
         for k, pair in enumerate(cases(part)):
-            own = f"{coils.name}{k}"
+            own = f"{coils.name} {k}"  # no part has a blank in its name
             found.append(laws.PositionForce(own, table, (1.0, 1.0)))
             for coil, current in enumerate(pair, 1):
                 found.append(laws.Source(f"{own}_{coil}", "signal", still(current)))

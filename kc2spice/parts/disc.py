@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 from kc2spice.bodies import disc
 from kc2spice.bodies.device import Device
+from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import depoling_voltage, layered
+from kc2spice.parts._linear_body import depoling_voltage, layer_problems, layered
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
@@ -31,8 +32,12 @@ class Disc(MeshedBody):
         electrical = (Port(n, "electrical", pins=(n, "cathode")) for n in names)
         return (*electrical, Port("centre", "mechanical"))
 
-    def rated(self, part: Part) -> float | None:
+    def by_material(self, part: Part) -> float | None:
         return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring == "series")
+
+    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().implausible(part, scene)
+        yield from layer_problems(part, [layer.diameter for layer in part.keys.layers], plate=True)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [layer.diameter for layer in part.keys.layers])

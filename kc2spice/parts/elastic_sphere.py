@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from pydantic import Field
+
 from kc2spice.bodies.convergence import MeshError
 from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.cache import cached
@@ -27,7 +29,7 @@ BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 class ElasticSphereKeys(BodyKeys):
     """Of the sphere ``of``, whose key ``elastic`` is this table."""
 
-    of: str
+    of: str = Field(description="part of the sphere")
     damping: Damping = Damping(ratio=1e-3)
     mesh: Mesh = Mesh()
 

@@ -12,6 +12,7 @@ from pydantic import Field
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import BodyKeys, LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
@@ -22,7 +23,7 @@ from kc2spice.scene.parttype import register
 class MatricesKeys(BodyKeys):
     """Files beside the scene; ports as their sidecar TOML names them."""
 
-    file: FileName
+    file: FileName = Field(description="NAME of the matrices, or one of their files")
     sidecar: FileName | None = Field(None, description="TOML with the ports; NAME.toml unless told")
 
 
@@ -30,6 +31,7 @@ class Matrices(LinearBody):
     name = "matrices"
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
+    declares = True
     source = "matrices of another tool"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
@@ -40,7 +42,7 @@ class Matrices(LinearBody):
         return {**super().full_key(part, scene), "files": stamps}
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        found = source_files(scene.home / part.keys.file, self._sidecar(part, scene))
+        found = source_files(self._file(part, scene), self._sidecar(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in found)
 
     def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
@@ -53,10 +55,14 @@ class Matrices(LinearBody):
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         stamps = str(self.full_key(part, scene)["files"])
-        return _read(scene.home / part.keys.file, self._sidecar(part, scene), stamps)
+        return _read(self._file(part, scene), self._sidecar(part, scene), stamps)
+
+    def _file(self, part: Part, scene: Scene) -> Path:
+        return beside(scene.home, part.keys.file, f"{part.name}.file")
 
     def _sidecar(self, part: Part, scene: Scene) -> Path | None:
-        return None if part.keys.sidecar is None else scene.home / part.keys.sidecar
+        name = part.keys.sidecar
+        return None if name is None else beside(scene.home, name, f"{part.name}.sidecar")
 
 
 @lru_cache(maxsize=4)

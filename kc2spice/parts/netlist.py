@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import name as checked
 from kc2spice.spice.circuit import Pin, Subcircuit
+from kc2spice.spice.elements import Scope, circuit, has_vector
 from kc2spice.spice.included import included_netlists
 from kc2spice.spice.statements import statements
 
@@ -78,11 +80,26 @@ class Netlist(PartType):
                     "not a kind of a pin", where=f"{part.name}.units.{name}", got=repr(kind),
                     expected=f"one of {', '.join(KINDS)} for one of {', '.join(pins)}",
                 )  # fmt: skip
+        scope = None
+        for name, node in _probed(part, scene):
+            scope = scope or _scope(part, scene)
+            if node not in pins and not has_vector(scope, f"v({node})"):
+                nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.nodes)))
+                yield UsageError(
+                    "no such pin or node", where=f"probes.{name}.of",
+                    got=repr(f"{part.name}.{node}"),
+                    expected=f"of {part.name}: " + ", ".join(n for n in nodes if n != "0"),
+                    hint=did_you_mean(node, nodes),
+                )  # fmt: skip
         for name in part.keys.ratings:
             if name not in pins:
                 yield UsageError(
                     "no such pin", where=f"{part.name}.ratings", got=name, expected=", ".join(pins)
                 )
+
+    def excites(self, part: Part, scene: Scene) -> bool:
+        """Whether a source of the file has an ``AC`` value."""
+        return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
 
     def library(self, part: Part, scene: Scene) -> str:
         return str(part.keys.subckt)
@@ -94,8 +111,23 @@ class Netlist(PartType):
         return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        rated = part.keys.ratings if build.scene.analysis.type == "transient" else ()
-        return potentials(part, build, rated)
+        """Its rated pins, and what probes name: pins, and nodes inside, over ``ref``."""
+        scene, pins = build.scene, {t.name: t for t in self.pins(part, build.scene)}
+        rated = part.keys.ratings if scene.analysis.type == "transient" else ()
+        probed = dict.fromkeys(node for _, node in _probed(part, scene))
+        volts = [p for p in probed if p in pins and pins[p].unit == "V"]
+        found = potentials(part, build, dict.fromkeys((*rated, *volts)))
+        base = build.net(part, "ref") if "ref" in pins else "0"
+        for node in (n for n in probed if n not in volts):
+            if node in pins:
+                factor, unit = {"um": (1e-6, "m")}.get(pins[node].unit, (1.0, pins[node].unit))
+                ends = f"v({build.net(part, node)})"
+            else:
+                factor, unit = 1.0, "V"
+                ends = f"v(x{part.name.lower()}.{node.lower()})"
+                ends += "" if base == "0" else f"-v({base})"
+            found[f"{part.name}.{node}"] = Vector(ends, factor, unit)
+        return found
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         for pin, rating in part.keys.ratings.items():
@@ -136,9 +168,7 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     ------
     UsageError : the file cannot be read or has no such subcircuit.
     """
-    path = scene.home / part.keys.file
-    stamp = path.stat().st_mtime_ns if path.is_file() else 0
-    known = _subcircuits(part.keys.file, scene.home, stamp)
+    known = _read(part.keys.file, scene.home, _stamp(part, scene)).pins
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise UsageError(
@@ -151,19 +181,52 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     return pins
 
 
+def _probed(part: Part, scene: Scene) -> Iterator[tuple[str, str]]:
+    """Names of the probes of this part, with the pin or node that each looks at."""
+    for name, probe in scene.probes.items():
+        owner, dot, node = probe.of.partition(".")
+        if owner == part.name and dot:
+            yield name, node
+
+
+def _scope(part: Part, scene: Scene) -> Scope:
+    """Its subcircuit as elements with nodes."""
+    files = included_netlists((part.keys.file,), scene.home, trust=True)  # nothing is run here
+    found = circuit(next(iter(files)), files).find(part.keys.subckt)
+    if found is None:
+        raise UsageError("no such subcircuit", where=f"{part.name}.subckt", got=part.keys.subckt)
+    return found
+
+
+def _stamp(part: Part, scene: Scene) -> int:
+    """Age of the part's file."""
+    path = scene.home / part.keys.file
+    return path.stat().st_mtime_ns if path.is_file() else 0
+
+
+@dataclass(frozen=True)
+class _File:
+    """Pins of every subcircuit of a file, by its name in lower case; whether it drives ``ac``."""
+
+    pins: dict[str, tuple[str, ...]]
+    excites: bool
+
+
 @lru_cache(maxsize=64)
-def _subcircuits(file: str, home: Path, stamp: int) -> dict[str, tuple[str, ...]]:
-    """Pins of every subcircuit of a file, by its name in lower case; ``stamp`` is its age.
+def _read(file: str, home: Path, stamp: int) -> _File:
+    """What a scene must know of a file, which is of the age ``stamp``.
 
     Nothing is run here, so the text need not be trusted yet.
     """
     ((name, text),) = included_netlists((file,), home, trust=True).items()
-    found = {}
+    found, excites = {}, False
     for card in statements(text, name):
+        words = [word.lower() for word in card.words]
+        excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:
             pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
             found[card.words[1].lower()] = tuple(pins)
-    return found
+    return _File(found, excites)
 
 
 register(Netlist())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -166,7 +166,7 @@ class Pid(PartType):
     name = "pid"
     title = "PID controller of a sphere's height"
     schema = Control
-    exact: ClassVar[Mapping[str, Any]] = {"form": "ideal"}
+    controls = True
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
@@ -310,7 +310,7 @@ class Pid(PartType):
             None,
             OPAMPS if known else None,
             "op-amps with finite gain",
-            "not part of the budget: what real op-amps do to the trajectory, against an ideal PID",
+            "what real op-amps do to the trajectory, against an ideal PID",
         )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -32,8 +31,8 @@ from kc2spice.scene.parttype import (
     LeftOut,
     Modelled,
     Reach,
-    Setting,
     Surface,
+    TimeScale,
     register,
 )
 from kc2spice.scene.plausible import within
@@ -45,10 +44,8 @@ if TYPE_CHECKING:
     from kc2spice.bodies.convergence import MeshError
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.pressure import Hats, Pressed
-    from kc2spice.fem.piezo.contact import ContactSurface
     from kc2spice.fem.piezo.mesh import KickMesh
     from kc2spice.fem.piezo.system import PiezoSystem
-    from kc2spice.scene.gates import FullSolution, Table
 
 SECTORS = 4  # the finite-element model is one symmetry sector of this many
 # Damping ratio at 250 kHz below which modes ring on through a kick, so that the errors of steps add
@@ -60,18 +57,32 @@ LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly
 DOWNWARDS, SLOWER = 2e-3, 0.1
 PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
+FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
 KICKS, LASTING = (40.0, 105.0), 10e-6  # V, s: the error budget's relations hold; it throws in 6 us
 MESH_ERROR = 0.024  # of a launch, at most of an impact; docs/contact.md, against the finest hats
-FINER = 4.0  # hats of the full model than those of the law
+
+
+PAPER_ORDER = 30
+GEOMETRY = (  # what makes it the paper's chip
+    "side",
+    "depth",
+    "diameter",
+    "height",
+    "layers",
+    "bottom_cap",
+    "top_cap",
+    "material",
+    "poling",
+)
 
 
 class Drive(Section):
     """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
 
-    voltage: Voltage = 100.0
-    width: Time = Field(25e-6, gt=0)
-    edge: Time = Field(0.1e-6, gt=0)
-    start: Time = Field(0.5e-3, ge=0)
+    voltage: Voltage = Field(100.0, description="height of the pulse")
+    width: Time = Field(25e-6, gt=0, description="at half height")
+    edge: Time = Field(0.1e-6, gt=0, description="rise and fall time")
+    start: Time = Field(0.5e-3, ge=0, description="of the rise")
     period: Time | None = Field(None, gt=0, description="of a train of pulses")
     count: Count | None = Field(None, ge=1, description="pulses of a train; without end if absent")
 
@@ -84,7 +95,9 @@ class Drive(Section):
 class Stack(Chip, FieldKeys):
     """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
 
-    electrical: Literal["open", "short", "driven"] = "driven"
+    electrical: Literal["open", "short", "driven"] = Field(
+        "driven", description="of an anode that nothing is joined to"
+    )
     rated_field: Annotated[float, si("V/m")] = Field(
         2e6,
         gt=0,
@@ -101,16 +114,6 @@ class PiezoStack(MeshedBody):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
-    # Launch of the paper's chip at 40 to 105 V against 96 states over 2 MHz (120 differ by 4e-7):
-    # at most 1.7e-3, 7.1e-5, 2.6e-5 and 1e-6; rebound with 7 ports 1e-5. Orders from 36 to 60 stay
-    # within 1.2e-4, 30 and 33 miss by 1e-3: Krylov states at rest must reach the MHz of a contact.
-    # The band decides which residual modes lose their inertia.
-    reductions = (
-        Setting(2e-3, {"rom.tolerance": 1e-6, "rom.band": (0.0, 500e3)}, cost=12),
-        Setting(8e-5, {"rom.order": 39, "rom.band": (0.0, 500e3)}, cost=35),
-        Setting(3.5e-5, {"rom.order": 39, "rom.band": (0.0, 1e6)}, cost=37),
-        Setting(5e-6, {"rom.order": 39, "rom.band": (0.0, 2e6)}, cost=55),
-    )
     source = "FE (piezoelectric, linear)"
     mesh_growth = 50.0  # solid: 2 s become 120
 
@@ -142,9 +145,6 @@ class PiezoStack(MeshedBody):
         wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
         source = {"part": "source", "pulse": wave, "pins": {"out": target}}
         return {f"{part.name}_drive": source} | found
-
-    def renamed(self, pin: str) -> str:
-        return re.sub(r"^R(\d{1,3})$", r"ring\1", pin)
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         names = [f"ring{k}" for k in range(rings(part))]
@@ -178,6 +178,8 @@ class PiezoStack(MeshedBody):
             why = f"{keys.drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
+        yield from super().implausible(part, scene)
+
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         if part.keys.poling == "x":
             raise UsageError(
@@ -193,6 +195,11 @@ class PiezoStack(MeshedBody):
         names = ports or tuple(f"ring{k}" for k in range(len(radii)))
         distance = tuple(float(radii[_ring(part, name)]) for name in names)
         return Surface(names, names, names, distance, sectors=SECTORS)
+
+    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+        if scene.of("contact"):
+            what = f"contacts of {part.name}, within which error control decides"
+            yield TimeScale(what, FLIGHT, decides=True)
 
     def speed(self, part: Part, scene: Scene) -> float | None:
         """Of a kick that lasts as the stack's quarter wave, or as the edge of its pulse: the free
@@ -228,14 +235,6 @@ class PiezoStack(MeshedBody):
     def watch(self, part: Part, scene: Scene) -> Watch:
         return STRIKING if _downwards(part) else super().watch(part, scene)
 
-    def doubts(self, part: Part, scene: Scene) -> Iterator[str]:
-        if not scene.of("contact") or not highest_voltage(part, scene):
-            return
-        if _downwards(part):
-            yield f"{part.name} draws back first, and strikes as it rings"
-        if _damped(part) < RINGING:
-            yield f"{part.name} is damped by less than {RINGING:.1%}: it rings through the kick"
-
     def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
         voltage = highest_voltage(part, scene)
         if voltage:
@@ -252,7 +251,7 @@ class PiezoStack(MeshedBody):
     def headline(self, part: Part) -> str:
         return f"{self.title}; {mounted(part.keys)}"
 
-    def rated(self, part: Part) -> float:
+    def by_material(self, part: Part) -> float:
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
@@ -260,9 +259,19 @@ class PiezoStack(MeshedBody):
         found = {"chip": chip_of(part.keys).model_dump(mode="json")}
         return found if shape is None else found | {"hats": shape.nodes.tolist()}
 
-    def usual(self, scene: Scene) -> Rom:
-        """The paper's order: its contact excites the chip far above any band of a response."""
-        return scene.rom
+    def reduction(self, part: Part, scene: Scene) -> Rom:
+        """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
+        over the band that is to it what the paper's is to the paper's chip."""
+        asked = part.keys.rom or scene.rom
+        if not asked.left_open:
+            return asked
+        plain = type(part.keys)()
+        if all(getattr(part.keys, key) == getattr(plain, key) for key in GEOMETRY):
+            return Rom(order=PAPER_ORDER, band=asked.band)
+        if "band" in asked.model_fields_set:
+            return asked
+        low, high = asked.band
+        return Rom(band=(low, high * plain.height / part.keys.height))
 
     def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
         chip = chip_of(part.keys)
@@ -283,38 +292,6 @@ class PiezoStack(MeshedBody):
         chip, shape = chip_of(part.keys), pressure_hats(part, scene)
         system = _assembled(chip) if shape is None else _on_patch(chip, shape)
         return sector_device(chip, system, part.keys.rated_field)
-
-    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
-        from kc2spice.parts._chip_full import players
-        from kc2spice.parts._mesh_study import Load, mesh_table
-
-        found = players(part, build.scene)
-        if found is None:
-            return None
-        contact, sphere = found
-        load = Load(sphere.keys.radius, sphere.keys.mass, contact.keys.penalty)
-        if pressure_hats(part, build.scene) is not None:
-            load = replace(load, spacing=contact.keys.spacing, depth=10e-6)
-        with clock.stage("mesh study", "coarser and finer chips"):
-            return mesh_table(
-                chip_of(part.keys), load, whole,
-                lambda label: clock.progress("mesh study", None, label),
-            )  # fmt: skip
-
-    def full_solution(
-        self, part: Part, build: Build, clock: Any, whole: bool
-    ) -> FullSolution | None:
-        from kc2spice.parts._chip_full import solve
-
-        chip = chip_of(part.keys)
-
-        def assembled(contact: Part, sphere: Part) -> tuple[PiezoSystem, ContactSurface | None]:
-            with clock.stage("assemble", "piezoelectric matrices"):
-                if contact.keys.shape == "pressure":
-                    return _with_pressure(part, build.scene, sphere.keys.radius)
-                return _assembled(chip), None
-
-        return solve(part, build, chip, assembled, clock, whole)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -404,34 +381,13 @@ class PiezoStack(MeshedBody):
             return None if scene.of("contact") else super().mesh_error(part, scene)
         return _graded_error(chip_of(part.keys), shape)
 
-    def measured(self, part: Part, scene: Scene) -> bool:
-        """The paper's chip and sphere, damped as there or more; one kick upwards that outlasts the
-        throw, or an impact at 1 m/s."""
-        keys, usual = part.keys, Chip()
-        spheres, contacts = scene.of("sphere"), scene.of("contact")
-        if len(spheres) != 1 or len(contacts) != 1 or scene.analysis.type != "transient":
-            return False
-        fixed = Chip.model_fields.keys() - {"damping", "mesh"}
-        same = all(getattr(keys, name) == getattr(usual, name) for name in fixed)
-        same &= keys.damping.beta >= usual.damping.beta
-        same &= all(
-            getattr(met.keys, name) == field.default
-            for met in (*spheres, *contacts)
-            for name, field in met.type.schema.model_fields.items()
-            if name not in ("a", "b", "rings")
-        )
-        if keys.electrical == "driven":
-            return same and _plain_kick(part, scene)
-        speeds = [each.type.speed(each, scene) for each in scene.parts.values()]
-        return same and all(math.isclose(v, 1.0, rel_tol=1e-3) for v in speeds if v is not None)
-
     def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
         mesh, usual = part.keys.mesh, Chip().mesh
-        why = f"fixed by {part.name}.mesh, not part of the budget"
+        why = f"fixed by {part.name}.mesh"
         same = (mesh.ring_spacing, mesh.rings, mesh.refine, mesh.sectors) == (
             usual.ring_spacing, usual.rings, usual.refine, usual.sectors,
         )  # fmt: skip
-        studied = same and self.measured(part, scene)
+        studied = same and _studied(part, scene)
         yield ErrorRow(
             "mesh",
             None,
@@ -448,6 +404,27 @@ class PiezoStack(MeshedBody):
                 f"{why}; of the first resonances, measured 0.3 and 0.8 of this; stroke and "
                 "capacitance are those of the layers",
             )
+
+
+def _studied(part: Part, scene: Scene) -> bool:
+    """Whether it is the paper's chip under the paper's contact and sphere, in a kick upwards."""
+    keys, usual = part.keys, Chip()
+    spheres, contacts = scene.of("sphere"), scene.of("contact")
+    if len(spheres) != 1 or len(contacts) != 1 or scene.analysis.type != "transient":
+        return False
+    fixed = Chip.model_fields.keys() - {"damping", "mesh"}
+    same = all(getattr(keys, name) == getattr(usual, name) for name in fixed)
+    same &= keys.damping.beta >= usual.damping.beta
+    same &= all(
+        getattr(met.keys, name) == field.default
+        for met in (*spheres, *contacts)
+        for name, field in met.type.schema.model_fields.items()
+        if name not in ("a", "b", "rings")
+    )
+    if keys.electrical == "driven":
+        return same and _plain_kick(part, scene)
+    speeds = [each.type.speed(each, scene) for each in scene.parts.values()]
+    return same and all(math.isclose(v, 1.0, rel_tol=1e-3) for v in speeds if v is not None)
 
 
 def _downwards(part: Part) -> bool:
@@ -512,14 +489,13 @@ def chip_of(keys: Stack) -> Chip:
     return Chip(**{name: getattr(keys, name) for name in given})
 
 
-def pressure_hats(part: Part, scene: Scene, finer: float = 1.0) -> Hats | None:
-    """Hats of pressure on the top where a contact wants them, as far out as the rings are; so many
-    times ``finer``."""
+def pressure_hats(part: Part, scene: Scene) -> Hats | None:
+    """Hats of pressure on the top where a contact wants them, as far out as the rings are."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import hats
 
-            return hats(contact.keys.spacing / finer, float(ring_radii(part.keys)[-1]))
+            return hats(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
     return None
 
 
@@ -698,18 +674,6 @@ def _on_patch(chip: Chip, shape: Hats) -> PiezoSystem:
 def _dents(part: Part, shape: Hats) -> Dents:
     found = _pressed(chip_of(part.keys), shape)
     return Dents(found.compliance, found.patch, part.keys.damping.beta)
-
-
-def _with_pressure(part: Part, scene: Scene, radius: float) -> tuple[PiezoSystem, ContactSurface]:
-    """One sector with hats :data:`FINER` than the contact's under a sphere of this radius [m], each
-    of which closes by itself: their force swings by the square of their spacing."""
-    from kc2spice.bodies.pressure import with_hats
-    from kc2spice.fem.piezo.contact import sphere_gap
-
-    chip, shape = chip_of(part.keys), pressure_hats(part, scene, FINER)
-    assert shape is not None
-    gap = sphere_gap(radius, shape.distances)
-    return with_hats(_on_patch(chip, shape), _pressed(chip, shape), gap)
 
 
 def _pressed(chip: Chip, shape: Hats) -> Pressed:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import FullSolution, Gate
+from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.cards import number
@@ -43,6 +43,9 @@ class PortLoads(PartType):
         first = keys.start + (keys.stop - keys.start) / keys.steps
         return Analysis(type="ac", start=first, stop=keys.stop, points=keys.steps, scale="linear")
 
+    def excites(self, part: Part, scene: Scene) -> bool:
+        return True
+
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return ()
 
@@ -62,40 +65,52 @@ class PortLoads(PartType):
     def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
         return {body_of(part, build.scene).name: ()}
 
+    def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
+        rings = _rings(body_of(part, scene), scene)
+        for load in (*rings, "anode"):
+            yield from ((ring, load) for ring in rings)
+            yield from ((f"X{load}",), (f"I{load}",), ("anode", load), ("charge", load))
+            cards = ("Vanode", "Fcharge", "Ccharge", "Rcharge")
+            yield from ((name, load) for name in cards)
+        yield from (("load",), ("Vload",), ("Cload",), ("Fload",))
+
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        body = body_of(part, build.scene)
-        rings, library = _rings(body, build), build.libraries[body.name]
+        body, own = body_of(part, build.scene), partial(build.own, part)
+        rings, library = _rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
         cards = []
         for load in (*rings, "anode"):
-            nodes = " ".join(f"{ring}_{load}" for ring in rings)
-            cards += [f"* Load on {load}", f"X{load} anode_{load} 0 {nodes} 0 {library}"]
+            nodes = " ".join(own(ring, load) for ring in rings)
+            anode, charge, source = own("anode", load), own("charge", load), own("Vanode", load)
+            cards += [f"* Load on {load}", f"{own(f'X{load}')} {anode} 0 {nodes} 0 {library}"]
             if load != "anode":
-                cards.append(f"I{load} 0 {load}_{load} AC 1")
+                cards.append(f"{own(f'I{load}')} 0 {own(load, load)} AC 1")
             if is_open and load == "anode":
+                unit, node = own("Vload"), own("load")
                 cards += [
-                    "Vload load 0 AC 1", "Cload load 0 1", f"Fload 0 anode_{load} Vload -1",
+                    f"{unit} {node} 0 AC 1", f"{own('Cload')} {node} 0 1",
+                    f"{own('Fload')} 0 {anode} {unit} -1",
                 ]  # fmt: skip
             if not is_open:
                 cards += [
-                    f"Vanode_{load} anode_{load} 0 AC {int(load == 'anode')}",
-                    f"Fcharge_{load} charge_{load} 0 Vanode_{load} 1",
-                    f"Ccharge_{load} charge_{load} 0 1",
-                    f"Rcharge_{load} charge_{load} 0 {number(1e9)}",
+                    f"{source} {anode} 0 AC {int(load == 'anode')}",
+                    f"{own('Fcharge', load)} {charge} 0 {source} 1",
+                    f"{own('Ccharge', load)} {charge} 0 1",
+                    f"{own('Rcharge', load)} {charge} 0 {number(1e9)}",
                 ]
         return tuple(cards)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
         body = body_of(part, build.scene)
-        rings = _rings(body, build)
+        rings = _rings(body, build.scene)
         meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")
         found = {}
         for load in (*rings, "anode"):
             for ring in rings:
-                node = f"{ring}_{load}".lower()
+                node = build.own(part, ring, load).lower()
                 found[f"{load}>{ring}"] = Vector(f"v({node})", 1e-6, "m")
-            found[f"{load}>anode"] = Vector(f"v({meter}_{load.lower()})", 1.0, unit)
+            found[f"{load}>anode"] = Vector(f"v({build.own(part, meter, load).lower()})", 1.0, unit)
         return found
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -118,46 +133,6 @@ class PortLoads(PartType):
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
 
-    def full_solution(
-        self, part: Part, build: Build, clock: Any, whole: bool
-    ) -> FullSolution | None:
-        """All ports to all ports. A certified basis of high order replaces the full model, unless
-        ``whole`` asks for a direct solution at every frequency."""
-        from kc2spice.rom.surrogate import surrogate
-
-        body, analysis = body_of(part, build.scene), build.scene.analysis
-        full = body.type.full_model(body, build, clock)
-        if full is None:
-            return None
-        frequency = np.linspace(analysis.start, float(analysis.stop or 0.0), analysis.points)
-        started = time.perf_counter()
-        notes: tuple[str, ...] = ()
-        if whole:
-            with clock.stage("full model", f"{frequency.size} direct solutions"):
-                response = full.transfer(frequency)
-            spent = time.perf_counter() - started
-        else:
-            with clock.stage("full model", "surrogate basis against direct solutions"):
-                small = surrogate(full, (0.0, float(frequency[-1])))
-            response = small.model.transfer(frequency)
-            spent = small.seconds * frequency.size
-            notes = (
-                f"{small.model.order} states replace the full model, within {small.error:.1e} of "
-                f"{small.solved} direct solutions, which its time is taken from",
-            )
-        names = list(full.inputs)
-        if body.keys.electrical == "open":
-            response = charged(response, names.index("anode"))
-        data = {"frequency": frequency}
-        for o, output in enumerate(names):
-            data |= {f"{source}>{output}": response[:, o, i] for i, source in enumerate(names)}
-        peak = np.abs(response[:, 0, 0]).argmax()
-        metrics = {"peak_hz": float(frequency[peak]), "full_wall_s": spent}
-        return FullSolution(
-            Waveforms(data, {}), build, spent, baselines={"refactor": spent}, metrics=metrics,
-            notes=notes,
-        )  # fmt: skip
-
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         f = waves["frequency"].real / 1e3
         loads = list(dict.fromkeys(n.partition(">")[0] for n in waves.data if ">" in n))
@@ -175,14 +150,14 @@ class PortLoads(PartType):
         if equations is None:
             return None
         (law,) = equations.laws
-        assert isinstance(law, laws.LinearBody)
-        rings, is_open = _rings(body, build), body.keys.electrical == "open"
+        assert isinstance(law, laws.LinearBody | laws.PortBody)
+        rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
         found: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.Reading] = {}
         still = laws.Line.constant(0.0)
         for load in (*rings, "anode"):
-            name = f"{body.name}_{load}"
+            name = f"{body.name} {load}"  # no part has a blank in its name
             found.append(replace(law, name=name))
             volts = laws.Source(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":
@@ -192,7 +167,7 @@ class PortLoads(PartType):
                 found.append(volts)
                 nets.append((f"{name}.anode", f"{name}_volts.out"))
             elif load == "anode":
-                speck = laws.Capacitor(f"{name}_speck", SPECK)
+                speck = laws.TwoTerminal(f"{name}_speck", 1, SPECK)
                 found += [replace(volts, ac=1.0 / SPECK), speck]
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
@@ -206,22 +181,6 @@ class PortLoads(PartType):
         keys = part.keys
         detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
         return Modelled(part.name, "unit loads", detail)
-
-
-def charged(response: np.ndarray, anode: int) -> np.ndarray:
-    """The response driven by the anode's charge instead of its voltage (paper eq. 8, 9).
-
-    ``[u; Q] = H [f; V]``, so ``[I -H_uV; 0 H_QV] [u; V] = [H_uf 0; -H_Qf 1] [f; Q]``.
-    """
-    result = np.empty_like(response)
-    others = [k for k in range(response.shape[1]) if k != anode]
-    for k, H in enumerate(response):
-        left, right = np.eye(len(H), dtype=complex), np.zeros_like(H)
-        left[others, anode], left[anode, anode] = -H[others, anode], H[anode, anode]
-        right[np.ix_(others, others)] = H[np.ix_(others, others)]
-        right[anode, others], right[anode, anode] = -H[anode, others], 1.0
-        result[k] = np.linalg.solve(left, right)
-    return result
 
 
 def body_of(part: Part, scene: Scene) -> Part:
@@ -243,11 +202,9 @@ def body_of(part: Part, scene: Scene) -> Part:
     return found[0]
 
 
-def _rings(body: Part, build: Build) -> tuple[str, ...]:
+def _rings(body: Part, scene: Scene) -> tuple[str, ...]:
     return tuple(
-        pin.name
-        for pin in body.type.pins(body, build.scene)
-        if pin.unit == "um" and pin.name != "base"
+        pin.name for pin in body.type.pins(body, scene) if pin.unit == "um" and pin.name != "base"
     )
 
 

@@ -26,7 +26,7 @@ from kc2spice.parts._drivers import (
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, register
+from kc2spice.scene.parttype import Build, TimeScale, register
 from kc2spice.spice.circuit import Subcircuit, positive
 from kc2spice.spice.header import Header
 
@@ -55,6 +55,10 @@ class PwmDrive(CoilDriver):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name, load = build.libraries[part.name], self.load(part, build)
         return (pwm_subcircuit(header, part.keys, load, name),)
+
+    def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
+        f, edge = part.keys.frequency, part.keys.edge
+        return (TimeScale(f"a tenth of a period of the carrier of {part.name}", 0.1 / f, 1 / edge),)
 
     def limits(
         self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]

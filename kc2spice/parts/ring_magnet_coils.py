@@ -19,6 +19,7 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.cubics import cubic_spline
@@ -55,8 +56,10 @@ MU_0 = 4e-7 * np.pi  # H/m
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
+DENSER = 4  # heights of the table that the shipped one is compared with, per interval
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
+FINE = 40  # places in every cell of a lookup at which its error is measured
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
@@ -223,12 +226,28 @@ def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
     ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
     ngspice reads a table in the square of its length.
     """
+    f, bends, tolerance = _parabolas(values)
+    return lookup(f), lookup(bends, tolerance)
+
+
+def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """``f`` and ``b`` of :func:`smooth` at -1, 0, 1, ..., and what lines may leave of ``b``."""
     first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
     f = np.concatenate([[first], values, [last]])
     bends = np.diff(f[[0, *range(f.size), -1]], 2) / 2
     # Fourth differences are to second ones as those to the values; the corners at both ends apart.
     largest, second = (float(np.abs(v).max()) for v in (values, 2 * bends[2:-2]))
-    return lookup(f), lookup(bends, second**2 / 4 / (largest or 1.0))
+    return f, bends, second**2 / 4 / (largest or 1.0)
+
+
+def looked_up(values: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """What the lookups of :func:`smooth` say of ``values`` (n,) at the places ``s`` in cells."""
+    f, bends, tolerance = _parabolas(values)
+    bends = np.concatenate([bends[:1], bends, bends[-1:]])
+    kept = np.array(_corners(bends, tolerance))
+    t = s - np.floor(s)
+    line = np.interp(s, np.arange(f.size) - 1.0, f)
+    return np.asarray(line - t * (1 - t) * np.interp(s, kept - 2.0, bends[kept]))
 
 
 def lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
@@ -418,10 +437,19 @@ class RingMagnetCoils(PartType):
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> EMTable:
+        return self._table(part, scene, clock, part.keys.positions)
+
+    def full_model(self, part: Part, build: Build, clock: Any) -> EMTable:
+        """A table so dense that its splines interpolate ``DENSER**4`` times better."""
+        dense = DENSER * (part.keys.positions - 1) + 1
+        return self._table(part, build.scene, clock, dense)
+
+    def _table(self, part: Part, scene: Scene, clock: Any, count: int) -> EMTable:
         keys, radius = part.keys, sphere_of(part, scene).keys.radius
-        names = Catch.model_fields
-        unit = Catch(**{name: getattr(keys, name) for name in names})
-        unit = unit.model_copy(update={"remanence": 1.0, "shift": 0.0})
+        key = self.model_key(part, scene)
+        unit = field_keys(part).model_copy(
+            update={"remanence": 1.0, "shift": 0.0, "positions": count}
+        )
 
         def build() -> EMTable:
             from kc2spice.fem.magnetics.field import catch_table
@@ -430,7 +458,8 @@ class RingMagnetCoils(PartType):
                 return catch_table(unit, radius, lambda done, total: share(done / total))
 
         table, _ = cached(
-            "catch", self.model_key(part, scene), build, classes=(EMTable,),
+            "catch", {**key, "catch": {**key["catch"], "positions": count}}, build,
+            classes=(EMTable,),
             sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__),
         )  # fmt: skip
         return mounted(table, keys.remanence, keys.shift)
@@ -599,9 +628,23 @@ class RingMagnetCoils(PartType):
             None,
             4e-4 if same else None,
             f"{part.name}.refine {keys.refine}, positions {keys.positions}",
-            f"fixed by {part.name}.refine and positions, not part of the budget; of the largest "
+            f"fixed by {part.name}.refine and positions; of the largest "
             "force; the run checks what lies between the positions",
         )
+
+    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
+        """Both errors of the table, of the largest force and measured on the table itself."""
+        table, current = self.build(part, scene, Clock(silent)), largest_current(part, scene)
+        yield ErrorRow(
+            f"heights of {part.name}", None, interpolation_error(table, current),
+            f"{part.name}.positions {part.keys.positions}",
+            "of the largest force, from what every second and fourth height miss of the others",
+        )  # fmt: skip
+        yield ErrorRow(
+            f"lookup of {part.name}", None, resampling_error(table, part.keys.points, current),
+            f"{part.name}.points {part.keys.points}",
+            "of the largest force: the netlist's lookups against the table's splines",
+        )  # fmt: skip
 
 
 def field_keys(part: Part) -> Catch:
@@ -706,11 +749,33 @@ def interpolation_error(table: EMTable, current: float) -> float:
     """Estimated error of the spline through the table's heights, of the largest force up to
     ``current`` [A] in both coils.
 
-    A spline through every second height misses the others by at least eight times that: 16 by its
-    order, 11 measured on the paper's magnets with 9 positions, more with more.
+    A spline through every second height misses the others by 16 times that once its order shows;
+    an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
+    or less of a fall where every fourth height shows less, and none where these are too few.
     """
     values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
-    half = cubic_spline(table.y[::2], values[::2])(table.y)
+
+    def missed(step: int) -> float:
+        found = cubic_spline(table.y[::step], values[::step])(table.y)
+        return _share(found - values, values, current)
+
+    half = missed(2)
+    known = half > 0.0 and table.y[::4].size >= 4
+    return half / (min(8.0, max(1.0, missed(4) / half)) if known else 1.0)
+
+
+def resampling_error(table: EMTable, points: int, current: float) -> float:
+    """Error of the netlist's lookups at ``points`` heights against the table's splines, of the
+    largest force up to ``current`` [A] in both coils."""
+    places = np.linspace(0.0, points - 1.0, FINE * (points - 1) + 1)
+    exact = table.splines(table.y[0] + np.ptp(table.y) * places / (points - 1))
+    found = [looked_up(column, places) for column in exact[::FINE].T]
+    return _share(np.column_stack(found) - exact, exact, current)
+
+
+def _share(missed: np.ndarray, values: np.ndarray, current: float) -> float:
+    """``missed`` coefficients (heights, 6) as a force up to ``current`` [A] in both coils, of the
+    largest force by ``values``."""
     term = {t.name: t for t in SERIES}
 
     def pull(v: np.ndarray) -> np.ndarray:
@@ -718,8 +783,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
             [term["c0"].of(v), current * term["d1"].of(v), current**2 * term["d2"].of(v)]
         )
 
-    missed = np.abs(pull(half - values)).sum(axis=0).max()
-    return float(missed / np.abs(pull(values)).max() / 8)
+    return float(np.abs(pull(missed)).sum(axis=0).max() / np.abs(pull(values)).max())
 
 
 def beyond(table: EMTable, y: np.ndarray) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationInfo, model_validator
@@ -13,13 +14,14 @@ from pydantic_core import PydanticCustomError
 from kc2spice.core import laws
 from kc2spice.core import waveform as waves_
 from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import beside, read_bounded
 from kc2spice.core.quantities import Section
 from kc2spice.core.units import quantity
 from kc2spice.core.waveform import PulseKeys, SineKeys, Waveform
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, TimeScale, Vector, register
 from kc2spice.spice.cards import number
 
 # SI unit, unit and flow of the pins, netlist units per SI unit, letter of the card
@@ -32,6 +34,9 @@ KINDS = {
 }
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # of a file
+PER_PERIOD = 125  # points of a sine: 4e-4 of its amplitude lie between two of them
+EDGE = 0.5  # over its time: where the spectrum of an edge has fallen so far that 1e-4 is left
+HARMONICS = 3.0  # times the frequency of a sine that is switched on: what it excites
 DEVIATION = 1e-3  # of the swing: what an ideal source may differ from its own definition
 
 
@@ -106,8 +111,19 @@ class Source(PartType):
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return () if part.keys.file is None else (part.keys.file,)
 
+    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+        yield from drive_scales(part.name, part.keys.waveform(scene.home))
+
     def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
         return (("out", "ret"),) if KINDS[part.keys.kind][4] == "V" else ()
+
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
+        return self.prescribes(part)
+
+    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        if part.keys.kind != "force" or not part.keys.waveform(scene.home)(np.zeros(1))[0]:
+            return ()
+        return ("out", "ret")
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         unit, _, _, scale, letter = KINDS[part.keys.kind]
@@ -118,6 +134,9 @@ class Source(PartType):
         size = scale * quantity(part.keys.ac, unit)
         ac = f" AC {number(size)}" if size else ""
         return (f"{letter}{part.name} {plus} {minus} {text}{ac}",)
+
+    def excites(self, part: Part, scene: Scene) -> bool:
+        return quantity(part.keys.ac, part.keys.unit) != 0
 
     def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
         _, _, _, scale, letter = KINDS[part.keys.kind]
@@ -192,6 +211,21 @@ class Source(PartType):
         return Modelled(part.name, "ideal source", f"{part.keys.kind}, {shape}")
 
 
+def drive_scales(name: str, wave: Waveform) -> Iterator[TimeScale]:
+    """A sine that is switched on excites more than its own frequency; of an edge see ``EDGE``."""
+    if wave.kind == "sine":
+        f = wave.frequency
+        yield TimeScale(
+            f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz", 1 / (PER_PERIOD * f),
+            HARMONICS * f,
+        )  # fmt: skip
+    elif wave.kind == "linear":
+        times, values = np.array(wave.points).T
+        moving = np.diff(times)[np.diff(values) != 0]
+        if moving.size:
+            yield TimeScale(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
+
+
 def _unloaded(part: Part, build: Build) -> bool:
     """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
     found = [
@@ -226,13 +260,10 @@ def _rising(points: np.ndarray, what: str) -> Waveform:
 
 def _table(home: Path, name: str) -> np.ndarray:
     """Rows ``time, value`` of a CSV file beside the scene."""
-    path = (home / name).resolve()
-    if not path.is_relative_to(home.resolve()):
-        raise UsageError(f"file {name!r} leads out of the scene's folder", expected="a file beside")
+    path = beside(home, name, "file")
     try:
-        if path.stat().st_size > 40 * MAX_ROWS:
-            raise UsageError(f"file {name!r} is too long", expected=f"at most {MAX_ROWS} rows")
-        rows = np.genfromtxt(path, delimiter=",", comments="#", ndmin=2)
+        data = read_bounded(path, 40 * MAX_ROWS)
+        rows = np.genfromtxt(io.BytesIO(data), delimiter=",", comments="#", ndmin=2)
     except (OSError, ValueError) as error:
         raise UsageError(f"file {name!r} cannot be read: {error}") from None
     if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a head

@@ -18,7 +18,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import Material, material
 from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance
-from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     LeftOut,
@@ -48,7 +48,7 @@ def _stuff(given: str | dict[str, Any]) -> Material:
 class SphereKeys(Section):
     """Sphere, vertical motion only; rigid unless ``elastic``."""
 
-    radius: Length = Field(1e-3, gt=0)
+    radius: Length = Field(1e-3, gt=0, description="of the sphere")
     density: Density = Field(7850.0, gt=0, description="by default that of the material, or steel")
     material: str | dict[str, Any] | None = Field(
         None, description="for contacts that need its modulus, steel where it is elastic"
@@ -78,6 +78,7 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
+    heavy = True
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if (given := part.keys.elastic) is None:
@@ -129,6 +130,12 @@ class Sphere(PartType):
 
     def without_operating_point(self, part: Part, scene: Scene) -> bool:
         return start(part, scene) is not None
+
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
+        return () if _moved(part, scene) else (("base", GROUND),)
+
+    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return ("v",) if scene.gravity and not _moved(part, scene) else ()
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
         if _moved(part, build.scene):

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import fall, landing, normal, separation, unresolved
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Setting, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
 
 
 class ThrowKeys(Section):
@@ -31,15 +31,6 @@ class Throw(PartType):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
-    # Rebound, and position over the few um of travel, of the paper's chip at 0.3 to 2 m/s: at most
-    # 1.8e-3, 4.9e-4, 1.4e-4, 7e-5 and 3.3e-6.
-    steppings = (
-        Setting(2e-3, {"solver.reltol": 1e-2, "solver.chgtol": 1e-8}, cost=0.26e3),  # time points
-        Setting(6e-4, {"solver.reltol": 3e-3, "solver.chgtol": 1e-8}, cost=0.32e3),
-        Setting(1.7e-4, {"solver.reltol": 8e-4, "solver.chgtol": 1e-8}, cost=0.42e3),
-        Setting(8e-5, {"solver.reltol": 3e-4, "solver.chgtol": 1e-8}, cost=0.54e3),
-        Setting(1e-5, {"solver.reltol": 3e-5, "solver.chgtol": 1e-9}, cost=1.7e3),
-    )
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return ()

@@ -34,6 +34,11 @@ class Rows:
         """Values for one state or columns of states."""
         return self.z @ z + self.s @ s + self.d @ d
 
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The three matrices."""
+        return self.z, self.s, self.d
+
 
 @dataclass(frozen=True)
 class Attached:
@@ -272,7 +277,7 @@ class _Assembly:
             (np.zeros(self.nq), form[: self.nq], np.zeros(self.size - 2 * self.nq))
         )
 
-    def branch(self, law: L.Law, form: np.ndarray, through: np.ndarray, kind: str) -> None:
+    def branch(self, law: L.Law, form: np.ndarray, through: np.ndarray) -> None:
         """A two-pole with ``through @ y`` from its first pin to its second."""
         self.A -= np.outer(form, through)
         self.flows[f"{law.name}.{law.pins[0].name}"] = (through, np.zeros(self.size))
@@ -454,7 +459,7 @@ def states_of(law: L.Law) -> list[tuple[str, float]]:
     """Names and sizes of the unknowns that a law brings besides its pins'."""
     if isinstance(law, L.Device):
         return list(zip(law.states, law.scales, strict=True))
-    if isinstance(law, L.Inductor):
+    if isinstance(law, L.TwoTerminal) and law.order < 0 and law.kind == "electrical":
         return [("i", 1e-3)]
     if isinstance(law, L.SignalBlock):
         return [(f"x{k}", 1.0) for k in range(len(law.A))]
@@ -576,49 +581,28 @@ def _mass(law: L.Mass, into: _Assembly) -> None:
 
 
 @stamp.register
-def _spring(law: L.Spring, into: _Assembly) -> None:
-    form = into.gap(law, "a", "b")
-    into.branch(law, form, law.stiffness * form, "spring")
-    into.const += law.stiffness * law.free * form
-    into.term(law, "energy", form, 0.5 * law.stiffness)
-    into.term(law, "energy", form, -law.stiffness * law.free, linear=True)
-
-
-@stamp.register
-def _damper(law: L.Damper, into: _Assembly) -> None:
-    form = into.gap(law, "a", "b")
-    speed = into.rate(form)
-    into.branch(law, form, law.damping * speed, "damper")
-    into.term(law, "loss", speed, law.damping)
-
-
-@stamp.register
-def _resistor(law: L.Resistor, into: _Assembly) -> None:
-    form = into.gap(law, "a", "b")
-    into.branch(law, form, form / law.resistance, "resistor")
-    into.term(law, "loss", form, 1.0 / law.resistance)
-
-
-@stamp.register
-def _capacitor(law: L.Capacitor, into: _Assembly) -> None:
-    form = into.gap(law, "a", "b")
-    into.M += law.capacitance * np.outer(form, form)
-    into.flows[f"{law.name}.a"] = (np.zeros(into.size), law.capacitance * form)
-    into.term(law, "energy", form, 0.5 * law.capacitance)
-    if law.voltage is not None:
-        into.held.append((law.name, form, law.voltage, None, 0.0))
-
-
-@stamp.register
-def _inductor(law: L.Inductor, into: _Assembly) -> None:
-    form, at = into.gap(law, "a", "b"), into.own[f"{law.name}.i"]
+def _two_terminal(law: L.TwoTerminal, into: _Assembly) -> None:
+    form, value = into.gap(law, "a", "b"), law.value
+    if law.order >= 0:
+        flow = into.rate(form) if law.kind in L.MECHANICAL else form
+        if law.order == 0:
+            into.branch(law, form, value * flow)
+            into.term(law, "loss", flow, value)
+        else:
+            into.M += value * np.outer(form, flow)
+            into.flows[f"{law.name}.a"] = (np.zeros(into.size), value * flow)
+            into.term(law, "energy", flow, 0.5 * value)
+        return
+    if law.kind in L.MECHANICAL:  # the displacement is the integral
+        into.branch(law, form, value * form)
+        into.term(law, "energy", form, 0.5 * value)
+        return
+    at = into.own[f"{law.name}.i"]
     current = np.eye(1, into.size, at)[0]
-    into.M[at, at] += law.inductance
+    into.M[at, at] += 1.0 / value
     into.A[at] += form
-    into.branch(law, form, current, "inductor")
-    into.term(law, "energy", current, 0.5 * law.inductance)
-    if law.current is not None:
-        into.held.append((law.name, current, law.current, None, 0.0))
+    into.branch(law, form, current)
+    into.term(law, "energy", current, 0.5 / value)
 
 
 @stamp.register

@@ -1,4 +1,4 @@
-"""Operating point, dc sweep and small-signal response of a `System`."""
+"""Operating point and dc sweep of a `System`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.reference.assemble import System
-from kc2spice.reference.piece import Piece
 
 _ITERATIONS = 400
 _DIRECT = 12  # Newton steps from a guess
@@ -47,61 +46,6 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
         found.append(_values(system, z, modes, {names.index(source): value}))
     swept = {key: np.array([point[key] for point in found]) for key in found[0]}
     return {"sweep": np.asarray(values, dtype=float)} | swept
-
-
-def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> dict[str, np.ndarray]:
-    """Complex waves per unit of ``source``, or for the ``ac`` amplitudes of all sources.
-
-    Linearised about the operating point. ``NAME.pin`` and ``NAME.pin.through`` (nf,) as in
-    ``Result.waves``; also ``frequency`` [Hz].
-    """
-    names = [p.name for p in system.sources]
-    if source is not None and source not in names:
-        raise UsageError("no such source", got=source, expected=", ".join(names))
-    z0, modes = equilibrium(system)
-    piece = Piece(system, modes, 0.0)
-    M, J = piece.slopes(0.0, z0)
-    amplitude = np.array([complex(p.ac) if source is None else float(p.name == source)
-                          for p in system.sources], dtype=complex)  # fmt: skip
-    s0, d0 = system.inputs(0.0, 0.0)
-    Gs, Gd, Bs, Bd = system.Gs, system.Gd, piece.Bs, piece.Bd
-    slopes = []
-    for device, mode in zip(system.devices, modes, strict=True):
-        e = device.inputs.at(z0, s0, d0)
-        slope = device.law.evaluate(0.0, e, mode)[1]
-        slopes.append(slope)
-        if not device.law.affine:
-            act = device.into @ slope
-            Bs, Bd = Bs + act @ device.inputs.s, Bd + act @ device.inputs.d
-            if device.stores is not None:
-                kept = device.stores @ device.law.store(e)[1]
-                Gs, Gd = Gs + kept @ device.inputs.s, Gd + kept @ device.inputs.d
-    rawM, rawA, S, _, G, T, Ts, Td = system.raw
-    touched = G.any(axis=0)
-    out: dict[str, list[complex]] = {}
-    for f in np.asarray(frequencies, dtype=float):
-        w = 2j * np.pi * f
-        s, d = amplitude, w * amplitude
-        drive = Bs @ s + Bd @ d - w * (Gs @ s + Gd @ d)
-        z = np.linalg.solve(w * M - J, drive)
-        for name, rows in system.across.items():
-            out.setdefault(name, []).append(rows.at(z, s, d)[0])
-        for name, (direct, rated) in system.through.items():
-            value = direct.at(z, s, d)[0] + w * rated.at(z, s, d)[0]
-            out.setdefault(f"{name}.through", []).append(value)
-        y = T @ z + Ts @ s + Td @ d
-        left = w * (rawM @ y) - rawA @ y - S @ s
-        for device, slope in zip(system.devices, slopes, strict=True):
-            through = slope @ device.inputs.at(z, s, d)
-            left -= device.raw @ through
-            for k, flow in enumerate(device.law.flows):
-                out.setdefault(f"{device.law.name}.{flow.pin}.through", []).append(through[k])
-        force = np.linalg.lstsq(G[:, touched].T, left[touched], rcond=1e-12)[0]
-        for supply in system.supplies:
-            value = s[supply.source] if supply.multiplier < 0 else force[supply.multiplier]
-            out.setdefault(f"{supply.law}.out.through", []).append(-value)
-    waves = {name: np.array(row) for name, row in out.items()}
-    return {"frequency": np.asarray(frequencies, dtype=float)} | waves
 
 
 def _values(
@@ -166,14 +110,15 @@ class _Rest:
                 f[rows] = z[device.states] - start / sizes
         return f, J
 
-    def stored(self, z: np.ndarray) -> np.ndarray:
-        """Charges, fluxes and momenta."""
-        g = self.system.M @ z + self.system.Gs @ self.s
-        for device in self.system.devices:
+    def stored(self, z: np.ndarray, modes: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Charges, fluxes and momenta (n,), and their slopes (n, n)."""
+        g, slope = self.system.M @ z + self.system.Gs @ self.s, self.system.M
+        for device, mode in zip(self.system.devices, modes, strict=True):
             if device.stores is not None:
-                e = device.inputs.at(z, self.s, self.d)
-                g = g + device.stores @ device.law.store(e)[0]
-        return g
+                kept, by = device.law.store(device.inputs.at(z, self.s, self.d), mode)
+                g = g + device.stores @ kept
+                slope = slope + device.stores @ by @ device.inputs.z
+        return g, slope
 
 
 def equilibrium(
@@ -198,7 +143,7 @@ def equilibrium(
             z, pace = start, 1e-6
         modes = rest.modes(z)
         f, J = rest.equations(z, modes)
-        step = _solve(rest, z, f, J - friction / pace if pace < 1e13 else J)
+        step = _solve(rest, z, modes, f, J - friction / pace if pace < 1e13 else J)
         z = z + step
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         settled = pace >= 1e13 and small
@@ -231,7 +176,9 @@ def _kinematic(system: System) -> np.ndarray:
     )
 
 
-def _solve(rest: _Rest, z: np.ndarray, f: np.ndarray, J: np.ndarray) -> np.ndarray:
+def _solve(
+    rest: _Rest, z: np.ndarray, modes: list[Any], f: np.ndarray, J: np.ndarray
+) -> np.ndarray:
     """Newton step with the held values and, where it is singular, the kept charges."""
     n, m = z.size, rest.h.size
     full = np.block([[J, rest.into], [rest.H, np.zeros((m, m))]])
@@ -244,8 +191,9 @@ def _solve(rest: _Rest, z: np.ndarray, f: np.ndarray, J: np.ndarray) -> np.ndarr
         idle = u[:, rank:]
         kept = (idle[:n] / size[:n, None]).T
         short = np.abs(idle.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
-        add = np.hstack((kept @ rest.system.M, np.zeros((len(kept), m))))
-        drop = -kept @ rest.stored(z)
+        stored, slope = rest.stored(z, modes)
+        add = np.hstack((kept @ slope, np.zeros((len(kept), m))))
+        drop = -kept @ stored
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
         if short.any() and np.abs(right).max() > 1e-12:
             raise SimulationError(

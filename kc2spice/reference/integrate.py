@@ -148,6 +148,12 @@ class Waves(Mapping[str, np.ndarray]):
                 return -np.concatenate(parts)
         raise KeyError(name)
 
+    def inputs(self, law: str) -> np.ndarray:
+        """(nt, m) what a device sees."""
+        names = [device.law.name for device in self.result.system.devices]
+        k = names.index(law)
+        return np.concatenate([_columns(piece, k, t, z) for piece, t, z, _ in self._states])
+
     def _read(self, rows: Rows) -> np.ndarray:
         parts = []
         for piece, t, z, _ in self._states:

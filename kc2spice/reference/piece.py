@@ -48,10 +48,10 @@ class Piece:
         """``g`` (n, nt)."""
         s, d = self._inputs(t)
         g = self.system.M @ z + self._kept
-        for device, _ in self.curved:
+        for device, mode in self.curved:
             if device.stores is not None:
                 e = device.inputs.at(z, s, d)
-                g += device.stores @ np.array([device.law.store(x)[0] for x in e.T]).T
+                g += device.stores @ np.array([device.law.store(x, mode)[0] for x in e.T]).T
         return g
 
     def flow(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ class Piece:
             e = device.inputs.at(z, s, d)
             J = J + device.into @ device.law.evaluate(t, e, mode)[1] @ device.inputs.z
             if device.stores is not None:
-                M = M + device.stores @ device.law.store(e)[1] @ device.inputs.z
+                M = M + device.stores @ device.law.store(e, mode)[1] @ device.inputs.z
         return M, J
 
     def inputs_of(self, t: float, z: np.ndarray) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""The plane of a scene's settings: ``bench.html`` with its figure ``bench.png``."""
+"""The plane of a scene's settings: ``bench.html``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, RED, Picture, name_axes, sheet
 from kc2spice.report.words import quantity
 
 HEAD = ("setting", "error", "sum of errors", "CPU time", "spread", "")
@@ -16,11 +18,10 @@ _LEAST = 1e-16  # an error of zero is drawn here
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
-    """Write page and figure of the ``record`` of ``bench``."""
-    picture = _figure(directory / "bench.png", record)
+    """Write the page of the ``record`` of ``bench``."""
     sections = [
         Section("Recommended", recommendation(record)),
-        Section("Error against time", pictures=[picture]),
+        Section("Error against time", figures=[_figure(record)]),
         Section(
             "Settings",
             point_rows(record),
@@ -95,31 +96,26 @@ def _place(nearest: Mapping[str, Any], own: Mapping[str, Any]) -> str:
     )
 
 
-def _figure(path: Path, record: Mapping[str, Any]) -> Picture:
+def _figure(record: Mapping[str, Any]) -> Figure:
     points, best = record["points"], record["recommended"]
 
-    def place(chosen: list[Mapping[str, Any]]) -> tuple[list[float], list[float]]:
-        return [max(p["error"], _LEAST) for p in chosen], [p["time_s"] for p in chosen]
+    def curve(label: str, chosen: list[Mapping[str, Any]], style: str = "o") -> Curve:
+        error = np.maximum([p["error"] for p in chosen], _LEAST)
+        time = np.array([p["time_s"] for p in chosen])
+        return Curve(label, error, time, style, tuple(p["label"] for p in chosen))
 
     front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
-    with sheet(path, size=(8.0, 4.6)) as axes:
-        axes.plot(*place(points), "o", color=BLUE, ms=5, label="settings")
-        axes.step(*place(front), where="post", color=GREY, lw=1.0, ls="--", label="front", zorder=1)
-        own = [p for p in points if p["own"]]
-        axes.plot(*place(own), "s", color=ORANGE, ms=9, label="the scene as it is")
-        if best is not None:
-            axes.plot(*place([best]), "o", color=BLACK, ms=12, mfc="none", label="recommended")
-        limit = max(record["limit"], _LEAST)
-        axes.axvline(limit, color=GREEN, lw=1.0, label=f"error {limit:.2g}")
-        if record["reference"]["error"] > 0.0:
-            axes.axvspan(
-                _LEAST, record["reference"]["error"], color=RED, alpha=0.07, lw=0,
-                label="uncertainty of the reference",
-            )  # fmt: skip
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        errors = place(points)[0]
-        axes.set_xlim(0.5 * min(*errors, limit), 2.0 * max(*errors, limit))
-        name_axes(axes, "largest relative error", "CPU time of the simulator [s]")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-    return Picture(path, "Error against time", "Lower left is better.")
+    curves = [curve("settings", points), curve("front", front, "step")]
+    curves.append(curve("the scene as it is", [p for p in points if p["own"]]))
+    if best is not None:
+        curves.append(curve("recommended", [best]))
+    limit, unsure = max(record["limit"], _LEAST), record["reference"]["error"]
+    marks = [(limit, f"error {limit:.2g}")]
+    if unsure > 0.0:
+        marks.append((unsure, "uncertainty of the reference"))
+    ends = [*curves[0].x, *(place for place, _ in marks)]
+    panel = Panel(
+        "largest relative error", "CPU time of the simulator in s", tuple(curves),
+        marks=tuple(marks), span=(0.5 * min(ends), 2.0 * max(ends)), log_x=True, log_y=True,
+    )  # fmt: skip
+    return Figure("bench", "Error against time", "Lower left is better.", (panel,))

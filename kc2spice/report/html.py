@@ -1,19 +1,23 @@
-"""One self-contained HTML page: sections with a table, a note and pictures each."""
+"""One self-contained HTML page: sections with a table, a note and figures each.
+
+The browser draws the figures: a page has their curves as data, and one script, ``plots.js``.
+"""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2.utils import htmlsafe_json_dumps
 
-from kc2spice import __version__
-from kc2spice.core.figure import Curve, Figure
-from kc2spice.report.plots import Picture
+from kc2spice.core.figure import Curve, Figure, Map, Panel
+from kc2spice.core.version import __version__
 from kc2spice.spice.render import template_directory
 
 SHOWN = 4000  # points of a curve in a page
@@ -21,20 +25,20 @@ SHOWN = 4000  # points of a curve in a page
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with, in this order and where given, a drawing (SVG), a table, links to files, a
-    note and pictures."""
+    """A heading with, in this order and where given, a drawing (HTML that needs no escaping), a
+    table, links to files, a note and figures."""
 
     title: str
     rows: Sequence[Sequence[str]] = ()
     head: Sequence[str] = ()
     note: str = ""
-    pictures: Sequence[Picture] = ()
+    figures: Sequence[Figure] = ()
     drawing: str = ""
     links: Sequence[str] = ()
 
 
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
-    """Render ``sections`` to ``path``; images are embedded, nothing is loaded from elsewhere."""
+    """Render ``sections`` to ``path``; nothing is loaded from elsewhere."""
     environment = Environment(
         loader=FileSystemLoader(template_directory()),
         undefined=StrictUndefined,
@@ -42,47 +46,78 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"embed": _embed, "curves": _curves}
+    environment.filters["figure"] = figure_html
     text = environment.get_template("report.html.j2").render(
         title=title, lead=lead, sections=sections, footer=f"kc2spice {__version__}",
-        interactive=any(picture.figure for s in sections for picture in s.pictures),
+        plots=any(section.figures for section in sections),
     )  # fmt: skip
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _embed(picture: Picture) -> str:
-    data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-    return f"data:image/png;base64,{data}"
+def figure_html(figure: Figure) -> str:
+    """The element ``<figure>`` from which the page's script draws: curves as JSON, a caption."""
+    data = htmlsafe_json_dumps(_figure(figure), separators=(",", ":"))
+    return (
+        f'<figure data-plot><script type="application/json">{data}</script>'
+        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+    )
 
 
-def _curves(figure: Figure) -> dict[str, Any]:
-    """What the page's script draws: panels with their curves as little-endian float32."""
+def _figure(figure: Figure) -> dict[str, Any]:
+    panels = [_panel(panel) for panel in figure.panels]
+    return {"title": figure.title, "columns": figure.columns, "panels": panels}
+
+
+def _panel(p: Panel) -> dict[str, Any]:
     return {
-        "panels": [
-            {
-                "x": p.x, "y": p.y, "log_x": bool(p.log_x), "log_y": bool(p.log_y),
-                "equal": p.equal, "span": p.span and [float(v) for v in p.span],
-                "levels": [(float(v), label) for v, label in p.levels],
-                "bands": [(float(low), float(high), label) for low, high, label in p.bands],
-                "marks": [(float(v), label) for v, label in p.marks],
-                "curves": [_thinned(curve) for curve in p.curves],
-            }
-            for p in figure.panels
-        ]
-    }  # fmt: skip
+        "x": p.x,
+        "y": p.y,
+        "log_x": bool(p.log_x),
+        "log_y": bool(p.log_y),
+        "equal": p.equal,
+        "span": p.span and [float(v) for v in p.span],
+        "levels": [(float(v), label) for v, label in p.levels],
+        "bands": [(float(low), float(high), label) for low, high, label in p.bands],
+        "marks": [(float(v), label) for v, label in p.marks],
+        "curves": [_curve(curve) for curve in p.curves],
+        "map": p.map and _map(p.map),
+    }
 
 
-def _thinned(curve: Curve) -> dict[str, str]:
-    """At most ``SHOWN`` points: of each stretch its extremes, and both sides of the largest jumps,
-    so that neither peaks nor corners are lost."""
-    x, y = (np.asarray(v, dtype=float) for v in (curve.x, curve.y))
-    if x.size > SHOWN and np.isfinite(y).all():
-        jumps = np.argpartition(np.abs(np.diff(y)), -SHOWN // 4)[-SHOWN // 4 :]
-        ends = np.linspace(0, x.size, SHOWN // 5).astype(int)
-        rising = np.lexsort((y, np.repeat(np.arange(ends.size - 1), np.diff(ends))))
-        extremes = rising[ends[:-1]], rising[ends[1:] - 1]
-        chosen = np.unique(np.concatenate(([0, x.size - 1], jumps, jumps + 1, *extremes)))
-        x, y = x[chosen], y[chosen]
-    code = [base64.b64encode(v.astype("<f4").tobytes()).decode("ascii") for v in (x, y)]
-    return {"label": curve.label, "style": curve.style, "x": code[0], "y": code[1]}
+def _curve(curve: Curve) -> dict[str, Any]:
+    kept = _kept(np.asarray(curve.y, dtype=float))
+    x, y = (_numbers(np.asarray(values)[kept]) for values in (curve.x, curve.y))
+    names = [curve.names[k] for k in kept] if curve.names else []
+    return {"label": curve.label, "style": curve.style, "x": x, "y": y, "names": names}
+
+
+def _map(found: Map) -> dict[str, str]:
+    numbers = {name: _numbers(getattr(found, name)) for name in ("x", "y", "z")}
+    return {"label": found.label, **numbers}
+
+
+def _numbers(values: np.ndarray) -> str:
+    """Little-endian float32, row by row."""
+    return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
+
+
+def _kept(y: np.ndarray) -> np.ndarray:
+    """Indices of at most ``SHOWN`` points: of each stretch of points its extremes, and both sides
+    of the largest jumps and of gaps, so that neither peaks nor corners are lost."""
+    if y.size <= SHOWN:
+        return np.arange(y.size)
+    stretch = -(-y.size // (SHOWN // 5))
+    padded = np.full(stretch * -(-y.size // stretch), np.nan)
+    padded[: y.size] = y
+    rows = padded.reshape(-1, stretch)
+    known, first = np.isfinite(rows), stretch * np.arange(rows.shape[0])
+    low = first + np.where(known, rows, np.inf).argmin(axis=1)
+    high = first + np.where(known, rows, -np.inf).argmax(axis=1)
+    steps = np.abs(np.diff(y))
+    steps[~np.isfinite(steps)] = np.inf
+    jumps = np.argpartition(steps, -SHOWN // 4)[-SHOWN // 4 :]
+    kept = np.zeros(y.size, dtype=bool)
+    for chosen in ([0, -1], low, high, jumps, jumps + 1):
+        kept[chosen] = True
+    return np.flatnonzero(kept)

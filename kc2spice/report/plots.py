@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-
-from kc2spice.core.figure import Figure
 
 # Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -44,29 +41,11 @@ _STYLE: Any = {
 }
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure on disk with the words that go with it, and its curves if they are data."""
-
-    path: Path
-    title: str
-    caption: str
-    figure: Figure | None = None
-
-
 def style() -> Any:
     """Context in which figures have the look of this project."""
     import matplotlib
 
     return matplotlib.rc_context(_STYLE)
-
-
-def load() -> None:
-    """Load what draws, and draw once for nothing: a first sheet takes as long as three others."""
-    with sheet(BytesIO()) as axes:
-        axes.plot([1.0, 10.0], [1.0, 10.0], label="x")
-        axes.set(xscale="log", yscale="log", xlabel="µ")
-        legend_above(axes)
 
 
 @contextmanager

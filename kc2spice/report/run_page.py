@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from kc2spice.core.figure import Figure
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.plots import Picture
 from kc2spice.report.sketch import circuit, devices
 from kc2spice.report.words import check_name, fact, flat, quantity, worded
 from kc2spice.scene.model import Scene
@@ -17,23 +17,27 @@ NETS = (
     "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
     "nets are those of the netlist."
 )
-HOW = "Move the pointer to read values, drag to look closer, double-click to see all."
+HOW = (
+    "Move the pointer to read values, drag to look closer, double-click to see all; click a name "
+    "of a legend to hide its curve."
+)
 
 
 def write_run(
-    path: Path, result: Mapping[str, Any], scene: Scene, pictures: Sequence[Picture]
+    path: Path, result: Mapping[str, Any], scene: Scene, figures: Sequence[Figure]
 ) -> Path:
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
     sections = [
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
         Section("Circuit", drawing=circuit(scene), note=NETS),
-        Section("Figures", pictures=pictures, note=HOW),
-        _facts("Metrics", result.get("metrics", {})),
+        Section("Figures", figures=figures, note=HOW),
+        _facts("Metrics", result.get("metrics", {}), result.get("metric_units", {})),
         _checks(result),
         *(_energy(name, entries) for name, entries in result.get("energy_j", {}).items()),
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
         _facts("Reduced model", {k: v for k, v in result.get("rom", {}).items() if v is not None}),
+        *(_modes(part, found) for part, found in result.get("modes", {}).items()),
         _modelled(scene),
         _errors(scene),
         _left_out(scene),
@@ -42,14 +46,36 @@ def write_run(
         _wall(result),
         Section("Files", links=result.get("files", ())),
     ]
-    kept = [s for s in sections if s.rows or s.pictures or s.drawing or s.links]
+    kept = [s for s in sections if s.rows or s.figures or s.drawing or s.links]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
     lead = "Finite-element models, reduced, exported as a netlist and run in ngspice."
     return write_page(path, title, lead, kept)
 
 
-def _facts(title: str, facts: Mapping[str, Any]) -> Section:
-    return Section(title, [fact(key, value) for key, value in flat(facts).items()])
+def _facts(title: str, facts: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Section:
+    rows = [fact(k, v, unit=(units or {}).get(k, "")) for k, v in flat(facts).items()]
+    return Section(title, rows)
+
+
+def _modes(part: str, found: Mapping[str, Any]) -> Section:
+    """Of one body; a port that no mode moves has no column."""
+    units, modes = found["units"], found["modes"]
+    seen = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
+    rows = [
+        (
+            quantity(mode["frequency_hz"], "Hz"),
+            quantity(mode["quality"], "", 4),
+            *(quantity(mode["couplings"][port], units[port], 3) for port in seen),
+        )
+        for mode in modes
+    ]
+    head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in seen))
+    note = (
+        "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is "
+        "the effective coupling factor; at other ports stands what the mode adds to the static "
+        "answer."
+    )
+    return Section(f"Modes: {part}", rows, head, note)
 
 
 def _checks(result: Mapping[str, Any]) -> Section:
@@ -102,10 +128,11 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
         return Section("Simulator", [*rows, ("analysis", scene.analysis.type)])
     solver = scene.solver
     rows += [(f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()]
+    step = result.get("largest_step")
     rows += [
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
-        ("largest step", quantity(solver.max_step, "s")),
+        ("largest step", f"{quantity(step['s'], 's')}: {step['why']}" if step else "unknown"),
         ("stop", quantity(scene.stop, "s")),
     ]
     return Section("Simulator", rows)

@@ -1,95 +1,173 @@
-"""``sweep.html``: plan, yields, spread of the metrics, what failed and why, figures."""
+"""``sweep.html``: plan, yields, spread of the metrics, what failed and why, figures.
+
+The figures follow what was swept: curves over one key, maps over two that are crossed, and of
+draws or more keys a histogram of each metric and its values over each key.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
 
+from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.sweep_figures import share_text, sweep_figures
-from kc2spice.report.words import fact
+from kc2spice.report.words import fact, unit_of
 from kc2spice.scene.model import Scene
 
 CONFIDENCE = 0.95
 
+Table = Mapping[str, Sequence[Any]]
+Axis = tuple[str, np.ndarray]  # label that ends in the unit, numbers in it
 
-def yields(data: Mapping[str, np.ndarray], flags: Sequence[str]) -> dict[str, dict[str, float]]:
+
+def _is_flag(column: Sequence[Any]) -> bool:
+    return {type(value) for value in column} - {type(None)} == {bool}
+
+
+def _is_number(column: Sequence[Any]) -> bool:
+    return {type(value) for value in column} - {type(None)} in ({float}, {int}, {bool})
+
+
+def _numbers(column: Sequence[Any]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in column], dtype=float)
+
+
+def yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
     """Share of all points at which each flag is true, with its exact confidence interval.
 
     A point that failed counts as false. The interval is that of Clopper and Pearson (1934), which
     covers at least ``confidence``; it speaks of the swept population only where keys were drawn.
     """
     found = {}
-    for name in flags:
-        count, total = int(np.nansum(data[name])), data[name].size
-        interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
-        found[name] = {
-            "share": count / total,
-            "low": float(interval.low),
-            "high": float(interval.high),
-            "confidence": CONFIDENCE,
-        }
+    for name, column in table.items():
+        if name not in keys and _is_flag(column):
+            count, total = sum(map(bool, column)), len(column)
+            interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+            ends = {"low": float(interval.low), "high": float(interval.high)}
+            found[name] = {"share": count / total, **ends, "confidence": CONFIDENCE}
     return found
 
 
 def write_sweep(
-    directory: Path,
+    path: Path,
     scene: Scene,
-    data: Mapping[str, np.ndarray],
+    table: Table,
     units: Mapping[str, str],
-    metrics: Sequence[str],
     random: Sequence[str],
     plan: str,
-    found: Mapping[str, Mapping[str, float]],
-) -> list[str]:
-    """Write figures and page of a finished table into ``directory``; return their names.
+    shares: Mapping[str, Mapping[str, float]],
+) -> None:
+    """Write the page of a finished ``table`` to ``path``.
 
-    ``units`` are those of the swept keys, in their order.
+    ``units`` are those of the swept keys, in their order; ``random`` are the keys that were drawn,
+    ``plan`` says how much was run, ``shares`` are the :func:`yields`.
     """
-    keys = tuple(units)
-    pictures = sweep_figures(directory, data, keys, metrics, random, units)
-    sections = [
-        Section("Plan", [("points", plan), *(_swept(key, data[key], units) for key in keys)]),
-        Section(
-            "Yield",
-            [(fact(name, 0)[0], share_text(share)) for name, share in found.items()],
-            note="Of all points; a point that failed counts as a miss.",
-        ),
-        _spread(data, [name for name in metrics if name not in found]),
-        _failed(data["status"]),
-        Section("Figures", pictures=pictures),
-    ]
-    write_page(
-        directory / "sweep.html", f"Sweep of {scene.name}", scene.title,
-        [section for section in sections if section.rows or section.pictures],
-    )  # fmt: skip
-    return [*(picture.path.name for picture in pictures), "sweep.html"]
-
-
-def _swept(key: str, values: np.ndarray, units: Mapping[str, str]) -> tuple[str, str]:
-    distinct = np.unique(values)
-    unit = units.get(key, "")
-    low, high = (f"{v:g}" if distinct.dtype.kind == "f" else str(v) for v in distinct[[0, -1]])
-    return key, f"{distinct.size} values, {low} … {high} {unit}".rstrip()
-
-
-def _spread(data: Mapping[str, np.ndarray], metrics: Sequence[str]) -> Section:
-    rows = []
-    for name in metrics:
-        values = data[name][np.isfinite(data[name])]
-        if values.size:
-            shares = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
-            label = fact(name, 0)[0]
-            rows.append((label, str(values.size), *(fact(name, float(v))[1] for v in shares)))
+    metrics = [name for name in table if name not in units and _is_number(table[name])]
+    spread = [_spread(name, table[name]) for name in metrics if not _is_flag(table[name])]
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
-    return Section("Metrics", rows, head)
+    failed = Counter(text for text in table["status"] if text != "ok").most_common(20)
+    note = "Of all points; a point that failed counts as a miss."
+    sections = [
+        Section("Plan", [("points", plan), *(_swept(key, table[key], units) for key in units)]),
+        Section("Yield", [(fact(n, 0)[0], _share(s)) for n, s in shares.items()], note=note),
+        Section("Metrics", spread, head),
+        Section("Points that failed", [(str(n), why) for why, n in failed], ("points", "why")),
+        Section("Figures", figures=tuple(figures(table, units, metrics, random))),
+    ]
+    shown = [section for section in sections if section.rows or section.figures]
+    write_page(path, f"Sweep of {scene.name}", scene.title, shown)
 
 
-def _failed(status: np.ndarray) -> Section:
-    counts = Counter(text for text in status.tolist() if text != "ok")
-    rows = [(str(count), text) for text, count in counts.most_common(20)]
-    return Section("Points that failed", rows, ("points", "why"))
+def _share(share: Mapping[str, float]) -> str:
+    low, high, level = (100 * share[name] for name in ("low", "high", "confidence"))
+    return f"{100 * share['share']:.4g} % ({level:.3g} % confidence: {low:.4g} … {high:.4g} %)"
+
+
+def _swept(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
+    distinct = list({repr(value): value for value in column}.values())
+    ends = ", ".join(map(str, distinct[:10]))
+    if _is_number(column):
+        ends = f"{min(distinct):g} … {max(distinct):g} {units[key]}".rstrip()
+    return key, f"{len(distinct)} values, {ends}"
+
+
+def _spread(name: str, column: Sequence[Any]) -> tuple[str, ...]:
+    values = _numbers(column)
+    values = values[np.isfinite(values)]
+    shares = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
+    return (fact(name, 0)[0], str(values.size), *(fact(name, float(v))[1] for v in shares))
+
+
+def figures(
+    table: Table, units: Mapping[str, str], metrics: Sequence[str], random: Sequence[str]
+) -> Iterator[Figure]:
+    """The ``metrics`` of a table over its swept keys, whose ``units`` are given."""
+    keys = [key for key in units if _is_number(table[key])]
+    if not keys or not metrics:
+        return
+    x = {key: (_label(key, units[key]), _numbers(table[key])) for key in keys}
+    y = {name: (_label(fact(name, 0)[0], unit_of(name)), _numbers(table[name])) for name in metrics}
+    crossed = np.prod([np.unique(x[key][1]).size for key in keys]) == len(table["status"])
+    if not random and len(keys) == 1:
+        words = zip(*(table[key] for key in units if key not in x), strict=True)
+        labels = [" ".join(map(str, each)) for each in words]
+        panels = [_curves(x[keys[0]], labels, axis) for axis in y.values()]
+        yield Figure("curves", "Curves", "A gap is a point without that metric.", tuple(panels))
+    elif not random and len(keys) == len(units) == 2 and crossed:
+        for name, axis in y.items():
+            panel = _map(x[keys[0]], x[keys[1]], axis)
+            yield Figure(f"map_{name}", axis[0], "Grey where there is none.", (panel,))
+    else:
+        caption = "Lines at the median and at 5 and 95 % of the points."
+        panels = [_histogram(axis) for axis in y.values()]
+        yield Figure("histograms", "Distributions", caption, tuple(panels), columns=3)
+        for name, (label, values) in y.items():
+            panels = [Panel(k, label, (Curve("", v, values, "o"),)) for k, v in x.values()]
+            yield Figure(f"over_{name}", label, "Over each key.", tuple(panels), columns=3)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " ")
+
+
+def _curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
+    """One curve for each combination of the swept words."""
+    labels = np.array(words) if words else np.full(x[1].size, "")
+    curves = []
+    for label in np.unique(labels):
+        mine = np.flatnonzero(labels == label)
+        mine = mine[np.argsort(x[1][mine])]
+        curves.append(Curve(str(label), x[1][mine], y[1][mine], "o-"))
+    ends = (float(x[1].min()), float(x[1].max()))
+    return Panel(x[0], y[0], tuple(curves), span=ends, log_x=_logarithmic(x[1]))
+
+
+def _logarithmic(values: np.ndarray) -> bool:
+    """Equally spaced in the logarithm rather than in the values."""
+    x = np.unique(values)
+    if x.size < 3 or x[0] <= 0:
+        return False
+    return bool(np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0]))
+
+
+def _map(x: Axis, y: Axis, z: Axis) -> Panel:
+    columns, i = np.unique(x[1], return_inverse=True)
+    rows, j = np.unique(y[1], return_inverse=True)
+    field = np.full((rows.size, columns.size), np.nan)
+    field[j, i] = z[1]
+    log_x, log_y = _logarithmic(columns), _logarithmic(rows)
+    return Panel(x[0], y[0], (), log_x=log_x, log_y=log_y, map=Map(columns, rows, field, z[0]))
+
+
+def _histogram(axis: Axis) -> Panel:
+    values = axis[1][np.isfinite(axis[1])]
+    counts, edges = np.histogram(values, bins="auto" if values.size > 1 else 1)
+    bars = Curve("", (edges[:-1] + edges[1:]) / 2, counts.astype(float), "bar")
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)).tolist()
+    marks = ((low, "5 %"), (middle, "median"), (high, "95 %"))
+    return Panel(axis[0], "points", (bars,), marks=marks)

@@ -1,28 +1,22 @@
-"""``verify.html``: every scene's checks, solutions, paper table and figures on one page."""
+"""``verify.html``: every scene's checks, errors, times and figures on one page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.paper import paper_section
 from kc2spice.report.verdict import Findings
 from kc2spice.report.words import fact, quantity
-from kc2spice.scene.gates import Table
 
 
-def write_verify(path: Path, found: Mapping[str, Findings], more: Sequence[Section] = ()) -> Path:
-    """Write the page for the findings of each scene, by its name, and ``more`` sections.
-
-    The table "paper / here" takes its values from each scene's ``metrics``.
-    """
+def write_verify(path: Path, found: Mapping[str, Findings]) -> Path:
+    """Write the page for the findings of each scene, by its name."""
     sections = [_summary(found)]
     for scene, findings in found.items():
         sections += _scene(scene, findings)
-    sections += more
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
-    kept = [s for s in sections if s.rows or s.pictures or s.note]
+    kept = [s for s in sections if s.rows or s.figures or s.note]
     return write_page(path, "Verification", lead, kept)
 
 
@@ -34,14 +28,10 @@ def _summary(found: Mapping[str, Findings]) -> Section:
             quantity(findings.errors.get(key), "", 2)
             for key in ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
         ]
-        speed = [quantity(findings.speedup.get(key), "", 3) for key in ("refactor", "low_rank")]
         verdict = "missed" if missed else "met"
-        rows.append((scene, verdict, *errors, *speed))
-    head = (
-        "scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full",
-        "speed-up, refactorised", "speed-up, low rank",
-    )  # fmt: skip
-    note = "Errors are the largest relative ones. Speed-ups: full model over ngspice."
+        rows.append((scene, verdict, *errors))
+    head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
+    note = "Errors are the largest relative ones."
     return Section("Summary", rows, head, note)
 
 
@@ -57,7 +47,11 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
     ]
     return [
         Section(f"{scene}: gates", checks, ("check", "value", "limit", "")),
-        _costs(scene, findings),
+        Section(
+            f"{scene}: time",
+            [(stage, quantity(time, "s", 3)) for stage, time in findings.wall_s.items()],
+            ("stage", "wall time"),
+        ),
         Section(
             f"{scene}: each output",
             [
@@ -71,7 +65,6 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
             ],
             ("solutions", "output", "largest error", "rms error"),
         ),
-        paper_section(scene if findings.shipped else "", findings.metrics),
         Section(
             f"{scene}: results",
             [
@@ -81,29 +74,9 @@ def _scene(scene: str, findings: Findings) -> list[Section]:
             ],
             note=" ".join(findings.notes),
         ),
-        Section(f"{scene}: figures", pictures=findings.pictures),
+        Section(f"{scene}: figures", figures=findings.figures),
     ]
-
-
-def table_section(table: Table) -> Section:
-    """A study of a part."""
-    return Section(table.title, table.rows, table.head, table.note)
 
 
 def _with_unit(value: float | None, unit: str) -> str:
     return quantity(value, "" if unit == "1" else unit, 3)
-
-
-def _costs(scene: str, findings: Findings) -> Section:
-    keys = list(dict.fromkeys(key for cost in findings.costs for key in cost.errors))
-    rows = [
-        (
-            cost.name,
-            quantity(cost.wall_s, "s", 3),
-            cost.against,
-            *(fact(key, cost.errors[key])[1] if key in cost.errors else "" for key in keys),
-        )
-        for cost in findings.costs
-    ]
-    head = ("solution", "wall time", "compared with", *(fact(key, 0)[0] for key in keys))
-    return Section(f"{scene}: time and error", rows, head)

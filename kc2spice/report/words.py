@@ -9,10 +9,17 @@ from typing import Any
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Words of keys that are none.
 _WORDS = {"bvd": "equivalent circuit", "c0": "C0", "rm": "Rm", "lm": "Lm", "cm": "Cm"}
+# Whole keys: of a resonance it takes the electrical condition, and whether it was measured.
+_NAMES = {
+    "resonance_short_hz": "resonance of the model, electrodes shorted, undamped",
+    "resonance_open_hz": "resonance of the model, electrodes open, undamped",
+    "resonance_hz": "resonance read off the impedance (series, as if shorted)",
+    "antiresonance_hz": "resonance read off the impedance (parallel, as if open)",
+}
 # Longest suffix first: the key's name says its unit, as in result.json.
 _SUFFIXES = (
     ("_m_per_100v", "m per 100 V"), ("_m_per_v", "m/V"), ("_m_s", "m/s"), ("_v_m", "V/m"),
-    ("_pa", "Pa"),
+    ("_pa", "Pa"), ("_mm", "mm"),
     ("_hz", "Hz"), ("_kg", "kg"), ("_ohm", "Ω"), ("_m", "m"), ("_s", "s"), ("_a", "A"),
     ("_n", "N"), ("_f", "F"), ("_h", "H"), ("_v", "V"), ("_c", "C"), ("_j", "J"),
 )  # fmt: skip
@@ -57,10 +64,15 @@ def flat(facts: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def fact(key: str, value: Any, digits: int = 5) -> tuple[str, str]:
-    """A key of result.json and its value as words: the suffix of the key is the unit."""
-    suffix, unit = _suffix(key)
-    name = " ".join(_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
+def fact(key: str, value: Any, digits: int = 5, unit: str = "") -> tuple[str, str]:
+    """A key of result.json and its value as words: the suffix of the key is the unit, but for a
+    key of a user's own choice, whose ``unit`` is told."""
+    suffix, named = _suffix(key)
+    if unit and unit != named:
+        suffix = ""
+    unit = unit or named
+    words = (_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
+    name = _NAMES.get(key) or " ".join(words)
     if isinstance(value, (list, tuple)) and len(value) > 8:
         return name, f"{len(value)} values, in result.json"
     values = value if isinstance(value, (list, tuple)) else [value]

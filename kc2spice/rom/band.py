@@ -11,11 +11,12 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.operators import dense, largest
-from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.pencil import Pencil, eliminated, proportional
 
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
 BEYOND = 1.1  # the band ends a little past the mode, not on it
+SHIFT = 1e-3  # of the band: below it nothing need be resolved
 CLOSE = 1e-4  # of the rates, whose fifth is only rounded up to a band
 
 
@@ -40,6 +41,28 @@ def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float
             hint="name the frequencies of interest: --band 0 2e4",
         )
     return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
+
+
+def reach(pencil: Pencil, count: int, high: float, solver: Solver = "scipy") -> float:
+    """Frequency [Hz] of the ``count``-th lowest natural motion, at most ``high``; ``high`` where
+    there are not so many, or they are not to be had.
+
+    A shift far below ``high`` lets the body be free to move.
+    """
+    pencil = proportional(eliminated(pencil))
+    if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
+        return high
+    shift = 2 * np.pi * high * SHIFT
+    M = pencil.coefficients[-1]
+    try:
+        solve = pencil.pencil_solver(-(shift**2), solver).solve
+        inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(M @ x), dtype=float)
+        start = solve(pencil.B[:, 0])
+        values = eigs(inverse, count, v0=start, tol=CLOSE, return_eigenvectors=False)
+    except (SimulationError, UsageError, ArpackError):
+        return high
+    squares = 1 / np.abs(values) - shift**2
+    return min(high, float(np.sqrt(max(squares.max(), 0.0)) / (2 * np.pi)))
 
 
 def _small(pencil: Pencil) -> np.ndarray:

@@ -11,9 +11,9 @@ from typing import Any, get_args
 import numpy as np
 from scipy import io
 
+from kc2spice.core.archive import read_archive
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.rom.archive import read_archive
 from kc2spice.rom.linear import Certificate, LinearModel, Port, PortKind
 from kc2spice.rom.matrix_market import read_market
 
@@ -73,7 +73,7 @@ def read_rom(path: Path | str) -> LinearModel:
 
 def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], str]:
     known = {_RECORD, *"MEKABCD"}
-    arrays = read_archive(path, known.__contains__, entries=MAX_ENTRIES, total=MAX_BYTES)
+    arrays = read_archive(path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_BYTES)
     record = arrays.pop(_RECORD)
     return arrays, str(record.item())
 
@@ -120,9 +120,10 @@ def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
         (low, high),
         float(facts["error_estimate"]),
         _printable(facts["method"], 1000),
-        bool(facts["stable"]),
+        None if facts["stable"] is None else bool(facts["stable"]),
         bool(facts["passive"]),
         tuple((float(f), float(error)) for f, error in facts.get("above", ())),
+        "peak" if facts.get("norm") == "peak" else "pointwise",
     )
     letters = _letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.lazy import lazy
 from kc2spice.rom.operators import Matrix, Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.statespace import ABCD, state_space
@@ -21,9 +21,9 @@ from kc2spice.rom.statespace import ABCD, state_space
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
 
-sparse = lazy("scipy.sparse")
 
 PortKind = Literal["electrical", "mechanical", "rotational", "acceleration", "input", "output"]
+Norm = Literal["pointwise", "peak"]
 CONSERVATIVE = ("electrical", "mechanical", "rotational", "acceleration")
 # What 1 V and 1 A on the netlist pin of a conservative port mean.
 UNITS = {
@@ -87,24 +87,29 @@ class Port:
 class Certificate:
     """What is known about a reduced model's error with respect to the *full* model.
 
-    ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``;
+    ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``, in
+    the ``norm`` *pointwise* (relative at every frequency, or to a millionth of the entry's peak
+    where that is more) or *peak* (relative to the entry's largest value in the band).
     ``method`` names the estimator. ``above`` is what contact sees beyond the band and nothing
     bounds: frequency [Hz] and the largest relative difference there of a mechanical port's own
-    compliance to the larger model that the estimate compares with.
+    compliance to the larger model that the estimate compares with. ``stable`` holds for the full
+    model and the reduced one, None where nothing proves it; ``passive`` where both show it.
     """
 
     band_hz: tuple[float, float]
     error_estimate: float
     method: str
-    stable: bool
+    stable: bool | None
     passive: bool
     above: tuple[tuple[float, float], ...] = ()
+    norm: Norm = "pointwise"
 
     def record(self) -> dict[str, Any]:
         """Its entries of ``result.json`` and of ``reduce --json``."""
         found: dict[str, Any] = {
             "band_hz": list(self.band_hz),
             "error_estimate": self.error_estimate,
+            "norm": self.norm,
             "method": self.method,
             "stable": self.stable,
             "passive": self.passive,
@@ -176,7 +181,11 @@ class LinearModel:
         D = np.zeros((p, m)) if self.D is None else _array(self.D, "D", self.name)
         put(self, "B", B), put(self, "C", C), put(self, "D", D)
         if self.E is None and self.rayleigh is None:
-            zero = sparse.csc_array((n, n)) if not first else sparse.eye_array(n, format="csc")
+            zero = (
+                scipy.sparse.csc_array((n, n))
+                if not first
+                else scipy.sparse.eye_array(n, format="csc")
+            )
             whole = self.A if first else self.K
             put(self, "E", zero.toarray() if isinstance(whole, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
@@ -303,7 +312,7 @@ class LinearModel:
         if self.certificate is not None:
             found = self.certificate
             low, high = found.band_hz
-            state = "stable" if found.stable else "UNSTABLE"
+            state = {True: "stable", False: "UNSTABLE", None: "stability not known"}[found.stable]
             text += f"; error {found.error_estimate:.2g} over {low:g} to {high:g} Hz, {state}"
             text += ", passive" if found.passive else ""
         return text
@@ -369,8 +378,8 @@ def with_potentials(
     C0 = np.array(c_VV, dtype=float).reshape(electrodes, electrodes)
     K, b = K_uu, -k_uV
     if K_pp is not None and K_pp.shape[0]:
-        K_up, K_pp = sparse.csc_array(K_up), sparse.csc_array(K_pp)
-        K = Schur(sparse.csc_array(K_uu), K_up, sparse.csc_array(K_up.T), -K_pp)
+        K_up, K_pp = scipy.sparse.csc_array(K_up), scipy.sparse.csc_array(K_pp)
+        K = Schur(scipy.sparse.csc_array(K_uu), K_up, scipy.sparse.csc_array(K_up.T), -K_pp)
         k_pV = np.zeros((K_pp.shape[0], electrodes)) if k_pV is None else np.asarray(k_pV)
         k_pV = k_pV.reshape(K_pp.shape[0], -1)
         lift = -K.inner.solve(k_pV)
@@ -404,7 +413,7 @@ def half_stored(matrix: Matrix) -> bool:
     """Whether only one triangle of a matrix has entries beside the diagonal."""
     if isinstance(matrix, Schur) or matrix.shape[0] < 2 or symmetric(matrix):
         return False
-    entries = sparse.coo_array(matrix)
+    entries = scipy.sparse.coo_array(matrix)
     upper, lower = (entries.row < entries.col).any(), (entries.row > entries.col).any()
     return bool(upper != lower)
 
@@ -434,14 +443,14 @@ def _square(matrix: Matrix, letter: str, where: str) -> Matrix:
         for part in parts:
             _finite(part, letter, where)
         return matrix
-    if isinstance(matrix, np.ndarray) or not sparse.issparse(matrix):
+    if isinstance(matrix, np.ndarray) or not scipy.sparse.issparse(matrix):
         return _array(matrix, letter, where)
     _finite(matrix, letter, where)
-    return sparse.csc_array(matrix, dtype=float)
+    return scipy.sparse.csc_array(matrix, dtype=float)
 
 
 def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
-    full = isinstance(values, np.ndarray) or not sparse.issparse(values)  # asks scipy last
+    full = isinstance(values, np.ndarray) or not scipy.sparse.issparse(values)  # asks scipy last
     plain = np.asarray(values) if full else values.toarray()
     _finite(plain, letter, where)
     if plain.ndim != 2:
@@ -452,7 +461,7 @@ def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
 
 
 def _finite(matrix: Matrix, letter: str, where: str) -> None:
-    dense = isinstance(matrix, np.ndarray) or not sparse.issparse(matrix)
+    dense = isinstance(matrix, np.ndarray) or not scipy.sparse.issparse(matrix)
     data = matrix if dense else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
         raise UsageError(

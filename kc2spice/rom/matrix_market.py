@@ -1,7 +1,9 @@
 """Matrix Market files, read so that no damage in them can reach further than an error.
 
-scipy's reader may crash the interpreter on a corrupt file; here every count is compared with what
-the file holds, and every index with the size, before it is used.
+scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5, doubles a symmetric matrix of
+which both triangles are stored, and fills a symmetric array that is not square with numbers that
+the file does not hold; here every count is compared with what the file holds, and every index with
+the size, before it is used.
 Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
 """
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.lazy import lazy
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-
-linalg = lazy("scipy.linalg")
 
 # Proportional damping is exact by construction; anything above rounding is another damping.
 COUPLING_LIMIT = 1e-8
@@ -80,7 +78,7 @@ def resonators(rom: LinearModel) -> Resonators:
             massless,
         )  # fmt: skip
     try:
-        mu, phi = linalg.eigh(M, K)
+        mu, phi = scipy.linalg.eigh(M, K)
     except np.linalg.LinAlgError:
         mu = np.zeros(1)
     if mu[0] <= 0:

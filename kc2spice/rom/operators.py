@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, inverses
 
-if TYPE_CHECKING:
-    from scipy import sparse
-else:
-    sparse = lazy("scipy.sparse")
-
-Matrix: TypeAlias = Any  # np.ndarray, sparse.csc_array, Schur or Sum; scipy brings no types
+Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array, Schur or Sum; scipy brings no types
 
 # Two matrices whose entries differ by less than this of the largest one are the same matrix.
 SAME = 1e-12
@@ -33,10 +28,10 @@ class Schur:
     SimulationError : ``pp`` is singular (on first use).
     """
 
-    uu: sparse.csc_array
-    up: sparse.csc_array
-    pu: sparse.csc_array
-    pp: sparse.csc_array
+    uu: scipy.sparse.csc_array
+    up: scipy.sparse.csc_array
+    pu: scipy.sparse.csc_array
+    pp: scipy.sparse.csc_array
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -57,7 +52,7 @@ class Schur:
     @cached_property
     def T(self) -> Schur:
         """Transpose."""
-        return Schur(*(sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
+        return Schur(*(scipy.sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
         if np.iscomplexobj(x):  # of real blocks, whose factor takes real vectors
@@ -66,11 +61,8 @@ class Schur:
 
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
-        T = sparse.diags_array(t)
-        found = Schur(
-            sparse.csc_array(T @ self.uu @ T), sparse.csc_array(T @ self.up),
-            sparse.csc_array(self.pu @ T), self.pp,
-        )  # fmt: skip
+        uu, up, pu = scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t)
+        found = Schur(uu, up, pu, self.pp)
         if "inner" in self.__dict__:  # the factor of the same block
             found.__dict__["inner"] = self.inner
         return found
@@ -78,6 +70,19 @@ class Schur:
     def toarray(self) -> np.ndarray:
         """The dense matrix."""
         return np.asarray(self.uu.toarray() - self.up @ self.inner.solve(self.pu.toarray()))
+
+
+def scaled(
+    P: scipy.sparse.sparray, rows: np.ndarray | None = None, columns: np.ndarray | None = None
+) -> scipy.sparse.csc_array:
+    """``diag(rows) P diag(columns)``, entry by entry: products of sparse matrices take ten times
+    as long."""
+    found = scipy.sparse.csc_array(P, copy=True)
+    if rows is not None:
+        found.data *= rows[found.indices]
+    if columns is not None:
+        found.data *= np.repeat(columns, np.diff(found.indptr))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +174,7 @@ def two_sided(matrix: Matrix, *, symmetric: bool, solver: Solver) -> tuple[Facto
 
 
 def _factors(matrix: Matrix, symmetric: bool, solver: Solver) -> tuple[Factor, Factor]:
-    matrix = sparse.csc_array(matrix)
+    matrix = scipy.sparse.csc_array(matrix)
     norm = float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
     reason: Exception | None = None
@@ -178,7 +183,7 @@ def _factors(matrix: Matrix, symmetric: bool, solver: Solver) -> tuple[Factor, F
             apply, transposed = inverses(matrix, symmetric=without_pivoting, solver=solver)
             forward = Factor(matrix, norm, apply)
             forward.solve(trial)
-            return forward, Factor(sparse.csc_array(matrix.T), norm, transposed)
+            return forward, Factor(scipy.sparse.csc_array(matrix.T), norm, transposed)
         except (RuntimeError, MemoryError, SimulationError) as error:
             reason = error
     text = reason.message if isinstance(reason, SimulationError) else str(reason)

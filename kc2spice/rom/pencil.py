@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Factor, Solver, factorise
 from kc2spice.rom.operators import (
     SAME,
@@ -20,12 +20,10 @@ from kc2spice.rom.operators import (
     factor,
     largest,
     same,
+    scaled,
     symmetric,
     two_sided,
 )  # fmt: skip
-
-sparse = lazy("scipy.sparse")
-linalg = lazy("scipy.linalg")
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
@@ -109,7 +107,7 @@ class Pencil:
             return total
         volt = np.sqrt(largest(K.uu) / largest(K.pp))
         blocks = [[total, k * volt * K.up], [k * volt * K.pu, k * volt**2 * K.pp]]
-        return sparse.csc_array(sparse.block_array(blocks))
+        return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
     def at(self, s: complex) -> Matrix:
         """``P(s)`` with eliminated unknowns kept as rows, real wherever it can be."""
@@ -171,7 +169,7 @@ class Pencil:
         if isinstance(K, Schur) or solver != "scipy":
             found = factor(self.bordered(1.0, 0.0, 0.0), symmetric=True, solver=solver)
         else:
-            found = factorise(sparse.csc_array(K), definite=True)
+            found = factorise(scipy.sparse.csc_array(K), definite=True)
         return Inverse(found, self.size)
 
     def project(self, V: np.ndarray) -> Pencil:
@@ -184,6 +182,22 @@ class Pencil:
             reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
+
+    def project_exactly(self, V: np.ndarray) -> Pencil:
+        """:meth:`project` of a dense pencil with 19 digits in between: soft motions of stiff
+        matrices are small differences of large numbers, which 16 digits lose."""
+        long = V.astype(np.longdouble)
+        reduced = []
+        for P in self.coefficients:
+            R = np.asarray(long.T @ (P.astype(np.longdouble) @ long), dtype=float)
+            if self.symmetric:
+                R = 0.5 * (R + R.T)
+            elif np.array_equal(P, -P.T):
+                R = 0.5 * (R - R.T)
+            reduced.append(R)
+        B = np.asarray(long.T @ self.B, dtype=float)
+        C = B.T.copy() if self.collocated else np.asarray(self.C @ long, dtype=float)
+        return Pencil(tuple(reduced), B, C, self.D)
 
     def leading(self, order: int) -> Pencil:
         """The pencil of the first ``order`` unknowns."""
@@ -203,25 +217,28 @@ class Pencil:
             for c, term in P.terms if isinstance(P, Sum) else ((1.0, P),):
                 plain = term.uu if isinstance(term, Schur) else term
                 rows = abs(plain).max(axis=1)
-                rows = rows.toarray() if sparse.issparse(rows) else rows
+                rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
                 size += abs(c) * omega**k * np.asarray(rows, dtype=float).ravel()
-        return self.in_units(1 / np.sqrt(np.where(size > 0, size, 1.0)))
+        t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+        return self.in_units(np.exp2(np.round(np.log2(t))))  # powers of two round nothing
 
     def in_units(self, t: np.ndarray) -> Pencil:
         """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""
-        T = sparse.diags_array(t)
 
         def both(P: Matrix) -> Matrix:
             if isinstance(P, Sum):
                 return Sum(tuple((c, both(term)) for c, term in P.terms))
             if isinstance(P, Schur):
                 return P.scaled(t)
-            return t[:, None] * P * t if isinstance(P, np.ndarray) else sparse.csc_array(T @ P @ T)
+            return t[:, None] * P * t if isinstance(P, np.ndarray) else scaled(P, t, t)
 
         parts = tuple(both(P) for P in self.coefficients)
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
-        return Pencil(parts, B, C, self.D, self.rayleigh)
+        found = Pencil(parts, B, C, self.D, self.rayleigh)
+        if self.symmetric:  # which no scale of the unknowns changes: a look costs a transposition
+            found.__dict__["symmetric"] = True
+        return found
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) complex.
@@ -263,10 +280,10 @@ class Pencil:
         P = [omega**k * each for k, each in enumerate(full)]
         scale = 1 / max([largest(each) for each in P] + [np.finfo(float).tiny])
         if self.degree == 1:
-            values = linalg.eigvals(-scale * P[0], scale * P[1])
+            values = scipy.linalg.eigvals(-scale * P[0], scale * P[1])
         else:
             left = np.block([[np.zeros((q, q)), one], [-scale * P[0], -scale * P[1]]])
-            values = linalg.eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
+            values = scipy.linalg.eigvals(left, np.block([[one, 0 * one], [0 * one, scale * P[2]]]))
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
 
 
@@ -319,23 +336,24 @@ def eliminated(pencil: Pencil) -> Pencil:
     if not free.any() or free.all():
         return pencil
     keep, p = np.flatnonzero(~free), np.flatnonzero(free)
-    rest = sparse.csc_array(rest)
+    rest = scipy.sparse.csc_array(rest)
     blocks = [
-        sparse.csc_array(rest[i][:, j]) for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))
+        scipy.sparse.csc_array(rest[i][:, j])
+        for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))
     ]
     schur = Schur(*blocks)
     if not blocks[3].nnz:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        back = factor(sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)).solve(
-            pencil.C[:, p].T
-        )
+        back = factor(
+            scipy.sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)
+        ).solve(pencil.C[:, p].T)
     except SimulationError:
         return pencil
     B = pencil.B[keep] - schur.up @ lift
     C = pencil.C[:, keep] - (schur.pu.T @ back).T
     C = B.T.copy() if pencil.collocated and pencil.symmetric else C
     D = pencil.D + pencil.C[:, p] @ lift
-    parts = tuple(sparse.csc_array(P)[keep][:, keep] for P in others)
-    return Pencil((schur, *map(sparse.csc_array, parts)), B, C, D)
+    parts = tuple(scipy.sparse.csc_array(P)[keep][:, keep] for P in others)
+    return Pencil((schur, *map(scipy.sparse.csc_array, parts)), B, C, D)

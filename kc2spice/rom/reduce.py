@@ -21,25 +21,37 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_continuous_lyapunov, solve_triangular
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.linalg.factor import Solver, inverses
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
-from kc2spice.rom.linear import Certificate, LinearModel
+from kc2spice.rom.linear import Certificate, LinearModel, Norm
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
-from kc2spice.rom.response import Judge, Response, above_band, around, grid, telling
+from kc2spice.rom.response import (
+    FLANK,
+    SHARPEST,
+    Judge,
+    Response,
+    above_band,
+    around,
+    grid,
+    telling,
+)
+from kc2spice.rom.statespace import state_space
 from kc2spice.rom.structure import Structure, structure
 from kc2spice.rom.subspace import Subspace, is_definite, subspace
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
 LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace model's part of one
+DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 RIGID = 100.0  # times the rounding of the projected stiffness
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
+BALANCED, STRICT = 1200, 1e-9  # states at most; damping of the slowest pole, per rad
 RANK = 1e-13  # singular values of the response below this are rounding
 FIT = 101
 TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
@@ -58,10 +70,13 @@ def reduce(
     order: int | None = None,
     band: tuple[float, float] | None = None,
     solver: Solver = "scipy",
+    norm: Norm = "pointwise",
 ) -> LinearModel:
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
-    The result has the same ports, and a certificate of its error in ``model``. An order of a
+    The result has the same ports, and a certificate of its error in ``model``, in the ``norm`` of
+    :class:`Certificate`. In the norm *peak* models whose ports are signals are reduced by balanced
+    truncation too, to first order, where that needs fewer states. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
     Where rounding of the full model's entries moves its response by more than ``tolerance``, the
@@ -95,24 +110,67 @@ def reduce(
     if solver != "scipy":  # a library that is missing is said before anything else fails
         inverses(sparse.eye_array(2, format="csc"), symmetric=True, solver=solver)
     require_memory(pencil, solver)
+    full = structure(pencil, band)
+    if full.stable is False:
+        warnings.warn(
+            "the full model is unstable: some of its motions grow without any drive, and a "
+            "frequency response says nothing of them; check signs and halves of the matrices",
+            stacklevel=2,
+        )
+    found = _reduced(model, pencil, band, tolerance, order, solver, norm)
+    certificate = found.certificate
+    assert certificate is not None
+    both = (full.stable, certificate.stable)
+    stable = False if False in both else None if None in both else True
+    method = certificate.method
+    if not full.stable or full.proof != "definite matrices":
+        method += f"; stability of the full model from {full.proof}"
+    known = replace(certificate, method=method, stable=stable,
+                    passive=certificate.passive and full.passive)  # fmt: skip
+    return replace(found, certificate=known)
+
+
+def _reduced(
+    model: LinearModel, pencil: Pencil, band: tuple[float, float], tolerance: float | None,
+    order: int | None, solver: Solver, norm: Norm,
+) -> LinearModel:  # fmt: skip
     if order is not None and is_definite(pencil, solver):
-        return _krylov(model, pencil, band, order)
+        return _krylov(model, pencil, band, order, norm)
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
     limit = np.inf if tolerance is None else 0.5 * tolerance
     space = subspace(pencil, band, target, limit, solver)
     sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
-    found = [ordered(model, space, band, two_sided, tolerance) for two_sided in sides]
+    found = [replace(ordered(model, space, band, two_sided, tolerance), norm=norm)
+             for two_sided in sides]  # fmt: skip
     if order is None:
         assert tolerance is not None
-        orders = [each.smallest(tolerance) for each in found]
+        within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
+        within = within if within > 0.5 * tolerance else tolerance
+        orders = [each.smallest(within) for each in found]
         best = int(np.argmin(orders))
+        if norm == "peak" and default_norm(model) == "peak":
+            other = balanced(found[best])
+            less = None if other is None else other.fewer(within, found[best].states(orders[best]))
+            if other is not None and less is not None:
+                kept = f"{orders[best]} of {'second' if pencil.degree == 2 else 'first'} order"
+                kept = f"balanced truncation, where a congruence needs {kept}; "
+                return replace(other, origin=kept).model(less)
         if space.floor > tolerance:
             warnings.warn(
                 f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
                 "entries moves its response; other units or fewer elements may condition it better",
                 stacklevel=2,
             )
-        return found[best].model(orders[best])
+        result = found[best].model(orders[best])
+        estimate = result.certificate.error_estimate  # type: ignore[union-attr]
+        if space.floor <= tolerance < estimate:
+            warnings.warn(
+                f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
+                f"for: rounding of the full model's entries alone moves its response by "
+                f"{space.floor:.1e}",
+                stacklevel=2,
+            )
+        return result
     if order > max(each.size for each in found):
         raise UsageError(
             "no model of this order", where="--order", got=order,
@@ -123,8 +181,13 @@ def reduce(
     )
 
 
+def default_norm(model: LinearModel) -> Norm:
+    """*peak* for models whose ports are all signals, *pointwise* where notches matter."""
+    return "pointwise" if any(port.conservative for port in model.ports) else "peak"
+
+
 def _krylov(
-    model: LinearModel, pencil: Pencil, band: tuple[float, float], order: int
+    model: LinearModel, pencil: Pencil, band: tuple[float, float], order: int, norm: Norm
 ) -> LinearModel:
     """The paper's model of ``order`` states, certified against one that is two blocks richer."""
     K, _, M = pencil.coefficients
@@ -135,9 +198,10 @@ def _krylov(
     reduced = large.leading(order)
     reference = Response(large)
     frequency = telling(reference, band, True)
-    error = SAFETY * Judge(reference, frequency, band).error(Response(reduced))
+    error = SAFETY * Judge(reference, frequency, band, norm=norm).error(Response(reduced))
     method = f"difference to {large.size} states at resonances, flanks and notches"
-    return _certified(model, reduced, reference, band, error, method, structure(reduced, band))
+    form = structure(reduced, band)
+    return _certified(model, reduced, reference, band, error, method, form, norm)
 
 
 @dataclass(frozen=True)
@@ -156,6 +220,19 @@ class Reduction:
     first: int
     frequency: np.ndarray
     whole: Response
+    norm: Norm = "pointwise"
+    origin: str = ""
+
+    def states(self, order: int) -> int:
+        """First-order states of the model of this order."""
+        return order * self.pencil.degree
+
+    def fewer(self, tolerance: float, states: int) -> int | None:
+        """:meth:`smallest` if that has fewer than ``states`` first-order states, else None."""
+        most = min(self.size, (states - 1) // self.pencil.degree)
+        if most < 1 or self.error(most) > tolerance:
+            return None
+        return replace(self, pencil=self.pencil.leading(most)).smallest(tolerance)
 
     @property
     def size(self) -> int:
@@ -164,7 +241,7 @@ class Reduction:
 
     @cached_property
     def _judge(self) -> Judge:
-        return Judge(self.whole, self.frequency, self.band)
+        return Judge(self.whole, self.frequency, self.band, self.space.static, self.norm)
 
     def error(self, order: int) -> float:
         """Estimated largest relative error of any transfer function over the band."""
@@ -185,10 +262,12 @@ class Reduction:
         ------
         SimulationError : not even all directions meet the tolerance.
         """
-        keep = self.structure(self.size).stable
+        keep = self.structure(self.size).stable is not False
 
         def good(order: int) -> bool:
-            return self.error(order) <= tolerance and (not keep or self.structure(order).stable)
+            return self.error(order) <= tolerance and (
+                not keep or self.structure(order).stable is not False
+            )
 
         low = max(0, min(self.first, self.size) - 1)
         # The last directions may be rounding and add but that: then fewer are better.
@@ -209,21 +288,27 @@ class Reduction:
     def model(self, order: int) -> LinearModel:
         """The reduced model with its certificate."""
         found = self.structure(order)
-        method = f"difference to {self.size} states at resonances, flanks and notches; "
+        count = self.space.pencil.size
+        method = f"{self.origin}difference to {count} states at resonances, flanks and notches; "
         method += f"those {self.space.proof}; stability from {found.proof}"
         if not self.space.static:
             method += "; free to move at zero frequency"
         reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
-        return _certified(self.full, reduced, self.whole, self.band, error, method, found)
+        more = error, method, found, self.norm
+        return _certified(self.full, reduced, self.whole, self.band, *more)
 
 
 def _certified(
     model: LinearModel, reduced: Pencil, larger: Response, band: tuple[float, float], error: float,
-    method: str, found: Structure,
+    method: str, found: Structure, norm: Norm,
 ) -> LinearModel:  # fmt: skip
     above = above_band(model.ports, larger, Response(reduced), band)
+    ratio = larger.within(band)[1].min(initial=1.0)
+    if ratio < SHARPEST:
+        method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
+    rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
     certificate = Certificate(
-        band, max(error, ROUNDING), method, found.stable, found.passive, above
+        band, max(error, rounding), method, found.stable, found.passive, above, norm
     )
     rest, *others = reduced.coefficients
     letters = {"A": -rest, "E": others[0]} if reduced.degree == 1 else {
@@ -235,6 +320,35 @@ def _certified(
     )  # fmt: skip
     result.state_space()  # refuses what no netlist can hold before it is certified
     return result
+
+
+def balanced(like: Reduction) -> Reduction | None:
+    """The same subspace model in first order and balanced coordinates: states in the order in which
+    they are reached and seen. None where that is not strictly stable, or too large.
+
+    Source: square root method, Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987)
+    115; Gramians of ``A`` per rad at the band's end by Bartels and Stewart.
+    """
+    pencil, omega = like.space.pencil, 2 * np.pi * like.band[1]
+    if not like.space.static or like.states(pencil.size) > BALANCED:
+        return None
+    A, B, C, D = state_space(pencil, like.band[1])
+    A, B = A / omega, B / omega
+    if np.linalg.eigvals(A).real.max() > -STRICT:
+        return None
+    reached, seen = (_root(solve_continuous_lyapunov(P, -Q @ Q.T)) for P, Q in ((A, B), (A.T, C.T)))
+    U, size, Vt = np.linalg.svd(seen.T @ reached)
+    kept = int((size > RANK * size[0]).sum())
+    T = reached @ Vt[:kept].T / np.sqrt(size[:kept])
+    W = seen @ U[:, :kept] / np.sqrt(size[:kept])
+    small = Pencil((-omega * (W.T @ A @ T), np.eye(kept)), omega * (W.T @ B), C @ T, D)
+    return replace(like, pencil=small, first=0)
+
+
+def _root(gramian: np.ndarray) -> np.ndarray:
+    """R with ``R R' = gramian``, which rounding may leave slightly indefinite."""
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def ordered(

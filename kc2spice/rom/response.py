@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigh, null_space
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.linear import Port
+from kc2spice.rom.linear import Norm, Port
 from kc2spice.rom.pencil import Pencil
 
 # Errors of entries this far below their own peak are measured against this part of the peak.
@@ -31,7 +31,10 @@ NOTCHES, ZOOM, ROUNDS = 60, 9, 20
 SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
 STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
-
+# Poles of a model that is free to move below this share of the band's end are its free motion:
+# rigid bodies, with what slows them down, and integrators.
+LOOSE = 1e-2
+CONTOUR, APART = 128, 1.2  # points on a circle around those poles, ratio of radii that it parts
 
 FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
 REPRODUCED = 1e-11
@@ -73,6 +76,51 @@ class Response:
         terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
         return np.asarray(size <= CANCELLED * terms)
+
+    def free_motion(self, s: np.ndarray, below: float) -> np.ndarray:
+        """Part (len(s), outputs, inputs) of the transfer function that belongs to the poles of
+        less than ``below`` [rad/s], at ``s`` outside of them.
+
+        Symmetric second order: ``C X (s^2 X'MX + s X'EX + X'KX)^-1 X'B`` with the modes X of (K, M)
+        in question. Others: the principal part at zero, by integrals on a circle around the poles.
+        """
+        pencil, s = self.pencil, np.asarray(s, dtype=complex)
+        none = np.zeros((len(s), *pencil.D.shape), dtype=complex)
+        if pencil.degree == 2 and pencil.symmetric:
+            try:
+                k, T = eigh(pencil.coefficients[0], pencil.coefficients[2])
+            except LinAlgError:
+                return none  # no definite mass
+            few = pencil.project(T[:, np.abs(k) < below**2])
+            return few.transfer(s) - few.D if few.size else none
+        sizes = np.sort(np.abs(pencil.poles(below)))
+        inside = int((sizes < below).sum())
+        if not inside:
+            return none
+        ends = np.r_[np.maximum(sizes[:inside], 1e-3 * below), sizes[inside:], 1e3 * below]
+        ratios = ends[1 : inside + 1] / ends[:inside]
+        last = inside - int(np.argmax(ratios[::-1]))  # of several the one farthest out
+        if ratios[last - 1] < APART:
+            return none
+        radius = np.sqrt(ends[last - 1] * ends[last])
+        around = radius * np.exp(2j * np.pi * (np.arange(CONTOUR) + 0.5) / CONTOUR)
+        H = self.transfer(around)
+        powers = around[:, None] ** np.arange(1, last + 1)
+        moments = np.einsum("sk,sij->kij", powers, H) / CONTOUR
+        return np.asarray(
+            np.einsum("sk,kij->sij", s[:, None] ** -np.arange(1.0, last + 1), moments)
+        )
+
+    def peaks(
+        self, frequency: np.ndarray, H: np.ndarray, band: tuple[float, float], static: bool
+    ) -> np.ndarray:
+        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz]; of a model that
+        is free to move without its free motion, which grows without bound towards zero and would
+        hide everything else."""
+        if not static:
+            top = 2 * np.pi * band[1]
+            H = H - self.free_motion(2j * np.pi * frequency, LOOSE * top)
+        return np.asarray(np.abs(H).max(axis=0))
 
     def _modal(self, s: np.ndarray) -> np.ndarray:
         _, L, diagonals = self.modes  # type: ignore[misc]
@@ -131,7 +179,7 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
     return X[:n], drive, (-values, np.ones(values.size))
 
 
-def _graded(inertia: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def graded(inertia: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``M phi = mu K phi`` ascending, ``T'KT = 1``; modes that cost next to nothing (a free body's,
     where rounding makes K definite) apart from the others, which would drown in their rounding.
 
@@ -156,7 +204,7 @@ def _decoupled(pencil: Pencil) -> Modes | None:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
-        mu, T = _graded(inertia, rest)
+        mu, T = graded(inertia, rest)
         ends = np.ones(pencil.size), mu
     except LinAlgError:
         try:
@@ -233,7 +281,7 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
     frequency = clear_of_poles(frequency, at, ratio)
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(ROUNDS):
-        peak = np.abs(H).max(axis=0) + np.finfo(float).tiny
+        peak = response.peaks(frequency, H, band, static) + np.finfo(float).tiny
         lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
@@ -274,22 +322,27 @@ def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once."""
+    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once;
+    ``static`` says that this is not free to move."""
 
     exact: Response
     frequency: np.ndarray
     band: tuple[float, float]
+    static: bool = True
+    norm: Norm = "pointwise"
 
     @cached_property
     def _known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The exact response, which entries are not zero but for rounding, their floors."""
         s = 2j * np.pi * self.frequency
         reference = self.exact.transfer(s)
-        return reference, ~self.exact.cancelled(s), FLOOR * np.abs(reference).max(axis=0)
+        peak = self.exact.peaks(self.frequency, reference, self.band, self.static)
+        share = FLOOR if self.norm == "pointwise" else 1.0
+        return reference, ~self.exact.cancelled(s), share * peak
 
     def error(self, found: Response) -> float:
-        """:func:`relative_error` over the band: at ``frequency``, then closer and closer around
-        where it is largest."""
+        """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
+        closer around where it is largest."""
         reference, counted, floor = self._known
         frequency = self.frequency
 
@@ -336,8 +389,10 @@ def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     return float(relative_size(response - reference, reference).max(initial=0.0))
 
 
-def relative_size(difference: np.ndarray, reference: np.ndarray) -> np.ndarray:
+def relative_size(
+    difference: np.ndarray, reference: np.ndarray, peak: np.ndarray | None = None
+) -> np.ndarray:
     """``|difference|`` over ``|reference|``, or over ``FLOOR`` of its peak where that is more."""
     size = np.abs(reference)
-    base = np.maximum(size, FLOOR * size.max(axis=0))
+    base = np.maximum(size, FLOOR * (size.max(axis=0) if peak is None else peak))
     return np.divide(np.abs(difference), base, out=np.zeros_like(size), where=base > 0)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.lazy import lazy
 from kc2spice.rom.operators import largest
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.structure import semidefinite
-
-linalg = lazy("scipy.linalg")
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 # Masses and algebraic parts this far below the largest are zero.
@@ -49,7 +47,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
             "the mass matrix is singular and not symmetric", where="state space",
             expected="a regular or a symmetric positive semi-definite M",
         )  # fmt: skip
-    inner = linalg.solve(M, np.hstack([K, E, B]))
+    inner = scipy.linalg.solve(M, np.hstack([K, E, B]))
     zero = np.zeros((q, q))
     A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
     drive = np.vstack([np.zeros_like(B), inner[:, 2 * q :]])
@@ -87,12 +85,12 @@ def _mass_normal(
     A definite K takes the part of the better conditioned matrix, so that low modes are exact.
     """
     if largest(K - K.T) > COUPLING * largest(K):
-        return linalg.solve_triangular(linalg.cholesky(M), np.eye(len(M))), None
+        return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
     values = np.linalg.eigvalsh(K)
     if values[0] > MASSLESS * values[-1]:
-        inverse, T = linalg.eigh(M, K)
+        inverse, T = scipy.linalg.eigh(M, K)
         return T / np.sqrt(inverse), 1 / inverse
-    stiffness, T = linalg.eigh(K, M)
+    stiffness, T = scipy.linalg.eigh(K, M)
     return T, stiffness
 
 
@@ -101,10 +99,10 @@ def _massless(
     omega: float,
 ) -> ABCD:  # fmt: skip
     """Coordinates without mass: damped ones are first order, the others are eliminated."""
-    mass, V = linalg.eigh(M)
+    mass, V = scipy.linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
-    size, U = linalg.eigh(0.5 * (damping + damping.T))
+    size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
     free = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
     heavy, light, rigid = V[:, ~none], V[:, none] @ U[:, ~free], V[:, none] @ U[:, free]
     if rigid.size:
@@ -113,7 +111,7 @@ def _massless(
         inner = rigid.T @ K @ rigid
         if _singular(inner, K):
             raise _improper("massless, undamped coordinates without stiffness")
-        held = linalg.solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
+        held = scipy.linalg.solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
         n = len(M)
         D = D + (C @ rigid) @ held[:, n:]
         B = B - (K @ rigid) @ held[:, n:]
@@ -141,19 +139,19 @@ def _massless(
 def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> ABCD:
     """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
     if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
-        T = linalg.solve_triangular(linalg.cholesky(E), np.eye(len(E)))
+        T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
         if largest(A - A.T) <= COUPLING * largest(A):
             inner = 0.5 * (inner + inner.T)
         return inner, T.T @ B, C @ T, D
-    U, size, Vt = linalg.svd(E)
+    U, size, Vt = scipy.linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
     A, B, C, E = U.T @ A @ Vt.T, U.T @ B, C @ Vt.T, size[:r, None]
     if r < len(A):
         inner = A[r:, r:]
         if _singular(inner, A):
             raise _improper("algebraic equations that do not determine their unknowns")
-        held = linalg.solve(inner, np.hstack([A[r:, :r], B[r:]]))
+        held = scipy.linalg.solve(inner, np.hstack([A[r:, :r], B[r:]]))
         D = D - C[:, r:] @ held[:, r:]
         C = C[:, :r] - C[:, r:] @ held[:, :r]
         B = B[:r] - A[:r, r:] @ held[:, r:]

@@ -1,61 +1,109 @@
-"""What the form of a reduced model proves: stability and passivity without a single frequency."""
+"""What the form of a model proves: stability and passivity without a single frequency."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from kc2spice.rom.operators import largest
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import factorise
+from kc2spice.rom.operators import Matrix, Schur, Sum, largest, symmetric
 from kc2spice.rom.pencil import Pencil
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
 ROUNDING = 1e-12
 # Growth by e in a hundred million radians is rounding of an eigenvalue on the imaginary axis.
 GROWTH = 1e-8
+DENSE = 1200  # first-order states up to which all poles of a full model are computed
 
 
 @dataclass(frozen=True)
 class Structure:
     """``stable``: no pole right of the imaginary axis, so no growing motion (a free rigid body
-    drifts, it does not grow exponentially). ``passive``: the ports cannot deliver net energy.
-    ``proof`` says what either rests on.
+    drifts, it does not grow exponentially), None where that is not known. ``passive``: it is shown
+    that the ports cannot deliver net energy. ``proof`` says what either rests on.
     """
 
-    stable: bool
+    stable: bool | None
     passive: bool
     proof: str
 
 
 def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
-    """Stability and passivity of a dense pencil, from its form where the form shows it.
+    """Stability and passivity of a full or reduced model, from its form where that shows it.
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
     are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
     velocity, voltage and current. First order with E symmetric positive semi-definite and
     ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
-    on stability, and passivity is not claimed.
+    on stability, and passivity is not claimed; of more than ``DENSE`` states they are not known.
     """
-    rest = pencil.coefficients[0]
-    inertia = pencil.coefficients[-1]
-    damping = pencil.coefficients[1] if pencil.degree == 2 else rest
-    dissipative = semidefinite(inertia) and semidefinite(damping + damping.T)
+    rest, *others = pencil.coefficients
+    dissipative = semidefinite(others[-1]) and _dissipative(others[0] if others[1:] else rest)
     if pencil.degree == 2:
         dissipative = dissipative and semidefinite(rest)
     if dissipative:
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
         return Structure(True, passive, "definite matrices")
+    states = pencil.degree * pencil.size
+    if states > DENSE:
+        return Structure(None, False, f"nothing: {states} states are too many to know all poles")
     omega = 2 * np.pi * band[1]
     values = pencil.poles(omega)
     limit = GROWTH * np.maximum(np.abs(values), omega)
-    return Structure(bool((values.real <= limit).all()), False, "poles")
+    grows = values.real > limit
+    rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
+    if grows.any() and (values.real[grows] <= rounded).all():
+        return Structure(None, False, "nothing: rounding of the poles hides which side they are on")
+    return Structure(not grows.any(), False, "poles")
 
 
-def semidefinite(matrix: np.ndarray) -> bool:
-    """Symmetric without an eigenvalue below zero, but for rounding."""
+def _dissipative(matrix: Matrix) -> bool:
+    """Whether the symmetric part is semidefinite."""
+    if isinstance(matrix, (Schur, Sum)):
+        return semidefinite(matrix)
+    return semidefinite(matrix + matrix.T)
+
+
+def semidefinite(matrix: Matrix) -> bool:
+    """Symmetric without an eigenvalue below zero, but for rounding; of a :class:`Schur` complement
+    or a sum that its terms show it."""
+    if isinstance(matrix, Sum):
+        return all(c >= 0 and (c == 0 or semidefinite(P)) for c, P in matrix.terms)
+    if isinstance(matrix, Schur):
+        if not matrix.symmetric:
+            return False
+        if semidefinite(-matrix.pp):  # potentials add stiffness
+            return semidefinite(matrix.uu)
+        blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
+        return semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
+    if not isinstance(matrix, np.ndarray):
+        return _factorises(scipy.sparse.csc_array(matrix))
     if matrix.size == 0:
         return True
     if largest(matrix - matrix.T) > ROUNDING * largest(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
     return bool(values[0] >= -ROUNDING * abs(values[-1]))
+
+
+def _factorises(matrix: Matrix) -> bool:
+    """Whether a sparse matrix is semidefinite: scaled to a unit diagonal and moved up by rounding
+    it has a Cholesky factor."""
+    if not largest(matrix):
+        return True
+    own = matrix.diagonal()
+    empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0
+    if not symmetric(matrix) or (own[~empty] <= 0).any():
+        return False
+    T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, own)))
+    scaled = T @ (0.5 * (matrix + matrix.T)) @ T
+    shift = ROUNDING * float(abs(scaled).sum(axis=0).max())
+    lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
+    try:
+        factorise(scipy.sparse.csc_array(scaled + lift), definite=True)
+    except SimulationError:
+        return False
+    return True

@@ -19,12 +19,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.lazy import lazy
 from kc2spice.linalg.factor import Solver
 from kc2spice.rom.krylov import DEFLATION, extend
-from kc2spice.rom.operators import Schur
+from kc2spice.rom.operators import Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
     FLANK,
@@ -33,12 +33,13 @@ from kc2spice.rom.response import (
     Response,
     around,
     clear_of_poles,
+    graded,
     grid,
     relative_size,
 )  # fmt: skip
 
-linalg = lazy("scipy.linalg")
-
+EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
+UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
 WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
@@ -114,35 +115,80 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
 
 def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
     """All of a small model; None where its response would take too long to evaluate."""
+    sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
+    eps = np.finfo(float).eps
+    static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
+    rounding = eps * full.size * float(sizes[0])
+    given, T = full, _undamped_modes(full) if static else None
+    if T is not None:
+        full = full.project_exactly(T)
     response = Response(full)
     if not response.decoupled and (
         full.size > WHOLE or (response.modes is None and full.size > 150)
     ):
         return None
-    sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
-    eps = np.finfo(float).eps
-    static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
-    rounding = eps * full.size * float(sizes[0])
-    error = _solution_error(response, band)
+    error = _solution_error(response, band, static)
     if error > limit:
         raise SimulationError(
             "the full model itself is not that accurate", where="reduction",
             got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
             hint="ask for a looser tolerance; other units or fewer elements may condition it better"
         )  # fmt: skip
-    return Subspace(full, error, static, f"being all of the full model, solved to {error:.0e}",
-                    rounding)  # fmt: skip
+    proof = f"being all of the full model, solved to {error:.0e}"
+    if T is not None:
+        proof += _own_uncertainty(given, T, response, band, 2 * limit)
+    return Subspace(full, error, static, proof, rounding)
 
 
-def _solution_error(response: Response, band: tuple[float, float]) -> float:
+def _undamped_modes(full: Pencil) -> np.ndarray | None:
+    """Modes (n, n) of symmetric, definite K and M of a model of moderate size, else None."""
+    if full.degree == 1 or full.size > EXTENDED:
+        return None
+    K, _, M = full.coefficients
+    if not (symmetric(K) and symmetric(M)):
+        return None
+    try:
+        values, T = graded(M, K)
+    except np.linalg.LinAlgError:
+        return None
+    return T if values.min() > 0 else None
+
+
+def _own_uncertainty(
+    given: Pencil, T: np.ndarray, response: Response, band: tuple[float, float], tolerance: float
+) -> str:
+    """What rounding of the given stiffness could mean: it is solved as it was given, but entries of
+    16 digits move a resonance by ``eps |t_i K_ij t_j| / (t'Kt)``, root of the sum of squares."""
+    K = given.coefficients[0]
+    at, ratio = response.within(band)
+    if not at.size:
+        return ""
+    energy = np.einsum("ij,ij->j", T, K @ T)
+    frequency = np.sqrt(np.abs(energy / np.einsum("ij,ij->j", T, given.coefficients[2] @ T)))
+    moved = np.sqrt(np.maximum(np.einsum("ij,ij->j", T**2, K**2 @ T**2), 0.0))
+    moved *= np.finfo(float).eps / np.maximum(np.abs(energy), np.finfo(float).tiny)
+    nearest = np.abs(frequency[:, None] / (2 * np.pi) - at).argmin(axis=0)
+    size = moved[nearest] / (2 * np.maximum(ratio, FLANK))
+    worst = int(size.argmax())
+    text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
+    if size[worst] > tolerance:
+        warnings.warn(
+            f"{text}: so far the last digits of the given matrices move it; they are reduced as "
+            "they are given", stacklevel=2,
+        )  # fmt: skip
+    return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
+
+
+def _solution_error(response: Response, band: tuple[float, float], static: bool = True) -> float:
     """How far direct solutions in two orders of elimination, and the modes', are apart."""
     full = response.pencil
     at, ratio = response.within(band)
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
-    everywhere = 2j * np.pi * clear_of_poles(grid(band, 50, False), at, ratio)
-    peak = np.abs(response.transfer(everywhere)).max(axis=0)
+    coarse = clear_of_poles(grid(band, 50, False), at, ratio)
+    everywhere = 2j * np.pi * coarse
+    peak = response.peaks(coarse, response.transfer(everywhere), band, static)
     flipped = Pencil(
         tuple(P[::-1, ::-1] for P in full.coefficients), full.B[::-1], full.C[:, ::-1], full.D
     )
@@ -212,12 +258,15 @@ def _unsettled(
 ) -> SimulationError:
     modes = response.within(band)[0].size
     return SimulationError(
-        "the reduced model does not settle", where="reduction",
+        "the reduced model does not settle",
+        where="reduction",
         got=f"relative error {error:.1e} with {response.pencil.size} states; the band holds at "
         f"least {modes} resonances",
         expected=f"at most {limit:.1e}",
-        hint="narrow the band or ask for a looser tolerance",
-    )  # fmt: skip
+        hint="narrow the band or ask for a looser tolerance"
+        if modes
+        else "widen the band until it holds a resonance, or ask for a looser tolerance",
+    )
 
 
 # ------------------------------------------------------------------------- all other models
@@ -283,7 +332,8 @@ def _explain(response: Response, band: tuple[float, float], error: float, target
     warnings.warn(
         f"the reduction takes more than {MANY} factorisations: the last frequency was still "
         f"{error:.0e} off, {target:.0e} is looked for, and the band holds at least {modes} "
-        "resonances; a narrower band, a looser tolerance or proportional damping costs less",
+        f"resonances; a {'narrower' if modes else 'wider'} band, a looser tolerance or "
+        "proportional damping costs less",
         stacklevel=2,
     )
 
@@ -320,8 +370,9 @@ class _Search:
         """
         x, *others = self._solve(s)
         true = self.pencil.C @ x + self.pencil.D
-        grid_s = 2j * np.pi * self._candidates()
-        peak = np.abs(self.response.transfer(grid_s)).max(axis=0)
+        points = self._candidates()
+        grid_s = 2j * np.pi * points
+        peak = self.response.peaks(points, self.response.transfer(grid_s), self.band, self.static)
         base = np.maximum(np.abs(true), FLOOR * peak) + np.finfo(float).tiny
         error = np.abs(self.response.transfer(np.array([s]))[0] - true) / base
         error[self.response.cancelled(np.r_[grid_s, s])] = 0.0
@@ -332,9 +383,11 @@ class _Search:
     def next_point(self) -> complex:
         """The candidate, not used before, of the largest residual; every second time that where
         the last point changed the response most."""
-        s = 2j * np.pi * self._candidates()
+        points = self._candidates()
+        s = 2j * np.pi * points
         found = self.response.transfer(s)
-        size = relative_size(self._previous.transfer(s) - found, found)
+        peak = self.response.peaks(points, found, self.band, self.static)
+        size = relative_size(self._previous.transfer(s) - found, found, peak)
         size[:, self.response.cancelled(s)] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
         fresh = np.array([not np.isclose(each, self._used, rtol=1e-7).any() for each in s])
@@ -429,7 +482,7 @@ def _modes(pencil: Pencil) -> np.ndarray:
     if pencil.degree == 2 and pencil.symmetric:
         K, _, M = pencil.coefficients
         try:
-            return np.asarray(linalg.eigh(K, M)[1])
+            return np.asarray(scipy.linalg.eigh(K, M)[1])
         except np.linalg.LinAlgError:  # no definite mass
             pass
     return np.eye(pencil.size)

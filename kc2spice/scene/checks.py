@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
+from math import inf
 
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.budget import smallest
-from kc2spice.scene.division import stages
 from kc2spice.scene.model import Scene
+from kc2spice.scene.plausible import judged
+
+MOST_POINTS = 1e7  # time points of a transient at its largest step
 
 
 def problems(scene: Scene) -> Iterator[UsageError]:
@@ -27,16 +28,8 @@ def problems(scene: Scene) -> Iterator[UsageError]:
 
 
 def _implausible(scene: Scene) -> Iterator[UsageError]:
-    action = scene.checks.plausible
-    if action == "off":
-        return
-    for part in scene.parts.values():
-        for found in part.type.implausible(part, scene):
-            if action == "warn":
-                warnings.warn(f"{found.where}: {found.got}: {found.message}", stacklevel=2)
-                continue
-            found.hint = f"{found.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
-            yield found
+    found = (each for part in scene.parts.values() for each in part.type.implausible(part, scene))
+    yield from judged(found, scene.checks.plausible)
 
 
 def _settings(scene: Scene) -> Iterator[UsageError]:
@@ -44,15 +37,6 @@ def _settings(scene: Scene) -> Iterator[UsageError]:
     if not 0 <= low < high:
         got = f"{low:g} … {high:g} Hz"
         yield UsageError("empty band", where="rom.band", got=got, expected="0 <= low < high")
-    least = smallest(stages(scene))
-    if scene.error_budget is not None and scene.error_budget < least:
-        yield UsageError(
-            "no settings are known that keep within it",
-            where="error_budget",
-            got=f"{scene.error_budget:g}",
-            expected=f"at least {least:.2g}",
-            hint="set rom.order or tolerance, solver.reltol and solver.chgtol yourself",
-        )
     if scene.include and not any(part.type.uses_netlists(part) for part in scene.parts.values()):
         yield UsageError(
             "nothing uses these netlists", where="include", got=", ".join(scene.include),
@@ -62,13 +46,28 @@ def _settings(scene: Scene) -> Iterator[UsageError]:
 
 def _analysis(scene: Scene) -> Iterator[UsageError]:
     chosen, solver = scene.analysis, scene.solver
-    if chosen.type == "transient" and solver.max_step > scene.stop:
+    if chosen.type == "transient" and (solver.max_step or 0.0) > scene.stop:
         yield UsageError(
             "longer than the whole simulation",
             where="solver.max_step",
             got=f"{solver.max_step:g} s",
             expected=f"at most the end of the simulation, {scene.stop:g} s",
         )
+    step = solver.max_step if chosen.type == "transient" else None
+    points = 0.0 if step is None else scene.stop / step
+    if points > MOST_POINTS:
+        yield UsageError(
+            "more time points than a run may have", where="solver.max_step",
+            got=f"{scene.stop:g} s in steps of {solver.max_step:g} s: {points:.2g} points",
+            expected=f"at most {MOST_POINTS:g}",
+            hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
+        )  # fmt: skip
+    if chosen.type != "dc" and chosen.sweep is not None:
+        yield UsageError(
+            "only dc sweeps a key", where="analysis.sweep", got=f"{chosen.type} and a sweep",
+            expected='type = "dc", or no sweep',
+            hint="kc2spice sweep SCENE --set KEY=FROM:TO:POINTS runs an analysis at each value",
+        )  # fmt: skip
     if chosen.type == "ac" and not chosen.start < (chosen.stop or 0.0):
         yield UsageError(
             "empty frequency range",
@@ -89,6 +88,18 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
                 expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
             )  # fmt: skip
     for name, probe in scene.probes.items():
+        if (probe.take == "value") != (probe.at is not None):
+            yield UsageError(
+                "at goes with a value", where=f"probes.{name}", got=f"take = {probe.take!r}",
+                expected='take = "value" and at, or neither',
+            )  # fmt: skip
+        ends = {"ac": (chosen.start, chosen.stop or 0.0), "transient": (0.0, scene.stop)}
+        first, last = ends.get(chosen.type, (-inf, inf))
+        if probe.at is not None and not first <= probe.at <= last:
+            yield UsageError(
+                "outside the analysis", where=f"probes.{name}.at", got=f"{probe.at:g}",
+                expected=f"{first:g} … {last:g} {'Hz' if chosen.type == 'ac' else 's'}",
+            )  # fmt: skip
         if (probe.take == "crossing") != (probe.level is not None):
             yield UsageError(
                 "level goes with crossing", where=f"probes.{name}", got=f"take = {probe.take!r}",

@@ -1,19 +1,23 @@
 """From parts and their pins to nets: what is joined, what may be joined, what must be.
 
 A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over others, are one
-net; its name in the netlist is that of its first pin in the order of the scene.
+net; its name in the netlist is that of its first pin in the order of the scene. Every name that a
+deck has at its top goes through one allocator, so that no two nets and no two cards share one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from string import ascii_lowercase
+from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 
 Pin = tuple[str, str]
+Key = TypeVar("Key", bound=Hashable)
 _GROUND: Pin = (GROUND, "")
 
 
@@ -22,14 +26,16 @@ def composed(scene: Scene) -> Scene:
 
     Raises
     ------
-    UsageError : an unknown part or pin, pins of different kinds on one net, a required pin that is
-        not joined, two outputs or a loop of ideal sources on one net; ``where`` is a dotted key.
+    UsageError : an unknown part or pin, pins of one part whose names differ in case only, pins of
+        different kinds on one net, a required pin that is not joined, a part whose two pins are
+        one, two outputs or a loop of ideal sources on one net; ``where`` is a dotted key.
     """
     terminals = {
         (part.name, pin.name): pin
         for part in scene.parts.values()
         for pin in part.type.pins(part, scene)
     }
+    _told_apart(terminals)
     union = _Union([_GROUND, *terminals])
     for part in scene.parts.values():
         for pin, target, where in _joins(part, scene, terminals):
@@ -39,9 +45,10 @@ def composed(scene: Scene) -> Scene:
     for net in union.groups():
         _one_kind(net, terminals)
     nets = _names(union, terminals)
-    found = replace(scene, nets=nets)
+    found = replace(scene, nets=nets, own=_own(scene, nets.values()))
     _required(found, terminals, union)
     _outputs(found, terminals)
+    _across_nothing(found, terminals)
     _source_loops(found)
     _grounded(found)
     return found
@@ -120,12 +127,49 @@ def _one_kind(net: list[Pin], terminals: Mapping[Pin, Terminal]) -> None:
         _same_kind(a, b, terminals, f"{a[0]}.pins.{a[1]}")
 
 
+def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
+    """No two pins of a part are one to a simulator, which does not tell case apart."""
+    seen: dict[Pin, str] = {}
+    for name, pin in terminals:
+        first = seen.setdefault((name, pin.lower()), pin)
+        if first != pin:
+            raise UsageError(
+                "two pins whose names differ in case only", where=name, got=f"{first} and {pin}",
+                expected="names that differ: netlists do not tell case apart",
+            )  # fmt: skip
+
+
 def _names(union: _Union, terminals: Mapping[Pin, Terminal]) -> dict[Pin, str]:
-    nets: dict[Pin, str] = {}
-    for group in union.groups():
-        name = "0" if _GROUND in group else "_".join(group[0]).lower()
-        nets |= {pin: name for pin in group if pin != _GROUND}
+    groups = union.groups()
+    plain = [("_".join(group[0]).lower(), group[0]) for group in groups if _GROUND not in group]
+    names = allocated(((first, name) for name, first in plain), ("0", GROUND))
+    nets = {pin: names.get(group[0], "0") for group in groups for pin in group}
     return {pin: nets[pin] for pin in terminals}
+
+
+def _own(scene: Scene, nets: Iterable[str]) -> dict[tuple[str, ...], str]:
+    """Names of nodes and cards that parts have besides their pins and ``LETTERname``."""
+    cards = (f"{letter}{name.lower()}" for name in scene.parts for letter in ascii_lowercase)
+    wanted = (
+        ((part.name, *words), "_".join(words))
+        for part in scene.parts.values()
+        for words in part.type.own_names(part, scene)
+    )
+    return allocated(wanted, {*nets, *cards})
+
+
+def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict[Key, str]:
+    """A name for each key, the wanted one unless it is taken; case does not tell names apart."""
+    used = set(taken)
+    found: dict[Key, str] = {}
+    for key, name in wanted:
+        free, count = name, 1
+        while free.lower() in used:
+            count += 1
+            free = f"{name}_{count}"
+        used.add(free.lower())
+        found[key] = free
+    return found
 
 
 def _required(scene: Scene, terminals: Mapping[Pin, Terminal], union: _Union) -> None:
@@ -161,6 +205,23 @@ def _outputs(scene: Scene, terminals: Mapping[Pin, Terminal]) -> None:
                 expected="one output",
             )
         taken[net] = pin
+
+
+def _across_nothing(scene: Scene, terminals: Mapping[Pin, Terminal]) -> None:
+    """A part of two pins alone does nothing if both are on one net; most often a slip."""
+    for name in scene.parts:
+        pins = [(pin, terminal) for (part, pin), terminal in terminals.items() if part == name]
+        if len(pins) != 2 or any(terminal.flow == "-" for _, terminal in pins):
+            continue
+        (first, a), (second, b) = pins
+        net = scene.nets[name, first]
+        if a.kind == b.kind and net == scene.nets[name, second]:
+            raise UsageError(
+                "both ends are on one net", where=f"{name}.pins.{first}",
+                got=f"{name}.{first} and {name}.{second} on {'gnd' if net == '0' else net}",
+                expected="two nets",
+                hint=f'join one of them elsewhere: pins = {{ {first} = "part.pin" }}',
+            )  # fmt: skip
 
 
 def _source_loops(scene: Scene) -> None:

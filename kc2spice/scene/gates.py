@@ -1,15 +1,12 @@
-"""What ``verify`` asks of parts: gates of results, solutions with the full model and their cost."""
+"""What ``verify`` asks of parts: gates of their results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
-
-from kc2spice.core.waveforms import Waveforms
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from kc2spice.scene.parttype import Build
     from kc2spice.scene.settings import Solver
 
 PAIRS = ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
@@ -62,43 +59,3 @@ class Gate:
     unit: str = "1"
     leads: bool = False
     share: float = 1.0
-
-
-@dataclass(frozen=True)
-class Cost:
-    """One solution path: its wall time, and its errors by gate against ``against``."""
-
-    name: str
-    wall_s: float
-    against: str = ""
-    errors: Mapping[str, float | None] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FullSolution:
-    """What a full model gave.
-
-    ``build`` is the scene that was solved, which may be a piece of the asked one, ``piece`` what
-    it is called then. ``baselines`` are wall times [s] that ``speedup`` compares with the netlist:
-    ``refactor`` factorises in every iteration, ``low_rank`` once.
-    """
-
-    waves: Waveforms
-    build: Build
-    wall_s: float
-    piece: str = ""
-    baselines: Mapping[str, float] = field(default_factory=dict)
-    checks: tuple[Limit, ...] = ()
-    metrics: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """A study as a table: ``rows`` of the columns in ``head``, as texts, and as ``records``."""
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str
-    records: tuple[Mapping[str, Any], ...]

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,17 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import identifier, read_bounded, text_of
 from kc2spice.core.toml import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml
 from kc2spice.core.words import did_you_mean
-from kc2spice.scene.budget import budget_keys, fill
 from kc2spice.scene.checks import problems
-from kc2spice.scene.compose import composed
+from kc2spice.scene.compose import allocated, composed
 from kc2spice.scene.keys import model_keys, scene_keys, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
-from kc2spice.scene.parttype import PartType, part_type, type_names
+from kc2spice.scene.parttype import Build, PartType, part_type, type_names
+from kc2spice.scene.plausible import drives, judged
+from kc2spice.scene.rest import without_equilibrium
 from kc2spice.scene.short import SHORT
 
-_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
+_WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
+_KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
 _GRAMMAR = ("part", "pins")  # keys of every part table
@@ -51,7 +54,8 @@ def load_scene(
     name_or_path : gallery name, path of a TOML file, the tables themselves, or a scene.
     overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
         or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
-        values; numbers are SI.
+        values; numbers are SI. An entry of a list is counted from 0, from its end by negative
+        numbers: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
 
     Raises
     ------
@@ -80,29 +84,31 @@ def load_scene(
 
 
 def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy whose tables may be changed."""
-    return {k: _copied(v) if isinstance(v, Mapping) else v for k, v in tables.items()}
+    """A copy whose tables and lists may be changed."""
+
+    def copy(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return _copied(value)
+        return [copy(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+    return {key: copy(value) for key, value in tables.items()}
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
-    data = _renamed(data, types)
     for name, kind in types.items():
         if "part" not in data[name]:
             data[name] = {**kind.defaults(data[name], data), **data[name]}
-    if ("error_budget",) in source.overrides:
-        _drop_budgeted(data, source, budget_keys(data, types))
-    tables = _copied(data)  # what the budget sets is left open in them
-    data, budgeted = fill(data, types)
+    tables = _copied(data)
     frame = {key: data[key] for key in data if key not in types}
     try:
-        scene = Scene(Frame.model_validate(frame), {}, home=source.folder, budgeted=budgeted)
+        scene = Scene(Frame.model_validate(frame), {}, home=source.folder)
     except ValidationError as error:
         raise _explain(_first(error), (), Frame, source) from None
     parts = {name: _part(name, data[name], kind, source) for name, kind in types.items()}
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
-            if name in parts:
+            if name.lower() in map(str.lower, parts):
                 raise UsageError(
                     "this name is taken", where=source.where((name,)), got=name,
                     expected=f"another name: {part.name} brings a part of this one along",
@@ -120,32 +126,51 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     try:
         for problem in problems(scene):
             raise problem
-        return composed(scene)
+        scene = composed(_driven(scene, source))
+        wild = judged(drives(scene), scene.checks.plausible)
+        for problem in chain(without_equilibrium(Build(scene, {})), wild):
+            raise problem
+        return scene
     except UsageError as problem:
         if problem.where is not None:
-            problem.where = source.where(tuple(str(problem.where).split(".")))
+            words = str(problem.where).split(".")
+            problem.where = source.where(tuple(int(w) if w.isdigit() else w for w in words))
         raise
 
 
-def _renamed(data: dict[str, Any], types: Mapping[str, PartType]) -> dict[str, Any]:
-    """``data`` with today's names of pins and ports, in ``part.pin`` and in parts' own pins."""
+def _driven(scene: Scene, source: _Source) -> Scene:
+    """``scene``; of an ``ac`` that nothing drives with 1 V on its body's first electrical port.
 
-    def target(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: target(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [target(item) for item in value]
-        name, dot, rest = value.partition(".") if isinstance(value, str) else ("", "", "")
-        if not dot or name not in types:
-            return value
-        *path, pin = rest.split(".")
-        return ".".join([name, *path, types[name].renamed(pin)])
+    Raises
+    ------
+    UsageError : nothing drives it, and there is no such port or something is joined to it.
+    """
+    parts = scene.parts
+    if scene.analysis.type != "ac" or any(p.type.excites(p, scene) for p in parts.values()):
+        return scene
+    bodies = (part for part in parts.values() if part.type.reduced)
+    electrical = ([f"{part.name}.{pin.name}" for pin in part.type.every_pin(part, scene)
+                   if pin.unit == "V"] for part in bodies)  # fmt: skip
+    ports = [found[0] for found in electrical if found]
+    free = [port for port in ports if not _joined(port, scene)]
+    if len(ports) != 1 or not free:
+        raise UsageError(
+            "nothing drives this analysis", where="analysis.type",
+            got="ac, and no source with an ac value",
+            expected='a source with ac = "1 V"' + (f' at {", ".join(ports)}' if ports else ""),
+            hint="a body whose electrical port nothing is joined to is driven by 1 V",
+        )  # fmt: skip
+    body = free[0].partition(".")[0]
+    name = allocated([(body, f"{body}_drive")], {each.lower() for each in parts})[body]
+    table = {"part": "source", "ac": "1 V", "pins": {"out": free[0]}}
+    drive = _part(name, table, _type(name, table, source), source, (name,))
+    return replace(scene, parts={**parts, name: drive})
 
-    found = target(data)
-    for name, kind in types.items():
-        if isinstance(pins := found[name].get("pins"), Mapping):
-            found[name]["pins"] = {kind.renamed(pin): goal for pin, goal in pins.items()}
-    return found
+
+def _joined(port: str, scene: Scene) -> bool:
+    """Whether the scene joins the port ``"part.pin"`` to anything."""
+    part, _, pin = port.partition(".")
+    return pin in scene.parts[part].pins or scene.named(part, pin)
 
 
 def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str, Mapping]]:
@@ -278,7 +303,8 @@ def _open(name_or_path: str | Path) -> _Source:
     except (OSError, ValueError) as error:
         raise _not_found(name_or_path, list(scenes), error) from None
     try:
-        return _Source(str(path), path.stem, text_of(content), path.parent)
+        folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
+        return _Source(str(path), path.stem, text_of(content), folder)
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=str(path), expected="TOML in UTF-8") from None
 
@@ -295,37 +321,66 @@ def _not_found(name: str | Path, scenes: list[str], error: Exception) -> UsageEr
 def _override(data: dict[str, Any], text: str, source: _Source) -> None:
     """Put one ``dotted.key=value`` into ``data``."""
     name, equals, value = (part.strip() for part in text.partition("="))
-    path = tuple(name.split("."))
-    long = len(path) > DEEPEST or len(max(path, key=len)) > LONGEST_KEY
-    if not equals or not value or long or not _KEY.fullmatch(name):
-        example = "dotted.key=value, such as kick.drive.voltage=80"
-        raise UsageError("not an override", where="--set", got=repr(_short(text)), expected=example)
-    _put(data, name, _toml_value(value), text, source)
+    if not equals or not value:
+        raise _no_override(text)
+    _put(data, name, override_value(value), text, source)
+
+
+def _no_override(text: str) -> UsageError:
+    example = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
+    return UsageError("not an override", where="--set", got=repr(_short(text)), expected=example)
 
 
 def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source) -> None:
-    path = tuple(name.split("."))
-    source.overrides[path] = text
-    table = data
-    for depth, part in enumerate(path[:-1], start=1):
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            prefix = ".".join(path[:depth])
-            raise UsageError(f"{prefix} is a value, not a table", where=source.where(path))
-    table.pop(_ALTERNATIVES.get(name, ""), None)
-    table[path[-1]] = value
+    """Set the key ``name``; tables on the way are made, entries of lists must be there."""
+    words = re.findall(r"[^.\[\]]+", name)
+    long = len(words) > DEEPEST or max(map(len, words), default=0) > LONGEST_KEY
+    if long or not _KEY.fullmatch(name):
+        raise _no_override(text)
+    path: list[str] = []  # as the schema has it: entries of lists counted from their beginning
+    where, so_far = f"--set {_short(text)!r}", ""
+    holder: Any = data
+    key: str | int = ""
+    steps = re.findall(rf"{_WORD}|{_INDEX}", name)
+    for step in steps:
+        key = _place(holder, step, so_far, where)
+        path.append(str(key))
+        so_far += step if step[0] == "[" or not so_far else f".{step}"
+        if len(path) < len(steps):
+            holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
+    source.overrides[tuple(path)] = text
+    if isinstance(holder, dict):
+        holder.pop(_ALTERNATIVES.get(name, ""), None)
+    holder[key] = value
 
 
-def _drop_budgeted(data: dict[str, Any], source: _Source, keys: tuple[str, ...]) -> None:
-    """Drop what the file says about ``keys``, which an overriding error_budget sets."""
-    for name in keys:
-        section, key = name.split(".")
-        if (section, key) not in source.overrides and isinstance(data.get(section), dict):
-            data[section].pop(key, None)
+def _place(holder: Any, step: str, so_far: str, where: str) -> str | int:
+    """Key of a table, or number from the beginning of a list, for a name or ``[index]``.
+
+    Raises
+    ------
+    UsageError : ``holder``, which the key ``so_far`` names, is not that or has no such entry.
+    """
+    if step[0] != "[":
+        if isinstance(holder, dict):
+            return step
+        entries = f"its entries are {so_far}[0], …" if isinstance(holder, list) else None
+        raise UsageError(f"{so_far} is a value, not a table", where=where, hint=entries)
+    if not isinstance(holder, list):
+        hint = f"give all of it: {so_far} = [ … ]"
+        raise UsageError(f"{so_far} is no list in this scene", where=where, hint=hint)
+    index, count = int(step[1:-1]), len(holder)
+    if not -count <= index < count:
+        expected = f"{so_far}[0] … {so_far}[{count - 1}]" if count else "a list with entries"
+        raise UsageError("no such entry", where=where, got=so_far + step, expected=expected)
+    return index % count
 
 
-def _toml_value(text: str) -> Any:
-    """A TOML value, or the text itself where it is none: a bare word or a number with a unit."""
+def override_value(text: str) -> Any:
+    """What stands behind ``key=``: a TOML value, or the text itself where it is none.
+
+    Such texts are bare words and numbers with a unit.
+    """
     try:
         table = parse_toml(f"value = {text}")
     except ValueError:
@@ -368,9 +423,20 @@ def _explain(
         case "int_type":
             expected = "a whole number, without quotes"
             return UsageError("not a whole number", where=where, got=got, expected=expected)
-        case "model_type":
+        case "model_type" | "dict_type":
             expected = f"a table, [{_dotted(path)}]"
+            if isinstance(path[-1], int):  # an entry of a list
+                expected = "a table, { KEY = VALUE, … }"
             return UsageError("not a table", where=where, got=got, expected=expected)
+        case "tuple_type" | "list_type":
+            expected = f"a list, {path[-1]} = [{_entry(error['input'])}]"
+            return UsageError("not a list", where=where, got=got, expected=expected)
+        case "too_short" | "too_long":
+            word, least = ("least", "min") if error["type"] == "too_short" else ("most", "max")
+            count = context[f"{least}_length"]
+            expected = f"a list of at {word} {count} entr{'y' if count == 1 else 'ies'}"
+            few = "too few" if word == "least" else "too many"
+            return UsageError(f"{few} entries", where=where, got=got, expected=expected)
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
@@ -397,6 +463,13 @@ def _unknown_key(path: KeyPath, schema: type[BaseModel], where: str, prefix: Key
     if near is None:
         near = did_you_mean(str(path[-1]), [key.name for key in model_keys(schema)])
     return UsageError("unknown key", where=where, expected="one of " + ", ".join(fields), hint=near)
+
+
+def _entry(value: Any) -> str:
+    """How one entry of a list is written that stands there without its brackets."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = …" for key in value) + " }"
+    return " … "
 
 
 def _in_unit(path: KeyPath, schema: type[BaseModel]) -> str:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Acceleration, Count, Frequency, Ratio, Section, Time
+from kc2spice.core.quantities import Acceleration, Count, Frequency, Place, Ratio, Section, Time
 from kc2spice.scene.settings import Bench, Checks, Gates, Rom, Solver
 
 if TYPE_CHECKING:
@@ -45,6 +45,11 @@ class Terminal:
         """What may be joined to what: the unit pair in words."""
         return f"{self.unit}/{self.flow}" if self.flow != "-" else f"signal in {self.unit}"
 
+    @property
+    def moving(self) -> bool:
+        """Whether something moves along it under a force."""
+        return self.flow == "N" and self.unit in ("um", "m/s")
+
 
 @dataclass(frozen=True)
 class Part:
@@ -72,21 +77,40 @@ class Analysis(Section):
     stop: Time | Frequency | None = Field(None, description="end of a transient, or highest Hz")
     start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac")
     points: Count = Field(200, ge=2, le=200_000)
-    scale: Literal["log", "linear"] = "log"
+    scale: Literal["log", "linear"] = Field("log", description="of ac; linear from 0 Hz on")
     sweep: str | None = Field(None, description="PART.KEY that dc moves")
     from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
     to: Any = Field(1.0, description="last value of a dc sweep")
+
+    @model_validator(mode="after")
+    def _from_zero(self) -> Analysis:
+        """A range from 0 Hz is linear, unless its author says otherwise."""
+        if self.type == "ac" and self.start == 0 and "scale" not in self.model_fields_set:
+            self.__dict__["scale"] = "linear"
+        return self
 
 
 class Probe(Section):
     """A vector of the result and what to take of it; becomes a metric.
 
-    ``frequency`` is the mean rate of its cycles over the last half of the run.
+    ``argmax`` is where on the scale (Hz in ``ac``, s in a transient) the largest value lies,
+    ``value`` what the vector has ``at`` a place of the scale, ``frequency`` the mean rate of its
+    cycles over the last half of the run. Complex values are taken by magnitude.
     """
 
-    of: str = Field(description="a vector of the result, such as disc.i")
-    take: Literal["max", "min", "final", "rms", "peak_to_peak", "crossing", "frequency"] = "max"
+    of: str = Field(description="a result such as disc.current, or NETLIST.NODE")
+    take: Literal[
+        "max", "min", "argmax", "final", "rms", "peak_to_peak", "crossing", "frequency", "value"
+    ] = Field("max", description="value where at is given")
+    at: Place | None = Field(
+        None, description="of a value: a frequency in ac, a time in a transient"
+    )
     level: Ratio | None = Field(None, description="of a crossing, in the vector's SI unit")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _value_at(cls, data: Any) -> Any:
+        return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
 
 
 class Frame(Section):
@@ -114,17 +138,20 @@ class Frame(Section):
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
-    ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground); ``budgeted`` are
-    the keys that ``error_budget`` has set; ``home`` is the folder of the scene's file, ``tables``
-    what it says with all overrides.
+    ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground), ``own``
+    ``(part, *words)`` to what else the part names there (:meth:`PartType.own_names`); ``home`` is
+    the folder of the scene's file, ``tables`` what it says with all overrides. In one that is
+    ``exported`` bodies keep all ports that its author declares, joined or not
+    (:attr:`kc2spice.scene.parttype.PartType.declares`).
     """
 
     frame: Frame
     parts: Mapping[str, Part]
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    budgeted: frozenset[str] = frozenset()
+    own: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    exported: bool = False
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""

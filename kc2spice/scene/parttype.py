@@ -1,7 +1,7 @@
 """What a part type is: one class with hooks, registered under its name.
 
 A module, named after the type, defines a subclass of :class:`PartType` and calls :func:`register`
-with an instance.
+with an instance; one whose name ends in ``_types`` registers a table of them.
 Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
 ``verify``) asks the parts of a scene through these hooks; nothing names a type. The modules of
 ``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
@@ -10,6 +10,7 @@ Everything else (deck, metrics, checks, plots, energy balance, ``explain``, swee
 
 from __future__ import annotations
 
+import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Section
-from kc2spice.scene.model import Analysis, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Analysis, Part, Scene, Terminal
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
@@ -32,10 +33,11 @@ if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Hats
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
-    from kc2spice.scene.gates import FullSolution, Gate, Table
+    from kc2spice.scene.gates import Gate
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
+TABLE = "_types"  # ends the name of a module with several types
 
 
 @dataclass(frozen=True)
@@ -69,15 +71,6 @@ class ErrorRow:
     expected: float | None
     settings: str
     why: str
-
-
-@dataclass(frozen=True)
-class Setting:
-    """Values of dotted keys, the relative error that they are good for, what they cost."""
-
-    error: float
-    keys: dict[str, Any]
-    cost: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -153,12 +146,33 @@ class Sampled:
 
 
 @dataclass(frozen=True)
+class StepLimit:
+    """A largest time step [s] and why."""
+
+    step: float
+    why: str
+
+
+@dataclass(frozen=True)
+class TimeScale:
+    """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
+    ``content`` [Hz] up to which it excites others. A step that ``decides`` stands whatever else the
+    scene has."""
+
+    what: str
+    step: float = math.inf
+    content: float = 0.0
+    decides: bool = False
+
+
+@dataclass(frozen=True)
 class Build:
     """A scene with the models of its parts: what netlist, metrics and checks are made from.
 
     ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
     of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
     somebody changed parameters there: they are asked for no checks and no energy balance.
+    ``largest`` is the largest step of a transient.
     """
 
     scene: Scene
@@ -167,6 +181,7 @@ class Build:
     trust: bool = False
     unjudged: frozenset[str] = frozenset()
     functions: Mapping[str, Any] = field(default_factory=dict)
+    largest: StepLimit | None = None
 
     def model(self, part: str | Part) -> Any:
         """The model of a part, None where it has none."""
@@ -175,6 +190,10 @@ class Build:
     def net(self, part: Part, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.scene.net(part.name, pin)
+
+    def own(self, part: Part, *words: str) -> str:
+        """Name of a node or card of a part's own, see :meth:`PartType.own_names`."""
+        return self.scene.own[part.name, *words]
 
 
 class PartType(ABC):
@@ -190,16 +209,14 @@ class PartType(ABC):
     example: ClassVar[str] = ""
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
+    #: whether its ports are those that the scene's author declares, which an export all keeps
+    declares: ClassVar[bool] = False
+    #: whether it has inertia, so that it moves on where nothing holds it
+    heavy: ClassVar[bool] = False
     #: its key that sets the number of points of a lookup, if it has one
     lookup_key: ClassVar[str | None] = None
-    #: reductions measured for bodies of this type, from loose to tight; empty: those of any body
-    reductions: ClassVar[tuple[Setting, ...]] = ()
-    #: time steppings measured where it makes the motion, likewise
-    steppings: ClassVar[tuple[Setting, ...]] = ()
-    #: keys of its own that an error budget sets, as they cost nothing of it
-    exact: ClassVar[Mapping[str, Any]] = {}
-    #: whether it throws what rests on it, so that a launch is the result of a transient
-    throws: ClassVar[bool] = False
+    #: whether it measures a motion and acts on it, which closes a loop
+    controls: ClassVar[bool] = False
     #: type of the analysis that it asks for (:meth:`analysis`)
     analysis_type: ClassVar[str | None] = None
 
@@ -219,10 +236,6 @@ class PartType(ABC):
     @abstractmethod
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
-
-    def renamed(self, pin: str) -> str:
-        """Today's name of a pin or port; scenes may use a former one."""
-        return pin
 
     def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins and those that it would have if the scene asked for them."""
@@ -264,6 +277,17 @@ class PartType(ABC):
         """Pairs of pins whose difference it sets as an ideal source."""
         return ()
 
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterable[tuple[str, str]]:
+        """Pairs of pins that move, or such a pin and ``gnd``, that it keeps apart at rest.
+
+        By default it holds all of its own in place; ``model`` is None before it is built.
+        """
+        return tuple((pin.name, GROUND) for pin in self.pins(part, scene) if pin.moving)
+
+    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Pins that move on which it puts a constant force at t = 0."""
+        return ()
+
     def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
         """What is wrong with it in this scene, ``where`` a dotted key."""
         return ()
@@ -275,9 +299,17 @@ class PartType(ABC):
         """
         return ()
 
+    def rated(self, part: Part) -> float | None:
+        """Largest voltage [V] that it stands between electrodes, None if not known."""
+        return None
+
     def analysis(self, part: Part, scene: Scene) -> Analysis | None:
         """The analysis that this part asks for, if the scene has none."""
         return None
+
+    def excites(self, part: Part, scene: Scene) -> bool:
+        """Whether it drives small signals (``ac``)."""
+        return False
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         """What it offers to a contact."""
@@ -321,6 +353,13 @@ class PartType(ABC):
         nodes = [build.net(part, pin.name) for pin in self.pins(part, build.scene)]
         return (f"X{part.name} {' '.join(nodes)} {build.libraries[part.name]}",)
 
+    def own_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
+        """Words of every name that its cards have besides its pins' nodes and ``LETTERname``.
+
+        The name is the words with ``_`` in between, or one like it where that is taken.
+        """
+        return ()
+
     def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
         """Cards that stand instead of those of other parts, by part: copies for several loads."""
         return {}
@@ -349,8 +388,8 @@ class PartType(ABC):
         """Factor, 1 or less, of ``solver.reltol`` that its motion needs."""
         return 1.0
 
-    def doubts(self, part: Part, scene: Scene) -> Iterable[str]:
-        """Why what it throws may be worse than its settings say; a closer run then measures it."""
+    def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
+        """What it does in time: a source's frequency and edges, a carrier, a contact."""
         return ()
 
     def sampled(self, part: Part, build: Build) -> Sampled | None:
@@ -391,6 +430,13 @@ class PartType(ABC):
         """Energy balances that it can draw up, by name."""
         return {}
 
+    def exact_outputs(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
+        """What a run has and what a linear part answers exactly to the loads of that run, by wave;
+        none where not all loads were recorded."""
+        return {}
+
     def facts(self, part: Part, build: Build) -> Mapping[str, float]:
         """``model`` of ``result.json``: the numbers by which an engineer knows the part."""
         return {}
@@ -424,25 +470,13 @@ class PartType(ABC):
         return ()
 
     def full_model(self, part: Part, build: Build, clock: Any) -> Any | None:
-        """Its full :class:`kc2spice.rom.linear.LinearModel` that ``verify`` judges the reduced one
-        by; None where it has none."""
-        return None
-
-    def full_solution(
-        self, part: Part, build: Build, clock: Any, whole: bool
-    ) -> FullSolution | None:
-        """The scene, or the piece of it that is affordable, solved with this part's full model.
-
-        ``whole`` asks for the costs of every step, not of a timed sample. None where it cannot.
-        """
-        return None
-
-    def mesh_study(self, part: Part, build: Build, clock: Any, whole: bool) -> Table | None:
-        """Figures of this scene over meshes, or None."""
+        """What its model approximates, in the same form: the full
+        :class:`kc2spice.rom.linear.LinearModel` of a reduced one, a table of more nodes. ``verify``
+        solves the scene with it; None where there is none."""
         return None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Any]:
-        """Plots of its results (:class:`kc2spice.report.plots.Plot`) for the report."""
+        """Plots of its results (:class:`kc2spice.core.figure.Figure`) for the report."""
         return ()
 
     def outline(self, part: Part, scene: Scene) -> Iterable[Shape]:
@@ -462,10 +496,6 @@ class PartType(ABC):
     def errors(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
         """Errors of its model."""
         return ()
-
-    def measured(self, part: Part, scene: Scene) -> bool:
-        """Whether the error budget's relations were measured with such a body and such loads."""
-        return not self.reduced
 
     def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
         """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
@@ -490,14 +520,25 @@ def register(part_type: PartType) -> PartType:
 
 
 def type_names() -> tuple[str, ...]:
-    """Names of all part types, without loading any of them.
+    """Names of all part types; of the package's modules only the tables are loaded.
 
-    A module of ``kc2spice.parts`` is named after its type; one that begins with ``_`` is shared by
-    several.
+    A module of ``kc2spice.parts`` is named after its type; one that ends in ``_types`` is a table
+    that registers several, and one that begins with ``_`` is shared by several.
     """
-    own = (module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+    modules = _modules()
+    for name in modules:
+        if name.endswith(TABLE):
+            import_module(f"{PACKAGE}.{name}")
     foreign = (entry.name for entry in _foreign())
-    return tuple(sorted({*_types, *foreign, *(name for name in own if not name.startswith("_"))}))
+    own = (name for name in modules if not name.endswith(TABLE))
+    return tuple(sorted({*_types, *foreign, *own}))
+
+
+@cache
+def _modules() -> tuple[str, ...]:
+    """Modules of the package that have part types."""
+    found = pkgutil.iter_modules(import_module(PACKAGE).__path__)
+    return tuple(module.name for module in found if not module.name.startswith("_"))
 
 
 @cache
@@ -513,7 +554,7 @@ def part_type(name: str) -> PartType | None:
             found = entry.load() if entry.name == name else None
             if isinstance(found, PartType):
                 register(found)
-        if name not in _types:
+        if name not in _types and name in _modules():
             import_module(f"{PACKAGE}.{name}")
     return _types.get(name)
 

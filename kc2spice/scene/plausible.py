@@ -2,9 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from kc2spice.scene.model import Part, Scene
+    from kc2spice.scene.parttype import Build
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Keys of these names are ``low`` to ``high`` in ``unit``."""
+
+    keys: tuple[str, ...]
+    unit: str
+    low: float
+    high: float
+    why: str
+
+
+# Of bodies and masses, whatever their type.
+RULES = (
+    Rule(("thickness",), "m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm"),
+    Rule(("diameter", "outer", "width", "side", "depth"), "m", 1e-6, 0.5,
+         "transducers are 1 um to half a metre wide"),
+    Rule(("length", "height"), "m", 1e-6, 1.0, "transducers are 1 um to a metre long"),
+    Rule(("mass", "tip_mass", "mass_kg"), "kg", 1e-18, 1e3,
+         "no transducer moves less than a femtogram or more than a ton"),
+)  # fmt: skip
+FLAT = 10.0  # times its width: thicker than that is no layer
+OVERHANG = 1.02  # of the plate's diameter: ceramic that is wider breaks off
+BREAKDOWN = 10.0  # times the rated voltage: no slip of a drive, but of a unit; below it is told of
+WHISPER = 1e-4  # of the rated voltage: a drive below is told of, as some are meant
+_SLIPS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
 def within(
@@ -14,5 +51,120 @@ def within(
     if not low <= value <= high:
         yield UsageError(
             f"hardly exists: {why}", where=where, got=f"{value:.4g} {unit}",
-            expected=f"{low:g} to {high:g} {unit}",
+            expected=f"{low:g} to {high:g} {unit}", hint=_meant(value, unit, low, high),
         )  # fmt: skip
+
+
+def _meant(value: float, unit: str, low: float, high: float) -> str | None:
+    """The same number in another unit that would be within the range."""
+    for name, size in _SLIPS.get(unit, {}).items():
+        if low <= value * size <= high:
+            return f'did you mean "{value:g} {name}"?'
+    return None
+
+
+def dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
+    """What :data:`RULES` say of all keys, those of lists and inner tables as well."""
+    for name in type(keys).model_fields:
+        yield from _entry(f"{where}.{name}", name, getattr(keys, name))
+
+
+def _entry(where: str, name: str, value: Any) -> Iterator[UsageError]:
+    if isinstance(value, BaseModel):
+        yield from dimensions(where, value)
+    elif isinstance(value, tuple):
+        for k, each in enumerate(value):
+            yield from _entry(f"{where}.{k}", name, each)
+    elif isinstance(value, float) and value:  # zero is none of it, such as no tip_mass
+        for rule in RULES:
+            if name in rule.keys:
+                yield from within(where, value, rule.unit, rule.low, rule.high, rule.why)
+
+
+def layers(
+    where: str, found: Iterable[tuple[float, float, bool]], *, plate: bool
+) -> Iterator[UsageError]:
+    """Of ``(width, thickness, ceramic)`` of layers on one another: flat ones, and no ceramic wider
+    than its ``plate``."""
+    rows = list(found)
+    metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
+    for k, (width, thickness, ceramic) in enumerate(rows):
+        yield from within(
+            f"{where}.{k}.thickness", thickness, "m", 0.0, FLAT * width,
+            f"no layer is more than {FLAT:g} times as thick as it is wide",
+        )  # fmt: skip
+        if plate and ceramic and metal:
+            yield from within(
+                f"{where}.{k}.diameter", width, "m", 0.0, OVERHANG * metal,
+                "ceramic that is wider than its plate breaks off",
+            )  # fmt: skip
+
+
+def drives(scene: Scene) -> Iterator[UsageError]:
+    """Ideal voltages at the electrodes of bodies whose rating is known, once nets are known.
+
+    What is beyond the rating, but not by far, or far below it, is a warning.
+    """
+    for body in scene.parts.values():
+        limit = body.type.rated(body) if body.type.reduced else None
+        if limit is None:
+            continue
+        for name, peak in _voltages(body, scene):
+            told = f"{peak:.4g} V at {body.name}, whose ceramic stands {limit:.4g} V"
+            if peak > BREAKDOWN * limit:
+                yield UsageError(
+                    "the ceramic depolarises or breaks down", where=name, got=told,
+                    expected=f"at most {limit:.4g} V", hint=_volts(peak, limit),
+                )  # fmt: skip
+            elif peak > limit:
+                warnings.warn(f"{name}: {told}: it may depolarise", stacklevel=2)
+            elif 0.0 < peak < WHISPER * limit:
+                hint = _volts(peak, limit)
+                warnings.warn(f"{name}: {told}: {hint or 'is the unit right?'}", stacklevel=2)
+
+
+def _volts(peak: float, limit: float) -> str | None:
+    """The same number in kilovolts, volts or millivolts, where that would fit the rating."""
+    for name, factor in (("V", 1e3), ("mV", 1e-3)):
+        if WHISPER * limit <= factor * peak <= limit:
+            return f"did you mean {1e3 * peak if name == 'V' else peak:g} {name}?"
+    return None
+
+
+def _voltages(body: Part, scene: Scene) -> Iterator[tuple[str, float]]:
+    """Ideal sources between an electrode and ground, and the largest of their voltages."""
+    pins = {p.name for p in body.type.pins(body, scene) if p.unit == "V"}
+    for source in scene.of("source"):
+        if source.keys.kind != "voltage" or scene.nets[source.name, "ret"] != "0":
+            continue
+        net = scene.nets[source.name, "out"]
+        if any(scene.nets[body.name, pin] == net for pin in pins):
+            wave = source.keys.waveform(scene.home)
+            corners = np.concatenate([[0.0], wave.corners(scene.stop), [scene.stop]])
+            peak = abs(wave.amplitude) if wave.kind == "sine" else np.abs(wave(corners)).max()
+            yield source.name, float(peak)
+
+
+def built(build: Build) -> Iterator[UsageError]:
+    """What the facts of built models say, such as the mass of a mesh."""
+    for part in build.scene.parts.values():
+        if build.model(part) is None:
+            continue
+        facts: Mapping[str, float] = part.type.facts(part, build)
+        for rule in RULES:
+            for fact in rule.keys:
+                if fact in facts:
+                    yield from within(part.name, facts[fact], rule.unit, rule.low, rule.high,
+                                      rule.why)  # fmt: skip
+
+
+def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:
+    """What remains an error under ``checks.plausible``; warns of the others, or is silent."""
+    if action == "off":
+        return
+    for each in found:
+        if action == "warn":
+            warnings.warn(f"{each.where}: {each.got}: {each.message}", stacklevel=2)
+            continue
+        each.hint = f"{each.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
+        yield each

@@ -29,6 +29,8 @@ _NODE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
+# A card that ngspice cannot read, and in the next line why.
+_CARD = re.compile(r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I)
 _TIME = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
 _STATS = {
     "accepted": r"Accepted timepoints = (\d+)",
@@ -58,7 +60,7 @@ class LogReport:
 def classify(text: str) -> LogReport:
     """Sort the lines of ``text`` (standard output and error of one run)."""
     errors, struggles, warnings = [], [], []
-    for line in re.split(r"[\r\n]+", text):
+    for line in re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text)):
         line = line.strip()
         if _FATAL.search(line):
             errors.append(line)

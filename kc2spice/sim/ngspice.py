@@ -26,9 +26,11 @@ from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
 from kc2spice.sim.settings import own_reltol
 from kc2spice.spice.deck import Deck, terms
+from kc2spice.spice.expression import literal
 
 ANSWERS = 20.0  # s that ngspice may take to tell its version
 STALLED = 60.0  # s without processor time after which a run hangs
+LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
 _PDEATHSIG = 1  # of prctl: the signal that a child gets when its parent dies
 POLL = 0.05  # s between two looks at the growing raw file
@@ -148,9 +150,11 @@ def run_deck(
     MissingToolError : no ngspice.
     FailedRunError : ngspice failed or stopped early. The message holds cause, node, time and part,
         and the directory with ``NAME.log``; the error has the waveforms up to there.
-    SimulationError : no time left, or the raw file is not complete. No failed run leaves a raw
-        file.
+    UsageError : its largest step alone asks for more than ``LARGEST_RAW`` bytes.
+    SimulationError : no time left, or the raw file is not complete or too large. No failed run
+        leaves a raw file.
     """
+    _fits(deck)
     simulator = find_ngspice()
     main = write_deck(deck, directory)
     raw, log = main.with_suffix(".raw"), main.with_suffix(".log")
@@ -177,6 +181,22 @@ def run_deck(
     finally:
         unfinished.unlink(missing_ok=True)
     return waveforms
+
+
+def _fits(deck: Deck) -> None:
+    """Refuse before the run what its largest step already makes too long for the disk."""
+    words = deck.command.words
+    step = literal(words[3], where=deck.main) if len(words) > 3 else None
+    if deck.command.kind != "tran" or not step or deck.stop is None:
+        return
+    size = 8.0 * (1 + len(deck.saved)) * deck.stop / step
+    if size > LARGEST_RAW:
+        raise UsageError(
+            "the run would write more than its limit", where=deck.main,
+            got=f"about {size:.2g} bytes: {1 + len(deck.saved)} vectors at {deck.stop / step:.2g} "
+            "points", expected=f"at most {LARGEST_RAW:.2g}",
+            hint="raise solver.max_step, end earlier, or save fewer vectors",
+        )  # fmt: skip
 
 
 def _execute(
@@ -224,6 +244,14 @@ def _execute(
                         got=f"time point {last_scale_value(raw)} s of {stop} s",
                         hint="give it more time, a looser solver.reltol or a shorter stop",
                     )
+                size = raw.stat().st_size if raw.exists() else 0
+                if size > LARGEST_RAW:
+                    raise SimulationError(
+                        "the raw file grows beyond its limit", where=str(main.parent),
+                        got=f"{size} bytes at {last_scale_value(raw)} s of {stop} s",
+                        expected=f"at most {LARGEST_RAW} bytes",
+                        hint="raise solver.max_step or reltol, end earlier, save fewer vectors",
+                    )  # fmt: skip
                 if progress is not None and stop:
                     progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
         finally:
@@ -272,7 +300,7 @@ def _judge_log(deck: Deck, directory: Path, code: int, text: str, raw: Path) -> 
     error = FailedRunError(
         f"ngspice failed: {failure.cause}",
         where=str(directory / deck.main),
-        got=", ".join(blame) or tail,
+        got=", ".join(blame) or (None if report.cause else tail),
         hint=f"the whole log is {Path(deck.main).with_suffix('.log')} in the same directory",
     )
     error.failure = failure

@@ -76,7 +76,8 @@ class Deck:
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
     expressions and the factor to SI, ``units`` to SI units. ``stop`` is the last time point [s] of
     a transient, None otherwise. A deck that somebody wrote by hand has its ``text`` and the files
-    that it includes in ``more``.
+    that it includes in ``more``. ``controlled`` says whether a controller closes a loop, which some
+    simulators only follow in short steps; it may where nobody knows.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Deck:
     initial: Mapping[str, float] = field(default_factory=dict)
     text: str | None = None
     more: Mapping[str, str] = field(default_factory=dict)
+    controlled: bool = True
 
     def __repr__(self) -> str:
         files = ", ".join(self.files)

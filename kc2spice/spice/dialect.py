@@ -7,15 +7,17 @@ the parts as modules.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import reduce
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
+from kc2spice.spice.deck import Deck, terms
+from kc2spice.spice.elements import circuit
+from kc2spice.spice.lint import GROUND
 from kc2spice.spice.osdi import testbench
-from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Xyce
+from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Setup, Xyce
 from kc2spice.spice.statements import Statement, statements
 from kc2spice.spice.veriloga import library
 
@@ -40,13 +42,13 @@ def translate(deck: Deck, dialect: str) -> Deck:
         raise UsageError(
             "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
         )
-    speaker = SPEAKERS[dialect](_analysis(deck))
+    speaker = SPEAKERS[dialect](_setup(deck))
     files = {
         name: _translated(text, name, speaker, title=name == deck.main)
         for name, text in deck.files.items()
     }
     vectors = {
-        key: ("+".join(map(speaker.vector, expression.split("+"))), factor)
+        key: (_sum((sign, speaker.vector(vector)) for sign, vector in terms(expression)), factor)
         for key, (expression, factor) in deck.vectors.items()
     }
     text = files.pop(deck.main)
@@ -60,7 +62,7 @@ def translate_text(text: str, name: str, dialect: str) -> str:
     ------
     UsageError : a construct that the dialect cannot say.
     """
-    return _translated(text, name, SPEAKERS[dialect](".tran"), title=False)
+    return _translated(text, name, SPEAKERS[dialect](Setup()), title=False)
 
 
 def dialect_files(
@@ -97,9 +99,31 @@ def dialect_files(
     return files | (testbench(deck, modules) if deck else {})
 
 
-def _analysis(deck: Deck) -> str:
-    found = {s.keyword for s in statements(deck.files[deck.main], deck.main)} & set(ANALYSES)
-    return min(found, default=".tran")
+def _sum(signed: Iterable[tuple[float, str]]) -> str:
+    """Terms as one expression."""
+    return "".join(("-" if sign < 0 else "+") + text for sign, text in signed).removeprefix("+")
+
+
+def _setup(deck: Deck) -> Setup:
+    cards = statements(deck.files[deck.main], deck.main)
+    analysis = min({s.keyword for s in cards} & set(ANALYSES), default=".tran")
+    uic = any(s.keyword == ".tran" and "uic" in map(str.lower, s.words) for s in cards)
+    starting = () if uic or analysis != ".tran" else tuple(dict.fromkeys(_starting(deck)))
+    return Setup(analysis, uic, deck.controlled, starting)
+
+
+def _starting(deck: Deck) -> Iterator[str]:
+    """Nodes of the deck at which a part within an instance has an initial state."""
+    try:
+        top = circuit(deck.main, deck.files)
+    except UsageError:  # a deck that is not whole, which lint says better
+        return
+    for instance in (each for each in top.elements if each.kind == "x"):
+        called = top.find(instance.model or "")
+        for part in called.elements if called else ():
+            if "ic" in part.params:
+                joined = dict(zip(called.pins, instance.nodes, strict=False)) if called else {}
+                yield from (joined[n] for n in part.nodes if joined.get(n, "0") not in GROUND)
 
 
 def _translated(text: str, name: str, speaker: Dialect, *, title: bool) -> str:

@@ -164,6 +164,13 @@ def _take(s: Statement, scope: Scope) -> None:
     elif s.keyword == ".model":
         if len(s.words) < 3:
             raise UsageError("model card is not complete", where=s.where, got=s.text)
+        first = scope.models.get(s.words[1].lower(), s)
+        if first.file != s.file and first.text.lower() != s.text.lower():
+            raise UsageError(
+                "two models have one name", where=s.where, got=s.words[1],
+                expected=f"one definition; the first is in {first.where}",
+                hint="rename one, or put it into its .subckt",
+            )  # fmt: skip
         scope.models[s.words[1].lower()] = s
     elif s.keyword.startswith("."):
         scope.commands.append(s)
@@ -235,6 +242,46 @@ def element(s: Statement) -> Element:
         tuple(w for w in rest if not _ASSIGNMENT.fullmatch(w) or kind == "b"),
         {m[1].lower(): m[2] for w in rest if (m := _ASSIGNMENT.fullmatch(w))},
     )
+
+
+_CURRENT = re.compile(r"i\(([^()]+)\)|@([^\[\]]+)\[\w+\]")
+
+
+def has_vector(top: Scope, vector: str) -> bool:
+    """Whether the circuit has the node or device that a saved ``vector`` is read from.
+
+    ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``; inside instances
+    as ngspice has it, ``v(xa.xb.node)`` and ``@r.xa.rout[i]``.
+    """
+    low = vector.lower().strip("\"'")
+    if match := _CURRENT.fullmatch(low):
+        *path, name = (match[1] or match[2]).split(".")
+        scope = _inside(top, path[1:] if path and len(path[0]) == 1 else path)
+        return scope is not None and any(e.name == name for e in scope.elements)
+    if "(" in low.removeprefix("v("):
+        return False
+    inner = low[2:-1] if low.startswith("v(") else low
+    return all(_has_node(top, node.strip()) for node in inner.split(","))
+
+
+def _has_node(top: Scope, name: str) -> bool:
+    *path, node = name.split(".")
+    scope = _inside(top, path)
+    if scope is None:
+        return False
+    return node == "0" or node in scope.pins or any(node in e.nodes for e in scope.elements)
+
+
+def _inside(top: Scope, path: list[str]) -> Scope | None:
+    """The scope of the instance ``xa.xb`` …; None where there is none."""
+    scope = top
+    for name in path:
+        called = next((e.model for e in scope.elements if e.name == name), None)
+        found = scope.find(called) if called else None
+        if found is None:
+            return None
+        scope = found
+    return scope
 
 
 def behaviour(part: Element) -> tuple[str, str]:

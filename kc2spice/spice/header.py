@@ -6,7 +6,7 @@ import math
 import textwrap
 from dataclasses import dataclass
 
-import kc2spice
+from kc2spice.core.version import __version__
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.cards import comment, name, number, word
@@ -31,7 +31,7 @@ class Header:
     def origin(self) -> str:
         """Tool version, scene and licence, as comment lines."""
         return (
-            f"* tool: kc2spice {kc2spice.__version__}\n"
+            f"* tool: kc2spice {__version__}\n"
             f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}\n"
             "* licence: GPL-3.0-or-later"
         )
@@ -70,7 +70,8 @@ def rom_line(order: int, certificate: Certificate) -> str:
     beyond = f", compliance off by {', '.join(seen)}" if seen else ""
     return (
         f"* rom: order={order} band={number(low)}..{number(high)} Hz "
-        f"error={number(_upwards(certificate.error_estimate))} ({comment(certificate.method)}); "
+        f"norm={certificate.norm} error={number(_upwards(certificate.error_estimate))} "
+        f"({comment(certificate.method)}); "
         f"above the band not certified{beyond}; a contact or a steep edge excites it\n"
     )
 

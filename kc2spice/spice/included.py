@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import name_threat
-from kc2spice.spice.scan import third_party
+from kc2spice.core.foreign import name_threat, plain_name
+from kc2spice.spice.deckwide import refuse_in_part
+from kc2spice.spice.scan import cards, checked_lines, text_of_lines
 
 
 def included_netlists(names: Sequence[str], home: Path, *, trust: bool = False) -> dict[str, str]:
@@ -16,8 +17,8 @@ def included_netlists(names: Sequence[str], home: Path, *, trust: bool = False) 
 
     Raises
     ------
-    UsageError : a file that is not there, that could act on the machine (unless ``trust``), or two
-        files with one name.
+    UsageError : a file that is not there, that could act on the machine (unless ``trust``), that
+        acts on the deck beyond its own subcircuits, or two files with one name.
     """
     files: dict[str, str] = {}
     for _, found in _read(names, home, trust):
@@ -49,4 +50,6 @@ def _read(names: Sequence[str], home: Path, trust: bool) -> Iterator[tuple[str, 
                 expected="names of files beside the scene: letters, digits, blanks and _ . + -",
                 hint="copy the netlist beside the scene, or repeat with --trust",
             )
-        yield name, third_party(path, trust=trust, home=home)
+        lines = checked_lines(path, trust=trust, home=home)
+        refuse_in_part(cards(lines))
+        yield name, {plain_name(path.name): text_of_lines(lines)}

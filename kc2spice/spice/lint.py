@@ -23,7 +23,11 @@ FUNCTIONS = frozenset(
      "sinh", "sqrt", "tan", "tanh", "u", "u2", "uramp", "buf", "inv")
 )  # fmt: skip
 _ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
+_DEFINED = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*(?=\()")
 _VECTOR = re.compile(r"(?i)\b[vi]\w*\(([^()]*)\)")
+# What LTspice adds to elements, and the element that says the same everywhere.
+_PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
+              "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 _PIN = re.compile(r"\* @pin (\d+) (\w+) unit=(\S+) flow=(\S+)")
 
 
@@ -104,6 +108,7 @@ def _signal_pins(deck: Deck) -> frozenset[tuple[str, str]]:
 
 def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Problem]:
     yield from _duplicates(scope)
+    yield from _defined_twice(scope)
     for card in scope.commands:
         if card.keyword in (".param", ".csparam"):
             for word in card.words[1:]:
@@ -128,6 +133,27 @@ def _duplicates(scope: Scope) -> Iterator[Problem]:
                 f"another name; the first {part.name} is in {seen[part.name].statement.where}",
             )
         seen.setdefault(part.name, part)
+
+
+def _defined_twice(scope: Scope) -> Iterator[Problem]:
+    """Parameters and functions of a whole deck that two of its files define differently."""
+    seen: dict[str, tuple[str, Statement]] = {}
+    for card in scope.commands if scope.parent is None else ():
+        if match := _DEFINED.match(card.text):
+            defined = {f"function {match[1].lower()}": card.text[match.end() :]}
+        elif card.keyword in (".param", ".params"):
+            pairs = (word.partition("=") for word in card.words[1:])
+            defined = {f"parameter {name.lower()}": value for name, _, value in pairs}
+        else:
+            continue
+        for what, value in defined.items():
+            first, place = seen.setdefault(what, (value, card))
+            if place.file != card.file and first != value:
+                yield Problem(
+                    card.where, f"two files define the {what}", card.text,
+                    f"one definition; the first is in {place.where}",
+                    "rename one, or put it into its .subckt",
+                )  # fmt: skip
 
 
 def _instance(part: Element, scope: Scope) -> Iterator[Problem]:
@@ -162,6 +188,14 @@ def _references(part: Element, scope: Scope) -> Iterator[Problem]:
         yield Problem(
             part.statement.where, "no such model", part.model, _nearest(part.model, scope.models)
         )
+    for param in part.params if part.kind in "rlcvi" else ():
+        if param in _PARASITIC:
+            yield Problem(
+                part.statement.where, "ngspice has no such parameter of an element, LTspice has",
+                f"{param}={part.params[param]} of {part.statement.words[0]}",
+                f"{_PARASITIC[param]}, as an element of its own",
+                f"write the {_PARASITIC[param]} as a card of its own and leave {param} out",
+            )  # fmt: skip
     kind = "l" if part.kind == "k" else "v"
     present = [e.name for e in scope.elements if e.kind == kind]
     for source in part.sources:

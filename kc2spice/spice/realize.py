@@ -138,18 +138,6 @@ def subcircuit(
     return _blocks(rom, name, header, (title, rating), dense)
 
 
-def realize(
-    model: Resonators,
-    header: Header,
-    *,
-    name: str = "kick",
-    title: str = "piezoelectric actuator, reduced finite-element model of the whole device",
-    ports: Sequence[str] | None = None,
-) -> Subcircuit:
-    """:func:`subcircuit` of a model that is decoupled already, to the last digit of its modes."""
-    return subcircuit(model.linear(), name, header, title=title, ports=ports)
-
-
 # ------------------------------------------------------------------------------- ports and pins
 
 

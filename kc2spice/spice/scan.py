@@ -73,10 +73,28 @@ def third_party(path: Path, *, trust: bool = False, home: Path | None = None) ->
     UsageError : not readable as text, too large, or a line that could run a program, read or
         write a file, or reach outside the circuit's own directory.
     """
+    lines = checked_lines(path, trust=trust, home=home)
+    return {plain_name(path.name): text_of_lines(lines)}
+
+
+def checked_lines(path: Path, *, trust: bool = False, home: Path | None = None) -> list[Line]:
+    """The lines of :func:`third_party`, which raises as this does."""
     lines = flatten(path, home or path.parent, trust=trust)
     if not trust:
         refuse(_threats(lines), str(path))
-    return {plain_name(path.name): "\n".join(line.text for line in lines)}
+    return lines
+
+
+def text_of_lines(lines: Sequence[Line]) -> str:
+    """Lines as one text."""
+    return "\n".join(line.text for line in lines)
+
+
+def cards(lines: Sequence[Line], *, title: bool = False) -> Iterator[tuple[Statement, str]]:
+    """Every card, its continuation lines joined, with ``file:line`` of where it begins."""
+    for card in statements(text_of_lines(lines), "", title=title):
+        if card.text:
+            yield card, lines[card.line - 1].where
 
 
 def refuse(threats: Iterable[Threat], path: str) -> None:
@@ -116,10 +134,7 @@ def _raw_threats(line: Line) -> Iterator[Threat]:
 
 def _card_threats(lines: Sequence[Line]) -> Iterator[Threat]:
     """What is wrong with a card once its continuation lines are joined."""
-    for card in statements("\n".join(line.text for line in lines), ""):
-        if not card.text:
-            continue
-        where = lines[card.line - 1].where
+    for card, where in cards(lines):
         for reason in _reasons(card):
             yield Threat(where, reason, card.text)
 

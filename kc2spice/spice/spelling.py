@@ -6,8 +6,10 @@ LTspice (Help, B sources, .model SW, .save) are the sources.
 
 from __future__ import annotations
 
+import math
 import re
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.spice.cards import number
@@ -15,10 +17,11 @@ from kc2spice.spice.elements import behaviour, element
 from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, literal, parse, walk
 from kc2spice.spice.statements import Statement
 
-STEP = 1e-6  # s, largest of Xyce: launch within 3.4e-5, flight within 0.07 um
+STEP = 1e-6  # s, largest of Xyce where a controller closes a loop
+TIGHT = 1e-5  # largest reltol of Xyce, and a tenth of the given one: contacts within 1e-5
 SWITCH_BAND = 1e-3  # V on either side of the threshold: Xyce's switch has no jump
 ANALYSES = (".tran", ".ac", ".dc", ".op")
-_SAME = frozenset({".ends", ".end", ".include", ".param", *ANALYSES})
+_SAME = frozenset({".ends", ".end", ".include", ".param", ".ic", ".nodeset", *ANALYSES})
 _SHARED = frozenset("rcvikfhxdqjm")  # written alike, but for braces and parameters
 # Models that all three read alike: SPICE2's own parameters.
 _SEMICONDUCTORS = {
@@ -36,6 +39,17 @@ _COMMON = frozenset(
 _VECTOR = re.compile(r"(?i)@(?:\w\.)?([\w.]+)\[(?:i|id|current)\]|([vi])\(([^()]+)\)")
 
 
+@dataclass(frozen=True)
+class Setup:
+    """What the cards of a deck must know of it: its analysis, whether it starts from initial states
+    (``uic``), whether a controller is in it, and the nodes that initial states of parts meet."""
+
+    analysis: str = ".tran"
+    uic: bool = True
+    controlled: bool = True
+    starting: tuple[str, ...] = ()
+
+
 class Dialect(Writer, ABC):
     """One simulator's spelling; subclasses override what differs from each other."""
 
@@ -48,8 +62,8 @@ class Dialect(Writer, ABC):
     joined: frozenset[str] = frozenset()  # commands of which only the last counts
     functions = _COMMON
 
-    def __init__(self, analysis: str) -> None:
-        self.analysis = analysis
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
         self.where = "netlist"
 
     # -- one card ---------------------------------------------------------------------------
@@ -236,8 +250,45 @@ class Xyce(Dialect):
             return super().call("max", (Number("0"), *arguments))
         return super().call(function, arguments)
 
+    def card(self, s: Statement) -> str:
+        """Xyce obeys ``IC=`` of a part without ``uic`` too, where ngspice ignores it."""
+        if not self.setup.uic and s.keyword[:1] in ("c", "l"):
+            kept = [word for word in s.words if not word.lower().startswith("ic=")]
+            s = s if len(kept) == len(s.words) else replace(s, text=" ".join(kept))
+        if s.keyword == ".ac":
+            return self.small_signals(s)
+        return super().card(s)
+
+    def options(self, s: Statement) -> str:
+        """Its error control is looser than ngspice's at one ``reltol``."""
+        if self.setup.analysis != ".tran":
+            return super().options(s)
+        return super().options(replace(s, text=" ".join(map(_tightened, s.words))))
+
+    def small_signals(self, s: Statement) -> str:
+        """A logarithmic range goes on to the first point at or beyond its end, as Xyce stops short
+        of an end that is not one of its points."""
+        words = s.words[1:]
+        given = [literal(word, where=s.where) for word in words[1:]]
+        per = {"dec": 10.0, "oct": 2.0}.get(words[0].lower()) if words else None
+        if per is None or len(given) != 3 or None in given:
+            return s.text
+        count, start, stop = (float(value or 0.0) for value in given)
+        steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
+        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose it
+        return " ".join([*s.words[:4], number(beyond)])
+
     def transient(self, s: Statement) -> str:
-        """A ceiling of the step: Xyce's error control alone loses 5e-4 of a launch."""
+        """A ceiling of the step where a controller closes a loop: Xyce's error control alone loses
+        5e-4 of a launch. Contacts begin from where they rest, not from a bounce."""
+        if not self.setup.uic and self.setup.starting:
+            guesses = " ".join(f"V({node})=0" for node in self.setup.starting)
+            return f".nodeset {guesses}\n{self._limited(s)}"
+        return self._limited(s)
+
+    def _limited(self, s: Statement) -> str:
+        if not self.setup.controlled:
+            return s.text
         words = [w for w in s.words[1:] if w.lower() == "uic"]
         numbers = [w for w in s.words[1:] if w not in words]
         step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
@@ -252,7 +303,7 @@ class Xyce(Dialect):
 
     def save(self, vectors: list[str]) -> str:
         """Results are printed per analysis."""
-        kind = self.analysis.removeprefix(".").upper()
+        kind = self.setup.analysis.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, s: Statement, name: str, values: dict[str, str]) -> str:
@@ -267,6 +318,15 @@ class Xyce(Dialect):
             f"VOFF={number(middle - SWITCH_BAND)} "
             f"RON={values.get('ron', '1')} ROFF={values.get('roff', '1e12')})"
         )
+
+
+def _tightened(word: str) -> str:
+    """An option of ngspice, ``reltol`` as Xyce needs it."""
+    name, _, value = word.partition("=")
+    if name.lower() != "reltol":
+        return word
+    given = literal(value, where="reltol")
+    return f"{name}={number(TIGHT if given is None else min(given / 10, TIGHT))}"
 
 
 class LTspice(Dialect):

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
+from kc2spice.core.words import did_you_mean
+from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Vector
 from kc2spice.scene.plan import plan
-from kc2spice.spice.cards import number
+from kc2spice.scene.plausible import built, judged
+from kc2spice.scene.rest import free, without_equilibrium
+from kc2spice.spice.cards import comment, number
 from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.spice.deckwide import ANALYSES, HARMLESS, accuracy, refuse_in_deck
+from kc2spice.spice.elements import circuit, has_vector
 from kc2spice.spice.expression import Number, parse
 from kc2spice.spice.header import Header, plan_lines
-from kc2spice.spice.naming import with_design_names
-from kc2spice.spice.scan import third_party
-from kc2spice.spice.statements import statements
+from kc2spice.spice.scan import cards as deck_cards
+from kc2spice.spice.scan import checked_lines, text_of_lines
+from kc2spice.spice.statements import Statement
+
+HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
 
 def make_deck(build: Build) -> Deck:
@@ -28,17 +38,26 @@ def make_deck(build: Build) -> Deck:
 
     Raises
     ------
-    UsageError : an included file that is missing or could act on the machine, two libraries with
-        one name, a dc sweep of a key that no source has.
+    UsageError : a probe of a vector that no part has, an included file that is missing or could act
+        on the machine, two libraries with one name, a dc sweep of a key that no source has, no
+        operating point to begin at.
     """
     scene = build.scene
+    for problem in chain(without_equilibrium(build), judged(built(build), scene.checks.plausible)):
+        raise problem
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
     results = result_vectors(build)
-    deck = Deck(
+    for name, probe in scene.probes.items():
+        if "." in probe.of and probe.of not in results:  # without a dot: time, frequency
+            raise UsageError(
+                "no such vector", where=f"probes.{name}.of", got=repr(probe.of),
+                expected="one of " + ", ".join(results), hint=did_you_mean(probe.of, results),
+            )  # fmt: skip
+    return Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{header.origin()}\n{plan_lines(plan(scene))}",
+        notes=f"{header.origin()}\n{plan_lines(plan(scene))}{_step_line(build)}",
         parts=parts,
         blocks=tuple(_blocks(build)),
         options=tuple(_options(build)),
@@ -47,8 +66,8 @@ def make_deck(build: Build) -> Deck:
         units={name: v.unit for name, v in results.items()},
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build),
+        controlled=any(part.type.controls for part in scene.parts.values()),
     )
-    return with_design_names(deck)
 
 
 def edited_deck(build: Build, path: Path) -> Deck:
@@ -59,13 +78,18 @@ def edited_deck(build: Build, path: Path) -> Deck:
 
     Raises
     ------
-    UsageError : no such file, a line that could act on the machine, another analysis than the
-        scene's, vectors that the file no longer saves.
+    UsageError : no such file, a line that could act on the machine, a card that changes what the
+        parts of the deck mean, another analysis than the scene's, vectors that the file no longer
+        saves or that nothing in it has.
+
+    Warns of options that are not the scene's: they decide how accurate its results are.
     """
     own = make_deck(build)
-    ((name, text),) = third_party(path, trust=build.trust).items()
-    cards = [s for s in statements(text, name, title=True) if s.text]
-    analyses = [s for s in cards if s.keyword in (".tran", ".ac", ".dc", ".op")]
+    lines = checked_lines(path, trust=build.trust)
+    text, placed = text_of_lines(lines), list(deck_cards(lines, title=True))
+    refuse_in_deck(placed)
+    cards = [card for card, _ in placed]
+    analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
         raise UsageError(
             "not the scene's analysis", where=str(path),
@@ -80,6 +104,8 @@ def edited_deck(build: Build, path: Path) -> Deck:
             got=", ".join(missing), expected=".save " + " ".join(missing),
             hint="add this line; a node that was renamed needs its old name",
         )  # fmt: skip
+    _require_results(own, text, path)
+    _tell_options(own, cards, path)
     (analysis,) = analyses
     words = tuple(analysis.words[1:])
     stop = None if own.stop is None else _seconds(words, analysis.where)
@@ -87,6 +113,55 @@ def edited_deck(build: Build, path: Path) -> Deck:
         own, text=text, parts=(), blocks=(), options=(), initial={}, stop=stop,
         command=Command(own.command.kind, words),
     )  # fmt: skip
+
+
+def _require_results(own: Deck, text: str, path: Path) -> None:
+    """Refuse a deck without the nodes and devices that results are read from.
+
+    Raises
+    ------
+    UsageError : names the vectors, and the card that brings back a current.
+    """
+    now, before = circuit(path.name, {path.name: text}), circuit(own.main, own.files)
+    missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
+    if not missing:
+        return
+    hints = []
+    sources = {f"i({e.name})": e for e in before.elements if e.kind == "v"}
+    for source in (sources[v.lower()] for v in missing if v.lower() in sources):
+        card = source.statement.words
+        hints.append(
+            f"a 0 V source of its name reads the current of whatever drives {card[1]}: "
+            f"{card[0]} {card[1]} NODE 0, with your driver's output at NODE"
+        )
+    if len(hints) < len(missing):
+        hints.append("nodes and devices that were renamed need their old names")
+    raise UsageError(
+        "the scene's results are read from what this deck does not have", where=str(path),
+        got=", ".join(missing), expected="nodes and devices of these names",
+        hint="; ".join(hints),
+    )  # fmt: skip
+
+
+def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Warn of options that decide the accuracy and are not those of the scene's own deck."""
+    before, now = {o.key: o.value for o in own.options if o.key not in HARMLESS}, accuracy(cards)
+    changed = [
+        f"{key} = {now.get(key, 'default')} ({before.get(key, 'default')})"
+        for key in dict.fromkeys([*before, *now])
+        if not _same(before.get(key), now.get(key))
+    ]
+    if changed:
+        told = ", ".join(changed)
+        warnings.warn(f"{path}: options are not the scene's, in brackets: {told}", stacklevel=2)
+
+
+def _same(a: str | None, b: str | None) -> bool:
+    """Whether two values of an option are one, as text or as a number."""
+    try:
+        return a == b or float(str(a)) == float(str(b))
+    except ValueError:
+        return False
 
 
 def _plain(vector: str) -> str:
@@ -110,12 +185,17 @@ def libraries(scene: Scene) -> dict[str, str]:
     owners: dict[str, set[str]] = {}
     for part, name in names.items():
         owners.setdefault(name.lower(), set()).add(parts[part].type.name)
-    return {
-        part: name
-        if len(owners[name.lower()]) == 1 or parts[part].type.uses_netlists(parts[part])
-        else part
+    users = {part for part in parts if parts[part].type.uses_netlists(parts[part])}
+    own = {
+        part: (parts[part].type.name, name if len(owners[name.lower()]) == 1 else part)
         for part, name in names.items()
+        if part not in users
     }
+    found = allocated(
+        ((library, library[1]) for library in dict.fromkeys(own.values())),
+        {names[part].lower() for part in users},
+    )
+    return {part: names[part] if part in users else found[own[part]] for part in parts}
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
@@ -162,6 +242,11 @@ def _blocks(build: Build) -> Iterator[Block]:
         cards = part.type.cards(part, build) if cards is None else cards
         if cards:
             yield Block(f"{part.name}: {part.type.title}", tuple(cards))
+    nets = [group.nets[0] for group in free(build) if group.nets]
+    if scene.analysis.type == "ac" and nets:
+        names = allocated(((n, f"{n}_held") for n in nets), {name.lower() for name in scene.parts})
+        held = tuple(f"L{name} {net} 0 {number(HOLD)}" for net, name in names.items())
+        yield Block("held at the operating point alone: nothing else does", held)
 
 
 def _options(build: Build) -> Iterable[Option]:
@@ -179,11 +264,11 @@ def _options(build: Build) -> Iterable[Option]:
     chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
     reltol = solver.reltol * min(p.type.closeness(p, scene) for p in scene.parts.values())
     return [
-        Option("reltol", number(reltol), "error per step; decides the launch velocity"),
+        Option("reltol", number(reltol), "relative error of a time step"),
         Option(
             "trtol",
             number(solver.trtol).removesuffix(".0"),
-            "trust the error estimate: contact needs every step it asks for",
+            "trust the error estimate: take every step it asks for",
         ),
         Option(
             "chgtol",
@@ -196,12 +281,22 @@ def _options(build: Build) -> Iterable[Option]:
     ]
 
 
+def _step_line(build: Build) -> str:
+    limit = build.largest
+    if build.scene.analysis.type != "transient" or limit is None or build.scene.solver.max_step:
+        return ""
+    return f"\n* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
+
+
 def _command(build: Build) -> Command:
     scene = build.scene
     chosen = scene.analysis
     if chosen.type == "transient":
         uic = any(p.type.without_operating_point(p, scene) for p in scene.parts.values())
-        return transient(scene.stop, scene.solver.max_step, uic=uic)
+        from kc2spice.workflow.steps import largest_step  # which asks for replacements
+
+        step = (build.largest or largest_step(build)).step
+        return transient(scene.stop, step, uic=uic)
     if chosen.type == "ac":
         return ac(chosen.start, float(chosen.stop or 0.0), chosen.points, chosen.scale)
     if chosen.type == "op":
@@ -234,7 +329,12 @@ def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
 
 
 def _initial(build: Build) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for part in build.scene.parts.values():
-        found |= part.type.initial(part, build)
-    return found if build.scene.analysis.type == "transient" else {}
+    parts = build.scene.parts
+    if build.scene.analysis.type != "transient":
+        return {}
+    begins = {name: part.type.initial(part, build) for name, part in parts.items()}
+    found = {node: value for each in begins.values() for node, value in each.items()}
+    for group in free(build):
+        if group.nets and not group.bodies and not any(begins[name] for name in group.parts):
+            found[group.nets[0]] = 0.0  # dampers alone
+    return found

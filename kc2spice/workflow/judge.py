@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Balance, Check, Verdict
 from kc2spice.scene.model import Probe
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow.steps import step_checks
 
 BUDGET_SHARE = 0.03  # of a larger error_budget, a tenth of what its time stepping gets
 
@@ -22,6 +23,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     scene = build.scene
     parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
     checks = [check for part in parts for check in part.type.checks(part, build, waves)]
+    checks += step_checks(build, waves)
     balances: dict[str, Balance] = {}
     if scene.checks.energy != "off":
         for part in parts:
@@ -72,6 +74,10 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     scale, values = next(iter(waves.data.values())), np.abs(waves[probe.of])
     if not np.iscomplexobj(waves[probe.of]):
         values = waves[probe.of]
+    if probe.at is not None:
+        return _value(scale.real, waves[probe.of], probe.at, name)
+    if probe.take == "argmax":
+        return float(scale[values.argmax()].real)
     if probe.take == "max":
         return float(values.max())
     if probe.take == "min":
@@ -111,3 +117,26 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
     k = int(changes[0])
     share = (level - values[k]) / (values[k + 1] - values[k])
     return float(scale[k] + share * (scale[k + 1] - scale[k]))
+
+
+def probe_units(
+    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
+) -> dict[str, str]:
+    """SI unit of each probe's metric, of those that have one."""
+    scale = {"time": "s", "frequency": "Hz"}.get(next(iter(waves.data)), "")
+    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
+    found = {n: along.get(p.take, units.get(p.of, "")) for n, p in probes.items()}
+    return {name: unit for name, unit in found.items() if unit}
+
+
+def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
+    """What the line through the points has at ``place``; in the complex plane its magnitude."""
+    if scale[0] > scale[-1]:  # a sweep downwards
+        scale, values = scale[::-1], values[::-1]
+    if not scale[0] <= place <= scale[-1]:
+        raise UsageError(
+            "outside the analysis", where=f"probes.{name}.at", got=f"{place:g}",
+            expected=f"{scale[0]:g} … {scale[-1]:g}",
+        )  # fmt: skip
+    found = np.interp(place, scale, values)
+    return float(np.abs(found)) if np.iscomplexobj(found) else float(found)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from kc2spice.core.progress import Clock
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.mode_table import mode_table
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.ahead import built_ahead
 from kc2spice.workflow.decks import libraries
+from kc2spice.workflow.steps import largest_step
 
 
 def build_models(
@@ -18,27 +21,17 @@ def build_models(
     *,
     trust: bool = False,
     functions: Mapping[str, Any] | None = None,
-    ahead: bool = False,
 ) -> Build:
     """Build or fetch the models of the parts that the scene names, and only those.
 
     ``trust`` lets included netlists act on the machine; ``functions`` are those of controllers, by
-    part. ``ahead`` computes two at a time; see :func:`kc2spice.workflow.ahead.built_ahead`.
+    part.
     """
-    keyed = model_keys(scene) if ahead else {}
-    waiting = {name: scene.parts[name] for name in keyed}
-    models = {}
-    with built_ahead(scene, waiting, clock):
-        for name, part in scene.parts.items():
-            models[name] = part.type.build(part, scene, clock)
-            waiting.pop(name, None)
-    return Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
-
-
-def model_keys(scene: Scene) -> dict[str, Mapping[str, Any]]:
-    """What the models depend on, by part; parts with equal entries share a model."""
-    keys = {part.name: part.type.model_key(part, scene) for part in scene.parts.values()}
-    return {name: key for name, key in keys.items() if key is not None}
+    models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
+    build = Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
+    if scene.analysis.type != "transient":
+        return build
+    return replace(build, largest=largest_step(build))
 
 
 def model_facts(build: Build) -> dict[str, dict[str, float]]:
@@ -46,6 +39,12 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     parts = build.scene.parts.values()
     facts = {part.name: dict(part.type.facts(part, build)) for part in parts}
     return {name: found for name, found in facts.items() if found}
+
+
+def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
+    """``modes`` of ``result.json``: those of each body that has some within its band."""
+    found = {n: mode_table(m) for n, m in build.models.items() if isinstance(m, LinearModel)}
+    return {name: modes for name, modes in found.items() if modes}
 
 
 def rom_facts(build: Build) -> dict[str, Any]:

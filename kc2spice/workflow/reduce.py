@@ -15,7 +15,8 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.linalg.factor import Solver
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
@@ -38,12 +39,14 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     solver: str = "scipy",
+    norm: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
     Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+    ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
     ``SCENE:PART`` instead of a path is the full model of a scene's body.
 
     Raises
@@ -53,6 +56,9 @@ def reduce(
     MissingToolError : pypardiso is asked for and not installed.
     """
     chosen = _solver(solver)
+    if norm not in (None, *get_args(Norm)):
+        expected = ", ".join(get_args(Norm))
+        raise UsageError("unknown norm", where="--norm", got=norm, expected=expected)
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
     name = f"{model.name}_rom"
@@ -60,7 +66,10 @@ def reduce(
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
-    reduced = reduce_model(model, band=band, tolerance=tolerance, order=order, solver=chosen)
+    measured: Norm = default_norm(model) if norm is None else norm  # type: ignore[assignment]
+    reduced = reduce_model(
+        model, band=band, tolerance=tolerance, order=order, solver=chosen, norm=measured
+    )
     subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
     with staged(directory) as work:
         files = write_rom(reduced, work, name)
@@ -97,13 +106,13 @@ def _scene_body(text: str) -> LinearModel | None:
 
 
 def require_stable(found: dict[str, Any]) -> None:
-    """Nothing, if the reduced model of :func:`reduce` is stable.
+    """Nothing, unless the model of :func:`reduce` is known to be unstable.
 
     Raises
     ------
     GateMissedError : it is not.
     """
-    if not found["stable"]:
+    if found["stable"] is False:
         raise GateMissedError(
             "the model is unstable", where=found["model"], got="a pole in the right half plane",
             expected="poles that do not grow",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.waveforms import Waveforms, Waves
+from kc2spice.core.waveforms import Waveforms
 
 _SCALES = {"time": "s", "frequency": "Hz"}
 
@@ -29,8 +29,8 @@ def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path)
 
 
 def save_arrays(waves: Waveforms, path: Path) -> None:
-    """All arrays of ``waves`` in one npz file, those of rings under their former names as well."""
-    np.savez_compressed(path, **(Waves(waves.data).former() | waves.data))  # type: ignore[arg-type]
+    """All arrays of ``waves`` in one npz file."""
+    np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
 def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:

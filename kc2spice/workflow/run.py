@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-import kc2spice
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.version import __version__
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.figures import draw_all
-from kc2spice.report.plots import Picture
-from kc2spice.report.plotworker import PlotWorker, share
+from kc2spice.report.figures import draw_all, require_matplotlib
+from kc2spice.report.probe_figures import probe_figures
 from kc2spice.report.run_page import write_run
-from kc2spice.scene.judge import Check, require
+from kc2spice.scene.compose import composed
+from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
@@ -34,13 +32,14 @@ from kc2spice.spice.deck import Deck
 from kc2spice.spice.dialect import DECKS, DIALECTS, dialect_files
 from kc2spice.spice.lint import lint
 from kc2spice.spice.plotscript import plot_script
+from kc2spice.spice.statements import statements
 from kc2spice.spice.symbol import symbol_files
+from kc2spice.workflow.converge import Converged, converge
 from kc2spice.workflow.decks import edited_deck, make_deck
-from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models, model_facts, rom_facts
+from kc2spice.workflow.judge import metrics, probe_units
+from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.richer import NAME, Closer, closer_run, estimated
-from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
+from kc2spice.workflow.simulate import forget_failure, kept_on_failure, simulate, warn_of
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,14 @@ class Completed:
     simulator: Simulator
     outcome: Outcome
     clock: Clock
+    converged: Converged | None = None
 
     @property
     def figures(self) -> tuple[Figure, ...]:
         """What the parts show of it."""
-        return run_figures(self.build, self.outcome.waves)
+        waves = self.outcome.waves
+        probed = probe_figures(self.build.scene.probes, waves, self.outcome.deck.units)
+        return (*probed, *run_figures(self.build, waves))
 
 
 def run(
@@ -63,32 +65,32 @@ def run(
     out: Path,
     progress: Progress = silent,
     *,
-    plots: PlotWorker | None = None,
     trust: bool = False,
     deck: Path | None = None,
     keep: bool = False,
+    png: bool = False,
 ) -> dict[str, Any]:
     """Run ``scene`` and write the contract's files into ``out``; return ``result.json``.
 
-    ``plots`` draws if it has been started already. ``trust`` lets included netlists act on the
-    machine; ``deck`` is a netlist of this scene that somebody edited, to be run instead of the
-    scene's own; ``keep`` keeps raw file and log.
+    ``trust`` lets included netlists act on the machine; ``deck`` is a netlist of this scene that
+    somebody edited, to be run instead of the scene's own; ``keep`` keeps raw file and log; ``png``
+    draws the report's figures as files too.
 
     Raises
     ------
     UsageError : ``deck`` does not save what the scene's metrics need.
-    MissingToolError : no ngspice; noticed before any FE is computed.
+    MissingToolError : no ngspice, or for ``png`` no matplotlib; noticed before any FE is computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
-        beside it in ``<out>.failed``.
+        beside it in ``<out>.failed`` until a run into ``out`` succeeds.
     """
-    # Loading what draws need not wait for the simulator, nor it for that.
-    worker = PlotWorker() if plots is None else nullcontext(plots)
-    with worker as pens, staged(out) as work:
+    if png:
+        require_matplotlib()
+    with staged(out) as work:
         with kept_on_failure(work, out, scene.name):
-            done = complete(scene, work, progress, trust=trust, deck=deck, ahead=True)
-        return write_run_files(
-            done, work, lambda figures: pens.draw(share, draw_all, work, figures).result, keep=keep
-        )
+            done = complete(scene, work, progress, trust=trust, deck=deck)
+        record = write_run_files(done, work, keep=keep, png=png)
+    forget_failure(out)
+    return record
 
 
 def complete(
@@ -99,11 +101,10 @@ def complete(
     trust: bool = False,
     deck: Path | None = None,
     functions: Mapping[str, Any] | None = None,
-    ahead: bool = False,
 ) -> Completed:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
-    ``functions`` are those of controllers, by part; ``ahead`` is that of :func:`build_models`.
+    ``functions`` are those of controllers, by part.
 
     Where the scene leaves a key to us and what we took for it proves too little, such as the rings
     that a contact needs, it runs again with more, and says so.
@@ -113,7 +114,7 @@ def complete(
     simulator = find_ngspice()
     clock = Clock(progress)
     while True:
-        build = build_models(scene, clock, trust=trust, functions=functions, ahead=ahead)
+        build = build_models(scene, clock, trust=trust, functions=functions)
         with clock.stage("export", "netlists"):
             chosen = make_deck(build) if deck is None else edited_deck(build, deck)
             lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
@@ -128,62 +129,51 @@ def complete(
             told = ", ".join(f"{key} = {value}" for key, value in error.mends.items())
             warnings.warn(f"{error.message}, {error.got}: run again with {told}", stacklevel=2)
             scene = load_scene(scene, error.mends)
+    converged = None
     if deck is None:
-        build, outcome = _judged(build, outcome, clock, work)
+        build, outcome, converged = _judged(build, outcome, clock, work)
     warn_of(outcome.verdict.checks)
-    return Completed(build, simulator, outcome, clock)
+    return Completed(build, simulator, outcome, clock, converged)
 
 
-def _judged(build: Build, outcome: Outcome, clock: Clock, work: Path) -> tuple[Build, Outcome]:
-    """A run with the check of a closer one, where something asks for it; and that run instead where
-    the first is beyond the error budget."""
-    found = closer_run(build, outcome, clock)
+def _judged(
+    build: Build, outcome: Outcome, clock: Clock, work: Path
+) -> tuple[Build, Outcome, Converged | None]:
+    """The run that holds the error budget, with the check of its estimate."""
+    found = converge(build, outcome, clock)
     if found is None:
-        return build, outcome
-    check = found if isinstance(found, Check) else found.check
-    budget = build.scene.error_budget
-    if isinstance(found, Closer) and budget is not None and not check.passed:
+        return build, outcome, None
+    taken = found.taken
+    if taken.moved:
+        told = ", ".join(dict.fromkeys(taken.moved))
         warnings.warn(
-            f"{check.name} {check.value:.2g} with the settings of error_budget {budget:g}: "
-            "the closer run is the result, its deck and models are written",
+            f"error_budget {found.check.limit:g}: finer {told}; the deck and models are those",
             stacklevel=2,
         )
-        build, outcome = found.build, found.outcome
-        check = found.own
-        write_files(outcome.deck.files, work)
-    require((check,), build.scene.name)
-    verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, check))
-    return build, replace(outcome, verdict=verdict)
+        write_files(taken.outcome.deck.files, work)
+    require((found.check,), build.scene.name)
+    verdict = replace(taken.outcome.verdict, checks=(*taken.outcome.verdict.checks, found.check))
+    return taken.build, replace(taken.outcome, verdict=verdict), found
 
 
 def write_run_files(
-    done: Completed,
-    work: Path,
-    draw: Callable[[tuple[Figure, ...]], Callable[[], list[Picture]]],
-    *,
-    keep: bool = False,
+    done: Completed, work: Path, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
-    """Write all files of a run into ``work``, where the deck is already; return ``result.json``.
-
-    ``draw`` begins to draw figures and returns what waits for the pictures.
-    """
+    """Write all files of a run into ``work``, where the deck is already; return ``result.json``."""
     scene, deck, waves = done.build.scene, done.outcome.deck, done.outcome.waves
-    with done.clock.stage("report", "metrics, plots and page"):
+    with done.clock.stage("report", "metrics and page"):
         shown = done.figures
-        drawn = draw(shown)
         record = run_record(done)
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
         files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
-        figures = {figure.name: figure for figure in shown}
-        pictures = [replace(p, figure=figures.get(p.path.stem)) for p in _pictures(drawn)]
-        files += [picture.path.name for picture in pictures]
+        files += draw_all(work, shown) if png else []
     record["wall_s"] = done.clock.wall_s
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]
-    write_run(work / "report.html", record, scene, pictures)
+    write_run(work / "report.html", record, scene, shown)
     write_record(record, work)
     for path in spare if not keep else ():
         path.unlink(missing_ok=True)
@@ -194,16 +184,6 @@ def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
     """What the parts of a scene show of a run."""
     parts = build.scene.parts.values()
     return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
-
-
-def _pictures(drawn: Callable[[], list[Picture]]) -> list[Picture]:
-    """The pictures, or none and a warning: what was computed is worth more than its plots."""
-    try:
-        return drawn()
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        warnings.warn(f"no plots: {reason}", stacklevel=2)
-        return []
 
 
 def _arrays(build: Build, directory: Path) -> list[str]:
@@ -233,6 +213,7 @@ def export(
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
+    Bodies of the scene's author have all ports that they declare, those too that nothing joins.
     Returns the paths of the files. ``trust`` lets included netlists act on the machine. With
     ``count`` the deck has so many copies of the scene, and there are no symbols.
 
@@ -248,7 +229,7 @@ def export(
         )  # fmt: skip
     clock = Clock(progress)
     with staged(out) as work:
-        build = build_models(scene, clock, trust=trust, ahead=True)
+        build = build_models(composed(replace(scene, exported=True)), clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(build)
             if count is not None:
@@ -262,22 +243,29 @@ def export(
 
 
 def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
-    """Refuse to take subcircuits from another deck in ``out``: it would run no more."""
+    """Refuse to change a library under another deck in ``out``: it would run another part."""
     for deck in sorted(out.glob("*.cir")) if out.is_dir() else ():
-        text = deck.read_text(encoding="utf-8", errors="replace")
-        for name in re.findall(r"(?im)^\.include\s+(\S+)", "" if deck.name in files else text):
+        if deck.name in files:
+            continue
+        for card in statements(_text(deck), deck.name, title=True):
+            name = card.words[-1].strip("\"'") if card.keyword == ".include" else ""
             library = out / name
             if name in files and library.is_file():
-                lost = _defined(library.read_text(errors="replace")) - _defined(files[name])
-                if lost:
+                old, new = (_cards(text, name) for text in (_text(library), files[name]))
+                if old != new:
                     raise UsageError(
-                        f"this deck there needs {', '.join(sorted(lost))} of {name}",
-                        where=str(deck), got=f"another {name}", hint="choose another --out",
+                        f"this deck there includes another {name}", where=str(deck),
+                        got=f"{name} with other cards", hint="choose another --out",
                     )  # fmt: skip
 
 
-def _defined(text: str) -> set[str]:
-    return set(re.findall(r"(?im)^\.subckt\s+(\S+)", text))
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _cards(text: str, name: str) -> list[str]:
+    """What a simulator reads of it."""
+    return [card.text for card in statements(text, name) if card.text]
 
 
 def _linted(build: Build) -> Deck:
@@ -293,7 +281,7 @@ def run_record(done: Completed) -> dict[str, Any]:
     waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
     record: dict[str, Any] = {
         "scene": build.scene.name,
-        "version": kc2spice.__version__,
+        "version": __version__,
         "netlist": outcome.deck.main,
         "simulator": {
             "name": simulator.name,
@@ -304,15 +292,18 @@ def run_record(done: Completed) -> dict[str, Any]:
         },
         "model": model_facts(build),
     }
-    record |= rom_facts(build)
-    if "rom" in record and estimated(build):
-        own = (c.value for c in found.checks if c.name.startswith(NAME))
-        record["rom"]["contact_error"] = next(own, None)
+    record |= rom_facts(build) | {"modes": mode_tables(build)}
+    if done.converged is not None:
+        record["convergence"] = done.converged.record()
     record |= {
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
+        "largest_step": None
+        if build.largest is None
+        else {"s": build.largest.step, "why": build.largest.why},
         "simulator_cpu_s": waves.stats.get("cpu_s"),
         "metrics": metrics(waves, build),
+        "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
         "checks": [check.record() for check in found.checks],
         "energy_j": {name: balance.entries for name, balance in found.balances},
         "plan": asdict(plan(build.scene)),

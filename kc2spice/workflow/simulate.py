@@ -97,6 +97,13 @@ def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
         raise
 
 
+def forget_failure(out: Path) -> None:
+    """Remove what :func:`kept_on_failure` kept of a run into ``out``: a later one succeeded."""
+    kept = _kept(Path(out).absolute())
+    if (kept / FAILURE).is_file():
+        shutil.rmtree(kept, ignore_errors=True)
+
+
 def _kept(out: Path) -> Path:
     """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
     name = f"{out.name}.failed"

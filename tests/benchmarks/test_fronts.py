@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from laboratory.figures import Picture
 from laboratory.fronts import beaten
-from laboratory.page import bench_sections
+from laboratory.page import bench_sections, write_bench
 from laboratory.points import ENOUGH, rounds, timed
 
 BETTER = {"label": "rom.order 45", "settings": {"rom.order": 45}, "error": 1e-5, "time_s": 0.1}
@@ -57,3 +58,19 @@ def test_short_work_is_repeated_as_asked():
     calls = []
     _, time = timed(lambda: calls.append(1), 5)
     assert len(calls) == time.repeats == 5
+
+
+def test_the_page_holds_its_pictures(tmp_path):
+    drawn = tmp_path / "bench_poles.png"
+    drawn.write_bytes(b"\x89PNG, drawn")
+    machine = dict.fromkeys(
+        ["cpu", "cores", "os", "python", "numpy", "scipy", "ngspice", "compiler", "kc2spice"], "-"
+    )
+    record = {
+        "machine": machine, "seconds": {}, "repeats": 1, "quick": False, "ratios": {},
+        "planes": {}, "titles": {}, "scaling": {}, "fronts": {},
+    }  # fmt: skip
+    page = write_bench(tmp_path / "bench.html", record, [Picture(drawn, "Poles", "a < b")])
+    text = page.read_text(encoding="utf-8")
+    assert 'src="data:image/png;base64,iVBORywgZHJhd24="' in text
+    assert "<figcaption>a &lt; b</figcaption>" in text

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.statics import imprint, imprint_refactorised
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 from kc2spice.workflow.decks import make_deck
 from laboratory.distance import compare
 from laboratory.forms import FORMS, state_space, with_form
@@ -24,6 +22,8 @@ from laboratory.located import located
 from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
 from laboratory.points import Point, Timing, fastest, pareto
+from laboratory.usual.contact import contact_surface
+from laboratory.usual.statics import imprint, imprint_refactorised
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_peer_jacobian_is_the_derivative(loop):
 
 
 def ac_deck(model):
-    part = realize(model, Header("forms", "0"))
+    part = subcircuit(model.linear(), "kick", Header("forms", "0"))
     rings = [pin.name for pin in part.pins if pin.flow == "N" and pin.name != "base"]
     main = "\n".join(
         ["* forms", f".include {part.filename}", "V1 anode 0 DC 0 AC 1",

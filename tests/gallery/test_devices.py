@@ -156,7 +156,9 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
     assert 0 < opposing[0] < opposing[1] == 0.7e6
     names = {check["name"] for check in record["checks"]}
     assert "principal stress in layers[0] (PZT-5A) of beam" in names
-    assert {"beam_fields.vtu", "beam_deformed.png", "beam_stress.png"} <= set(record["files"])
+    assert "beam_fields.vtu" in record["files"]
+    page = (out / "report.html").read_text()
+    assert all(f'"{title} beam"' in page for title in ("Deformed", "Stress and field in"))
     found = meshio.read(out / "beam_fields.vtu")
     # at the nodes of the clamp rather than at Gauss points beside it
     assert stress < found.point_data["principal_stress"].max() < 2 * stress
@@ -167,13 +169,12 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
 
 def test_fields_at_chosen_instants_are_written_and_drawn(results):
     short = ("solver.stop=0.03", "analysis.stop=0.03", 'beam.fields=["10 ms", "20 ms"]')
-    record, waves, out = results("harvester_bridge", *short)
+    _, waves, out = results("harvester_bridge", *short)
     for k, instant in ((1, 10e-3), (2, 20e-3)):
         found = meshio.read(out / f"beam_fields_{k}.vtu").point_data
         sample = np.argmin(np.abs(waves["time"] - instant))
         tip = abs(waves["beam.u.tip"][sample])
         assert np.abs(found["displacement"][:, 2]).max() == pytest.approx(tip, rel=0.03)
-        assert f"beam_deformed_{k}.png" in record["files"]
     with pytest.raises(UsageError, match="outside the run"):
         load_scene("harvester_bridge", [short[0], short[1], 'beam.fields=["40 ms"]'])
 
@@ -206,7 +207,9 @@ def test_ceramic_of_the_driven_buzzer_neither_cracks_nor_depolarises(results):
     swing = metrics["swing_m"] / 2
     bending = 2 * 66e9 / (1 - 0.3) * 0.21e-3 * swing / (6.5e-3) ** 2
     assert metrics["stress_layers_1_pzt_5a_pa"] == pytest.approx(bending, rel=0.6)
-    assert {"disc_fields.vtu", "disc_deformed.png", "disc_stress.png"} <= set(record["files"])
+    assert "disc_fields.vtu" in record["files"]
+    page = (out / "report.html").read_text()
+    assert all(f'"{title} disc"' in page for title in ("Deformed", "Stress and field in"))
     found = meshio.read(out / "disc_fields.vtu")
     assert [block.type for block in found.cells] == ["quad9"]
 
@@ -295,7 +298,7 @@ def test_beam_on_knife_edges_has_the_frequency_of_beam_theory():
     L, h = 0.78, 5e-3
     steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
     keys = {"length": L, "width": 0.02, "layers": [{"material": steel, "thickness": h}]}
-    facts = bimorph.build({**keys, "support": "simply_supported"}).facts
+    facts = bimorph.device({**keys, "support": "simply_supported"}).model.facts
     wanted = np.pi / 2 * math.sqrt(200e9 / 7800 / 12) * h / L**2
     assert facts["resonance_hz"] == pytest.approx(wanted, rel=2e-3)
 

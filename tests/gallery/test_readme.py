@@ -79,7 +79,7 @@ def test_numbers_of_the_main_job_are_those_of_a_run(tmp_path):
                   f"{chip['unknowns']:,} equations".replace(",", " ")):  # fmt: skip
         assert shown in readme, shown
     cells = dict(re.findall(r"(?m)^\| ([^|\n]+) \| ([^|\n]+) \|[^|\n]*\|$", RESULTS))
-    stroke = 1e6 * chip["free_stroke_m_per_100v"]
+    stroke = 1e6 * chip["free_stroke_ring0_m_per_100v"]
     wanted = {
         "free stroke at 100 V (data sheet 2.2 µm)": f"{stroke:.3f} µm",
         "inside ±5 % of the step from": f"{1e3 * metrics['settling_time_s']:.2f} ms on",

@@ -53,7 +53,8 @@ def test_scene_runs_and_leaves_what_it_promises(name, results):
     assert result["wall_s"].keys() >= STAGES
     assert {path.name for path in out.iterdir() if path.is_file()} >= set(result["files"])
     assert {"result.json", "report.html", "waveforms.npz", "waveforms.csv"} <= set(result["files"])
-    assert any(file.endswith(".png") for file in result["files"])
+    assert not any(file.endswith(".png") for file in result["files"])
+    assert "<figure data-plot>" in (out / "report.html").read_text()
     assert (out / result["netlist"]).read_text().rstrip().endswith(".end")
     assert json.loads((out / "result.json").read_text())["metrics"] == result["metrics"]
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
@@ -74,7 +75,7 @@ def test_kick_and_catch_tells_its_models(results):
     model = results("kick_and_catch")[0]["model"]
     kick, catch = model["kick"], model["catch"]
     assert kick["mass_kg"] == pytest.approx(7700 * 3e-3 * 3e-3 * 2e-3, rel=1e-12)
-    assert kick["free_stroke_m_per_100v"] == pytest.approx(2.3508e-6, rel=1e-3)
+    assert kick["free_stroke_ring0_m_per_100v"] == pytest.approx(2.3508e-6, rel=1e-3)
     assert kick["capacitance_free_f"] == pytest.approx(143.19e-9, rel=1e-3)
     assert kick["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=1e-3)
     assert catch["coil_resistance_ohm"] == pytest.approx(1596, rel=1e-3)
@@ -116,7 +117,7 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
 # What no gate of a comparison is: checks of a run, structure, and a certificate, which bounds the
 # error at all frequencies and not at those that are solved again.
 NO_GATE = re.compile(
-    r", ngspice$|active power|rightmost pole|ROM, recip|at \d+ frequencies|falling"
+    r", ngspice$|active power|growth of its poles|ROM, recip|at \d+ frequencies|falling"
 )
 ROUNDING = 1e-9  # smaller differences change with processor and libraries
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from kc2spice.bodies.bimorph import Bimorph, build
+import kc2spice as kc
+from kc2spice.bodies.bimorph import Bimorph, device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
 
@@ -25,12 +26,12 @@ def test_published_harvester():
     electrodes shorted, 48.4 Hz open. Nothing is fitted; the size of the tip's block is not known.
     """
     brass = {"density": 9000, "youngs_modulus": "105 GPa", "poisson_ratio": 0.34, "conductor": True}
-    facts = build(
+    facts = device(
         bimorph(
             ("PZT-5A", "0.26 mm"), (brass, "0.14 mm"), ("PZT-5A", "0.26 mm"),
             length="50.8 mm", width="31.8 mm", wiring="series", tip_mass="12 g",
         ), HERE,
-    ).facts  # fmt: skip
+    ).model.facts  # fmt: skip
     assert facts["resonance_short_hz"] == pytest.approx(45.6, rel=0.025)
     assert facts["resonance_open_hz"] == pytest.approx(48.4, rel=0.025)
     coupling = [
@@ -40,19 +41,38 @@ def test_published_harvester():
     assert coupling[1] == pytest.approx(coupling[0], rel=0.1)
 
 
+def test_the_mode_table_has_resonance_quality_stroke_and_coupling():
+    """Against the shipped harvester's own facts: ``k^2 = 1 - (f_r / f_a)^2`` of a mode far from
+    others, Q = 1 / (2 zeta) of its damping, and by ``w^2 m`` the stiffness of a beam with a mass
+    at its end that outweighs it (Rayleigh: 33 / 140 of the beam swings with it)."""
+    record = kc.run("harvester").record
+    (first, *_), facts = record["modes"]["beam"]["modes"], record["model"]["beam"]
+    short, opened = facts["resonance_short_hz"], facts["resonance_open_hz"]
+    assert first["frequency_hz"] == pytest.approx(short, rel=1e-4)
+    assert first["quality"] == pytest.approx(1 / (2 * 0.027), rel=1e-3)
+    k = first["couplings"]["anode"]
+    assert k**2 == pytest.approx(1 - (short / opened) ** 2, rel=0.03)
+    beam = facts["mass_kg"] - 12e-3
+    moved = (2 * np.pi * short) ** 2 * (12e-3 + 33 / 140 * beam)
+    assert first["couplings"]["tip"] == pytest.approx(1 / moved, rel=0.03)
+    assert record["modes"]["beam"]["units"]["tip"] == "m/N"
+
+
 def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
     """Two opposed layers of thickness t in plane stress: strains around each layer's own middle
     (a quarter of the bending stiffness) move the field inside the layer at constant D, while its
     mean is given by the voltage: ``Q = 3/4 Q(E) + 1/4 Q(D)``, moments ``d31 E t^2 Q(E) [1, 1]``.
     """
     L, w, t = 90e-3, 1.5e-3, 0.05e-3
-    model = build(bimorph(("PZT-5A", t), ("PZT-5A", t), length=L, width=w, wiring="series"), HERE)
+    model = device(
+        bimorph(("PZT-5A", t), ("PZT-5A", t), length=L, width=w, wiring="series"), HERE
+    ).model
     s, d31 = np.linalg.inv(PZT.C)[:2, :2], PZT.d[2, 0]
     at_field = np.linalg.inv(s)
     at_charge = np.linalg.inv(s - d31**2 / PZT.eps_T[2, 2])
     bending = np.linalg.inv(0.75 * at_field + 0.25 * at_charge)
     curvature = 3 * abs(d31) / (4 * t**2) * (bending @ at_field @ np.ones(2))[0]
-    assert model.facts["free_stroke_m_per_v"] == pytest.approx(curvature * L**2 / 2, rel=1e-2)
+    assert model.facts["free_stroke_tip_m_per_v"] == pytest.approx(curvature * L**2 / 2, rel=1e-2)
     stiffness = 2 * w * t**3 / 3 / bending[0, 0]
     first = 1.8751041**2 / (2 * np.pi) * np.sqrt(stiffness / (PZT.density * w * 2 * t)) / L**2
     assert model.facts["resonance_short_hz"] == pytest.approx(first, rel=1e-2)
@@ -61,21 +81,23 @@ def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
 def test_parallel_wiring_doubles_stroke_and_quadruples_capacitance():
     layers = [("PZT-5A", "0.2 mm"), ("brass", "0.1 mm"), ("PZT-5A", "0.2 mm")]
     series, parallel = (
-        build(bimorph(*layers, length="20 mm", width="5 mm", wiring=wiring), HERE).facts
+        device(bimorph(*layers, length="20 mm", width="5 mm", wiring=wiring), HERE).model.facts
         for wiring in ("series", "parallel")
     )
-    assert parallel["free_stroke_m_per_v"] == pytest.approx(2 * series["free_stroke_m_per_v"])
+    assert parallel["free_stroke_tip_m_per_v"] == pytest.approx(
+        2 * series["free_stroke_tip_m_per_v"]
+    )
     assert parallel["capacitance_free_f"] == pytest.approx(4 * series["capacitance_free_f"])
     assert parallel["resonance_short_hz"] == pytest.approx(series["resonance_short_hz"])
     assert parallel["resonance_open_hz"] == pytest.approx(series["resonance_open_hz"])
-    assert series["free_stroke_m_per_v"] > 0
+    assert series["free_stroke_tip_m_per_v"] > 0
 
 
 def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     layers = [("steel", "0.2 mm"), ("PZT-5A", "0.2 mm")]
     for order in (layers, layers[::-1]):
-        model = build(bimorph(*order, length="20 mm", width="4 mm"), HERE)
-        assert model.facts["free_stroke_m_per_v"] > 0
+        model = device(bimorph(*order, length="20 mm", width="4 mm"), HERE).model
+        assert model.facts["free_stroke_tip_m_per_v"] > 0
         assert [p.name for p in model.ports] == ["tip", "base", "anode"]
         assert model.ports[-1].terminals == ("anode", "cathode")
 
@@ -83,7 +105,9 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
 def test_beam_of_metal_alone_with_tip_mass():
     L, w, h, m = 60e-3, 2e-3, 1e-3, 2e-3
     steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
-    model = build(bimorph((steel, h), length=L, width=w, tip_mass=m, points={"half": L / 2}), HERE)
+    model = device(
+        bimorph((steel, h), length=L, width=w, tip_mass=m, points={"half": L / 2}), HERE
+    ).model
     assert [p.name for p in model.ports] == ["tip", "half", "base"]
     EI, line = 200e9 * w * h**3 / 12, 7800 * w * h
     first = np.sqrt(3 * EI / L**3 / (m + 33 / 140 * line * L)) / (2 * np.pi)  # Rayleigh
@@ -98,7 +122,7 @@ def test_beam_of_metal_alone_with_tip_mass():
 def test_free_beam_rings_at_its_own_first_frequency():
     L, w, h = 60e-3, 2e-3, 1e-3
     steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
-    facts = build(bimorph((steel, h), length=L, width=w, support="free"), HERE).facts
+    facts = device(bimorph((steel, h), length=L, width=w, support="free"), HERE).model.facts
     rate = np.sqrt(200e9 * h**2 / 12 / 7800)
     assert facts["resonance_hz"] == pytest.approx(4.730041**2 / (2 * np.pi) * rate / L**2, rel=1e-2)
 
@@ -106,15 +130,15 @@ def test_free_beam_rings_at_its_own_first_frequency():
 @pytest.mark.slow
 def test_mesh_is_fine_enough():
     keys = bimorph(("PZT-5A", "0.3 mm"), ("brass", "0.2 mm"), length="20 mm", width="3 mm")
-    coarse, fine = (build(keys, HERE, refine=n).facts for n in (1, 2))
-    for name in ("resonance_short_hz", "resonance_open_hz", "free_stroke_m_per_v"):
+    coarse, fine = (device(keys, HERE, refine=n).model.facts for n in (1, 2))
+    for name in ("resonance_short_hz", "resonance_open_hz", "free_stroke_tip_m_per_v"):
         assert coarse[name] == pytest.approx(fine[name], rel=5e-3)
 
 
 def test_bad_keys():
     with pytest.raises(UsageError, match="wiring without"):
-        build(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"), HERE)
+        device(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"), HERE)
     with pytest.raises(UsageError, match="no such material"):
-        build(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3), HERE)
+        device(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3), HERE)
     with pytest.raises(ValidationError, match="not on the beam"):
         bimorph(("steel", 1e-3), length=1e-2, width=1e-3, points={"far": 2e-2})

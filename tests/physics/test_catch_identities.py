@@ -8,10 +8,11 @@ from skfem import Basis, ElementTriP2, Functional
 from kc2spice.fem.magnetics import forms as magforms
 from kc2spice.fem.magnetics import mesh as magmesh
 from kc2spice.fem.magnetics import system as magsystem
-from kc2spice.fem.magnetics.field import brute_force, catch_table
+from kc2spice.fem.magnetics.field import catch_table
 from kc2spice.fem.magnetics.keys import Catch
 from kc2spice.fem.magnetics.table import EMTable, current_pairs, em_cases
 from kc2spice.parts.ring_magnet_coils import mounted
+from laboratory.usual.fields import brute_force
 
 RADIUS = 1e-3
 

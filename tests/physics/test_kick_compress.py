@@ -8,16 +8,15 @@ import pytest
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.keys import Chip as Kick
-from kc2spice.fem.piezo.transient import Ball, transient
-from kc2spice.parts._mesh_study import as_system, on_reduced
 from kc2spice.parts.contact import ContactKeys
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
+from laboratory.usual.contact import as_system, contact_surface, on_reduced
+from laboratory.usual.transient import Ball, transient
 
 BAND = (0.0, 500e3)
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}

@@ -9,8 +9,9 @@ from scipy.linalg import expm
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.reference.assemble import assemble
-from kc2spice.reference.equilibrium import ac, dc, operating_point
+from kc2spice.reference.equilibrium import dc, operating_point
 from kc2spice.reference.integrate import Result, transient
+from kc2spice.reference.linear import ac
 
 
 def balanced(result: Result, share: float) -> bool:
@@ -21,8 +22,8 @@ def balanced(result: Result, share: float) -> bool:
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble(
-        [L.Source("v", "voltage", L.Line.pulse(1.0, 1.0, edge)), L.Resistor("r", r),
-         L.Inductor("l", ind), L.Capacitor("c", c)],
+        [L.Source("v", "voltage", L.Line.pulse(1.0, 1.0, edge)), L.TwoTerminal("r", 0, 1 / r),
+         L.TwoTerminal("l", -1, 1 / ind), L.TwoTerminal("c", 1, c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 101)
@@ -48,7 +49,7 @@ def test_current_of_a_capacitor_jumps_behind_a_corner_however_that_is_rounded() 
     c, corner, edge = 1e-6, 0.0305, 1e-7
     ramp = L.Line(((0.0, 0.0), (np.nextafter(corner, 0.0), 0.0), (corner + edge, 100.0)))
     system = assemble(
-        [L.Source("v", "voltage", ramp), L.Capacitor("c", c), L.Resistor("r", 1e3)],
+        [L.Source("v", "voltage", ramp), L.TwoTerminal("c", 1, c), L.TwoTerminal("r", 0, 1 / 1e3)],
         {"in": ["v.out", "c.a", "r.a"]},
     )
     result = transient(system, 0.031, 1e-9, times=np.array([0.0, 0.03, corner, corner + edge / 2]))
@@ -59,7 +60,11 @@ def test_current_of_a_capacitor_jumps_behind_a_corner_however_that_is_rounded() 
 def test_mass_spring_damper_rings_down() -> None:
     m, k, d = 1e-3, 1e3, 0.1
     system = assemble(
-        [L.Mass("m", m, position=1e-4), L.Spring("k", k), L.Damper("d", d)],
+        [
+            L.Mass("m", m, position=1e-4),
+            L.TwoTerminal("k", -1, k, "displacement"),
+            L.TwoTerminal("d", 0, d, "displacement"),
+        ],
         {"x": ["m.a", "k.a", "d.a"]},
     )
     times = np.linspace(0.0, 0.05, 200)
@@ -118,7 +123,11 @@ def piezo(name: str, stiffness: float = 2e7, mass: float = 1e-3) -> L.LinearBody
 
 def test_piezo_with_a_resistor_as_its_load() -> None:
     system = assemble(
-        [piezo("p"), L.Resistor("load", 1e4), L.Source("push", "force", L.Line.pulse(1, 1, 1e-4))],
+        [
+            piezo("p"),
+            L.TwoTerminal("load", 0, 1 / 1e4),
+            L.Source("push", "force", L.Line.pulse(1, 1, 1e-4)),
+        ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
     times = np.linspace(0.0, 1e-3, 60)
@@ -143,17 +152,18 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
 
 
 def test_mass_joined_to_a_body_merges_with_it() -> None:
-    """Two stacks, each with a mass and a spring on top, on one half-bridge."""
-    high = L.Switch("high", 10.0, 1e7, times=(1e-6, 2e-4))
-    low = L.Switch("low", 10.0, 1e7, times=(1e-6, 2e-4), closed=True)
+    """Two stacks, each with a mass and a spring on top, on one source through a resistor."""
+    edge = L.Line(((0.0, 0.0), (1e-6, 0.0), (2e-6, 100.0), (2e-4, 100.0), (2.01e-4, 0.0)))
     parts = [
         piezo("p1"), piezo("p2", 1e7, 2e-3), L.Mass("m1", 1e-3), L.Mass("m2", 4e-3),
-        L.Spring("k1", 1e6), L.Spring("k2", 3e6), high, low,
-        L.Source("rail", "voltage", L.Line.constant(100.0)), L.Diode("clamp", 1e-9),
+        L.TwoTerminal("k1", -1, 1e6, "displacement"),
+        L.TwoTerminal("k2", -1, 3e6, "displacement"),
+        L.TwoTerminal("r", 0, 1 / 10.0),
+        L.Source("rail", "voltage", edge),
     ]  # fmt: skip
     joins = {
-        "rail": ["rail.out", "high.a", "clamp.b"], "out": ["high.b", "low.a", "p1.anode",
-        "p2.anode", "clamp.a"], "t1": ["p1.top", "m1.a", "k1.a"], "t2": ["p2.top", "m2.a", "k2.a"],
+        "rail": ["rail.out", "r.a"], "out": ["r.b", "p1.anode", "p2.anode"],
+        "t1": ["p1.top", "m1.a", "k1.a"], "t2": ["p2.top", "m2.a", "k2.a"],
     }  # fmt: skip
     system = assemble(parts, joins)
     result = transient(system, 4e-4, 1e-6)
@@ -165,7 +175,8 @@ def test_mass_joined_to_a_body_merges_with_it() -> None:
     driven = ac(system, np.array([100.0]))
     assert np.all(driven["p1.top"] == 0.0)  # no source has an ac amplitude
     shifted = assemble(
-        [piezo("p"), L.Mass("m", 1e-3), L.Spring("k", 1e6), L.Source("v", "voltage",
+        [piezo("p"), L.Mass("m", 1e-3), L.TwoTerminal("k", -1, 1e6, "displacement"),
+         L.Source("v", "voltage",
          L.Line.constant(0.0))],
         {"e": ["p.anode", "v.out"], "t": ["p.top", "m.a", "k.a"]},
     )  # fmt: skip
@@ -179,7 +190,7 @@ def test_mass_on_a_spring_is_kicked_by_a_body() -> None:
     body = piezo("p")
     hit = L.Contact("hit", ("top",), np.array([1e8]), np.array([0.0]))
     system = assemble(
-        [body, L.Mass("m", 1e-4, gravity=9.81), L.Spring("k", 50.0), hit,
+        [body, L.Mass("m", 1e-4, gravity=9.81), L.TwoTerminal("k", -1, 50.0, "displacement"), hit,
          L.Source("v", "voltage", L.Line.pulse(100.0, 50e-6, 1e-6, 1e-5))],
         {"e": ["p.anode", "v.out"], "t": ["p.top", "hit.top"], "y": ["m.a", "k.a", "hit.b"]},
     )  # fmt: skip
@@ -195,7 +206,7 @@ def test_coils_with_resistance_keep_energy() -> None:
     table = L.ForceTable(y, columns, 1)
     coil = L.CoilForce("coil", table, np.array([5.0]), np.array([[1e-3]]))
     system = assemble(
-        [coil, L.Mass("m", 1e-2), L.Spring("k", 500.0),
+        [coil, L.Mass("m", 1e-2), L.TwoTerminal("k", -1, 500.0, "displacement"),
          L.Source("v", "voltage", L.Line.pulse(2.0, 1.0, 1e-4))],
         {"y": ["coil.y", "m.a", "k.a"], "e": ["coil.a1", "v.out"]},
     )  # fmt: skip
@@ -205,19 +216,6 @@ def test_coils_with_resistance_keep_energy() -> None:
     # The induced voltage is force over current times speed: seen as v - R i - L di/dt at rest end.
     late = operating_point(system)
     assert late.values["coil.i1"] == pytest.approx(0.0, abs=1e-15)
-
-
-def test_amplifier_stays_within_its_rails() -> None:
-    amp = L.Amplifier("amp", 100.0, -10.0, 10.0, 1e5, 50.0)
-    system = assemble(
-        [L.Source("s", "voltage", L.Sine(1.0, 1e3)), amp, L.Capacitor("c", 10e-9)],
-        {"in": ["s.out", "amp.p"], "out": ["amp.out", "c.a"]},
-    )
-    result = transient(system, 3e-3, 1e-8)
-    out = result.waves["c.a"]
-    assert out.max() == pytest.approx(10.0, rel=1e-5)
-    assert np.abs(out).max() <= 10.0 * (1 + 1e-7)
-    assert sum("meets its rail" in e.what for e in result.events) >= 6
 
 
 def test_imprint_solves_the_complementarity() -> None:
@@ -232,21 +230,10 @@ def test_imprint_solves_the_complementarity() -> None:
     assert swept["c.top.through"] == pytest.approx(soft * np.maximum(0, depth - 1e-6), rel=1e-9)
 
 
-def test_sampled_controller_holds_between_its_instants() -> None:
-    block = L.SignalBlock("plant", np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1),
-                          np.zeros((1, 1)), ("u",), ("x",))  # fmt: skip
-    sampled = L.Sampled("k", lambda t, y: [1.0 - 50.0 * y[0]], 1e-3, ("y",), kind="signal")
-    system = assemble([block, sampled], {"x": ["plant.x", "k.y"], "u": ["plant.u", "k.out"]})
-    result = transient(system, 10e-3, 1e-9, times=np.arange(11) * 1e-3,
-                       start=np.zeros(system.A.shape[0]))  # fmt: skip
-    exact = [0.02 * (1 - 0.95**k) for k in range(11)]
-    assert result.waves["plant.x"] == pytest.approx(exact, abs=1e-10)
-
-
 @pytest.mark.parametrize(
     ("laws", "joins", "words"),
     [
-        ([L.Resistor("r", 1.0), L.Mass("m", 1.0)], {"n": ["r.a", "m.a"]}, "different kinds"),
+        ([L.TwoTerminal("r", 0, 1.0), L.Mass("m", 1.0)], {"n": ["r.a", "m.a"]}, "different kinds"),
         ([L.Mass("m", 1.0), L.Mass("m", 1.0)], {}, "one name"),
         ([L.Mass("m", 1.0)], {"n": ["m.b"]}, "no such pin"),
         ([L.Mass("m", 1.0)], {"n": ["m.a"], "o": ["m.a"]}, "two nets"),

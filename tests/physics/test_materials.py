@@ -1,12 +1,16 @@
 """The material library against published stress-charge constants; tensor algebra; errors."""
 
 import itertools
+import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.constants import epsilon_0
 
 from kc2spice.core.errors import UsageError
+from kc2spice.fem import materials
 from kc2spice.fem.materials import material, names
 
 PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
@@ -192,3 +196,32 @@ def test_a_poling_direction_needs_a_length():
         material("PZT-4").poled((0, 0, 0))
     with pytest.raises(UsageError, match="not a rotation"):
         material("PZT-4").rotated(2 * np.eye(3))
+
+
+def test_the_page_has_every_built_in_material_with_its_source():
+    page = (Path(__file__).parents[2] / "docs" / "materials.md").read_text("utf-8")
+    library = tomllib.loads((Path(materials.__file__).with_suffix(".toml")).read_text("utf-8"))
+    for name, table in library.items():
+        (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
+        assert f"| {table['density']:g} |" in row
+        assert all(said in row for said in (table["source"], *table.get("sources", {}).values()))
+    assert all(f"| `{key}` |" in page for key in materials.MaterialTable.model_fields)
+
+
+def test_the_ceramic_of_the_page_is_that_of_the_library():
+    page = (Path(__file__).parents[2] / "docs" / "materials.md").read_text("utf-8")
+    table = tomllib.loads(re.search(r"(?s)```toml\n(.*?)```", page)[1])["disc"]["layers"][1]
+    ours, theirs = material(table["material"]), material("PZT-5A")
+    for name in ("C", "e", "eps_S"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-12)
+    assert ours.density == theirs.density
+
+
+@pytest.mark.parametrize(
+    ("said", "name"), [("6mm", "PZT-4"), ("∞m", "PZT-8"), ("32", "quartz"), ("m3m", "silicon")]
+)
+def test_point_groups_mean_their_class(said, name):
+    library = tomllib.loads((Path(materials.__file__).with_suffix(".toml")).read_text("utf-8"))
+    np.testing.assert_array_equal(material({**library[name], "symmetry": said}).C, material(name).C)
+    with pytest.raises(UsageError, match="symmetry"):
+        material({**library[name], "symmetry": "3m"})

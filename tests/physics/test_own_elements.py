@@ -13,11 +13,11 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.contact import contact_surface
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh
-from kc2spice.fem.piezo.statics import imprint
-from kc2spice.fem.piezo.transient import Ball, transient
+from laboratory.usual.contact import contact_surface
+from laboratory.usual.statics import imprint
+from laboratory.usual.transient import Ball, transient
 
 sys.path.insert(0, str(Path(__file__).parent))
 import own_elements

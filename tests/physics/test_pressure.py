@@ -25,11 +25,11 @@ from kc2spice.bodies.pressure import (
     stressed,
 )
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.contact import sphere_gap
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.parts.contact import sides, spacing_error
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from laboratory.usual.contact import sphere_gap
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
 EVEN = Hats(np.append(SPACING * np.arange(COUNT + 1), [140e-6, 170e-6, 210e-6, PATCH]))

@@ -47,13 +47,14 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     chip, scene = part_of("kick_and_catch", "kick")
     data = {"time": np.array([0.0, 1.0]), "kick.voltage": np.array([0.0, volts])}
     waves = Waveforms(data, {})
-    found = [c for c in chip.type.checks(chip, Build(scene, {}), waves) if "rating" in c.name]
+    build = Build(scene, {"kick": SimpleNamespace(certificate=None, facts={}, ports=())})
+    found = [c for c in chip.type.checks(chip, build, waves) if "rating" in c.name]
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
 
 
 def test_small_signals_and_bodies_without_a_rating_are_not_judged(monkeypatch):
     chip, scene = part_of("kick_and_catch", "kick")
-    build = Build(scene, {"kick": SimpleNamespace(certificate=None, facts={})})
+    build = Build(scene, {"kick": SimpleNamespace(certificate=None, facts={}, ports=())})
     high = np.full(2, 1e4)
     small = Waveforms({"frequency": high, "kick.voltage": high}, {})
     assert not list(chip.type.checks(chip, build, small))
@@ -172,7 +173,7 @@ def test_a_foreign_model_says_that_nothing_is_known():
 def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
     chip, scene = part_of("harmonic", "kick")
     certificate = Certificate((0.0, 5e5), 1e-3, "made up", True, True)
-    model = SimpleNamespace(certificate=certificate, facts={})
+    model = SimpleNamespace(certificate=certificate, facts={}, ports=())
     waves = Waveforms({"frequency": np.array([1e3, top])}, {})
     checks = chip.type.checks(chip, Build(scene, {"kick": model}), waves)
     found = [c for c in checks if "band" in c.name]

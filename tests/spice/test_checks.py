@@ -15,7 +15,7 @@ from kc2spice.workflow.judge import verdict
 
 BALANCES = {"sphere", "contact", "kick"}
 ALL = {
-    "rating of kick", "rating of catch",
+    "rating of kick", "rating of catch", "reduction of kick",
     "table_left", "outer_ring", "penetration", "touches", "saturation",
     "kick_drive drives as defined", "control_enable drives as defined",
     "sphere starts at rest on kick", "field of catch between its positions",

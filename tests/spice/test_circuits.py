@@ -7,6 +7,7 @@ import pytest
 from device import chip
 from scipy.optimize import brentq
 
+import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Resistance, Section
@@ -94,6 +95,7 @@ def test_a_result_that_is_no_response_is_not_given_for_one(tmp_path):
         "floor": {"part": "spring", "stiffness": 1e6, "pins": {"a": "weight.a"}},
         "weight": {"part": "mass", "mass": 1e-3},
         "touch": {"part": "contact", "a": "weight.a", "b": "ball"},
+        "push": {"part": "source", "kind": "force", "ac": 1.0, "pins": {"out": "weight.a"}},
         "analysis": {"type": "ac", "start": 10.0, "stop": 1e3},
     }
     waves, _ = run(tables, tmp_path)
@@ -405,7 +407,6 @@ BAD = {
     "times that fall": ({"pwl": [[0.0, 1.0], [1e-6, 2.0], [0.5e-6, 0.0]]}, "must rise"),
     "one corner": ({"pwl": [[0.0, 1.0]]}, "must rise"),
     "a file that is not there": ({"file": "none.csv"}, "cannot be read"),
-    "a file elsewhere": ({"file": "../x.csv"}, "leads out of the scene's folder"),
     "no kind": ({"kind": "volts", "dc": 1.0}, "no such choice"),
 }  # fmt: skip
 
@@ -446,6 +447,41 @@ def test_probes_of_a_frequency_response_take_its_magnitude(tmp_path):
     tables["ohm"]["resistance"], zeta = R / 10, ZETA / 10
     _, found = run(tables, tmp_path)
     assert found["peak"] == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-5)
+
+
+def test_where_a_response_peaks_and_what_it_is_at_a_frequency():
+    """Of 1 / (1 - r^2 + 2j zeta r) in closed form."""
+    probes = {"peak_at": {"of": "cap.v", "take": "argmax"}, "there": {"of": "cap.v", "at": "3 kHz"},
+              "half": {"of": "cap.i", "at": 3e3}}  # fmt: skip
+    tables = rlc({"ac": 1.0}, {"type": "ac", "start": 1e3, "stop": 2e4, "points": 2_000},
+                 probes=probes)  # fmt: skip
+    tables["ohm"]["resistance"], zeta = R / 10, ZETA / 10
+    result = kc.run(tables)
+    natural = OMEGA / (2 * np.pi)
+    found = result.metrics
+    assert found["peak_at"] == pytest.approx(natural * np.sqrt(1 - 2 * zeta**2), rel=2e-3)
+    r = 3e3 / natural
+    exact = abs(1 / (1 - r**2 + 2j * zeta * r))
+    assert found["there"] == pytest.approx(exact, rel=1e-5)
+    assert found["half"] == pytest.approx(exact * 2 * np.pi * 3e3 * C, rel=1e-5)
+    assert result.record["metric_units"] == {"peak_at": "Hz", "there": "V", "half": "A"}
+    figure = result.figures["probes"]
+    assert [panel.y for panel in figure.panels] == ["magnitude in V", "magnitude in A"]
+    places = {name: place for place, name in figure.panels[0].marks}
+    assert places == {"peak_at": pytest.approx(found["peak_at"] / 1e3), "there": 3.0}
+
+
+def test_a_value_at_a_time_keeps_its_sign_and_stays_within_the_run(tmp_path):
+    wave = {"sine": {"amplitude": 2.0, "frequency": 10e3}}
+    probes = {"low": {"of": "supply.v", "at": "75 us"}}
+    _, found = run(rlc(wave, {"stop": 1e-4}, probes=probes, solver={"max_step": 2e-7}), tmp_path)
+    assert found["low"] == pytest.approx(-2.0, rel=1e-4)
+    for probe, words in (({"at": "46 Hz"}, "outside the analysis"), ({"at": "1 K"}, "no place"),
+                         ({"take": "value"}, "at goes with"),
+                         ({"take": "rms", "at": 1e-5}, "at goes with")):  # fmt: skip
+        with pytest.raises(UsageError, match=words) as caught:
+            load_scene(rlc(wave, {"stop": 1e-4}, probes={"low": {"of": "supply.v", **probe}}))
+        assert "probes.low" in str(caught.value)
 
 
 def test_a_probe_of_nothing_names_what_there_is(tmp_path):

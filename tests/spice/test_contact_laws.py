@@ -16,6 +16,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import libraries, make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.verify import verify
 
 MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
 
@@ -65,17 +66,60 @@ def test_hertz_takes_the_time_of_hertz(tmp_path):
     assert not failed
 
 
-def test_a_sphere_in_a_groove_leans_on_both_flanks(tmp_path):
+@pytest.mark.parametrize("angle", [60.0, 90.0, 180.0])
+def test_a_sphere_in_a_groove_leans_on_both_flanks(angle, tmp_path):
     """Its weight is held by flanks that are approached by s x and push along the axis with s."""
     scene = load_scene({
         "name": "groove", "gravity": 9.81, "sphere": {"part": "sphere"},
-        "contact": {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": 90.0},
+        "contact": {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": angle},
         "solver": {"stop": 1e-3, "max_step": 1e-4},
     })  # fmt: skip
     waves, exact, _ = ran(scene, tmp_path)
-    dent = -MASS * 9.81 / (2 * 1e6 * np.sin(np.pi / 4) ** 2)
-    for found in (waves["sphere.y"][-1], exact["sphere.y"][-1]):
-        assert found - 1e-3 == pytest.approx(dent, rel=1e-3)
+    s = np.sin(np.radians(angle) / 2)
+    dent = -MASS * 9.81 / (2 * 1e6 * s**2)
+    for found in (waves, exact):
+        assert found["sphere.y"][-1] - 1e-3 == pytest.approx(dent, rel=1e-3)
+        assert found["contact.flank"][-1] == pytest.approx(MASS * 9.81 / (2 * s), rel=1e-6)
+
+
+@pytest.mark.parametrize("law", ["linear", "hertz"])
+def test_flanks_of_a_groove_are_damped_by_their_own_closing_speed(law, tmp_path):
+    """Restitution as on a plane, at ``sin(30 deg)`` of the speed."""
+    keys = {"modulus": 100e9} if law == "hertz" else {"penalty": 1e7}
+    waves, exact, failed = ran(bounce(law=law, damping=1.0, groove=60.0, **keys), tmp_path)
+    c = 0.5
+    e = brentq(lambda e: np.log((1 + c) / (1 - c * e)) - c * (1 + e), 1e-3, 1.0)
+    assert exact["sphere.v"][-1] == pytest.approx(e, rel=1e-8)
+    assert waves["sphere.v"][-1] == pytest.approx(e, rel=2e-4)
+    assert not failed
+
+
+def test_a_block_in_a_groove_is_held_by_friction_on_both_flanks(tmp_path):
+    """``2 mu W / (2 sin(g/2))``: at 60 degrees twice that of a floor. It slides as far as that
+    says, and the report states the coefficient that was given."""
+    scene = load_scene(block(0.1, 5e-3, 30e-3).tables, {"floor.groove": 60.0, "floor.creep": 1e-5})
+    waves, exact, failed = ran(scene, tmp_path)
+    drag = 2 * 0.3 * 9.81
+    a = 0.1 / 10e-3 - drag
+    slid = a * 5e-3**2 / 2 + (a * 5e-3) ** 2 / (2 * drag)
+    assert exact["block.x"][-1] == pytest.approx(slid, rel=2e-3)
+    assert waves["block.x"][-1] == pytest.approx(exact["block.x"][-1], rel=1e-3)
+    assert waves["floor.friction"].max() == pytest.approx(10e-3 * drag, rel=1e-4)
+    assert not failed
+    floor = scene.parts["floor"]
+    assert "friction 0.3," in floor.type.modelled(floor, scene).detail
+
+
+@pytest.mark.parametrize("angle", [None, 60.0])
+def test_verify_compares_what_only_rests(angle, tmp_path):
+    """A sphere at rest travels nowhere: no travel is there to compare with."""
+    contact = {"part": "contact", "a": "gnd", "penalty": 1e6} | ({"groove": angle} if angle else {})
+    scene = load_scene({"name": "rest", "sphere": {"part": "sphere"}, "contact": contact,
+                        "solver": {"stop": 1e-3, "max_step": 1e-4}})  # fmt: skip
+    record = verify([scene], tmp_path)["rest"]
+    assert record["passed"]
+    (height,) = (c for c in record["checks"] if c["name"].startswith("height of sphere"))
+    assert 0.0 <= height["value"] < 1e-3
 
 
 def block(force, until, stop):

@@ -123,6 +123,7 @@ def grammar(dialect):
         ".tran" + pp.OneOrMore(value) + pp.Optional(pp.CaselessKeyword("UIC")),
         ".ac" + pp.one_of("lin dec oct", caseless=True) + value + value + value,
         ".dc" + pp.OneOrMore(WORD + value + value + value),
+        pp.one_of(".ic .nodeset") + pp.OneOrMore(pp.Regex(r"V\(\w+\)=\S+")),
         option, output, pp.Keyword(".op"), pp.Keyword(".end"),
     ]) + pp.StringEnd()  # fmt: skip
 
@@ -211,7 +212,7 @@ CONSTRUCTS = [
     ("B1 a 0 V=2k*V(b)", "V={2000.0*V(b)}", "V=2000.0*V(b)"),
     (".model m SW(VT=0.5 VH=0)", "VSWITCH(VON=0.501 VOFF=0.499 RON=1 ROFF=1e12)", "SW(VT=0.5 VH=0"),
     ("L1 a 0 1e-3", "L1 a 0 1e-3\n", "L1 a 0 1e-3 Rser=0"),
-    (".options reltol=1e-4 trtol=1", ".options timeint reltol=1e-4\n* Xyce has no option trtol=1",
+    (".options reltol=1e-4 trtol=1", ".options timeint reltol=1e-05\n* Xyce has no option trtol=1",
      ".options reltol=1e-4 trtol=1"),
     (".save v(a)\n.save i(v1)", ".print TRAN format=raw\n+ V(a)\n+ I(v1)",
      ".save\n+ V(a)\n+ I(v1)"),
@@ -220,7 +221,7 @@ CONSTRUCTS = [
     (".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n",
      ".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n", "KP={k} IS=1e-14)\nM1 a b"),
     ("D1 a 0 d\n.model d D(IS=1e-14 RS=1)", "D1 a 0 d\n.model d D(", "D1 a 0 d\n.model d D("),
-    ("C1 a 0 1u IC=2", "C1 a 0 1u IC=2", "C1 a 0 1u IC=2"),
+    ("C1 a 0 1u IC=2", "C1 a 0 1u\n", "C1 a 0 1u IC=2"),
     (".model m SW(VT=2)", "VSWITCH(VON=2.001 VOFF=1.999 RON=1 ROFF=1e12)",
      "SW(VT=2 VH=0 RON=1 ROFF=1e12)"),
     (".model m SW(VT=-2m)", "VSWITCH(VON=-0.001 VOFF=-0.003 ", "SW(VT=-2m VH=0"),
@@ -273,7 +274,7 @@ R1 a 0 1
 """
 XYCE = """a title
 * Run it with:  Xyce one.cir
-.options timeint reltol=1e-4 method=gear
+.options timeint reltol=1e-05 method=gear
 * Xyce has no option trtol=1
 R1 a 0 1
 .include zz.lib
@@ -407,7 +408,8 @@ def test_unknown_dialects_are_refused(loop):
 def test_xyce_gets_one_line_of_options_and_its_own_largest_step(loop):
     text = translate(loop, "xyce").files["loop.cir"]
     (line,) = re.findall(r"(?mi)^\.options timeint .*", text)
-    assert f"reltol={loop_reltol(loop)}" in line
+    assert loop_reltol(loop) == "0.0001"
+    assert "reltol=1e-05" in line
     assert "method=trap" in line
     (tran,) = re.findall(r"(?mi)^\.tran .*", text)
     assert float(tran.split()[4]) == 1e-6
@@ -435,6 +437,67 @@ def test_result_names_follow(loop):
     assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i)", -1.0)
     whole, _ = translate(loop, "xyce").vectors["contact.force"]
     assert whole.count("+") == 5
+
+
+def test_every_term_of_a_result_is_translated():
+    vectors = {
+        "rise": ("v(a)-v(b)", 1.0),
+        "fall": ("-v(a)", 2.0),
+        "net": ("i(v1)+v(x.n)-v(b)", 1.0),
+    }
+    deck = Deck(name="one", text="* title\n.end\n", vectors=vectors)
+    assert translate(deck, "xyce").vectors == {
+        "rise": ("V(a)-V(b)", 1.0), "fall": ("-V(a)", 2.0), "net": ("I(v1)+V(x:n)-V(b)", 1.0),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "written"), [("1e-3", 1e-5), ("1e-4", 1e-5), ("1e-6", 1e-7)])
+def test_xyce_is_asked_for_a_tenth_of_the_error_and_at_most_1e_5(given, written):
+    text = translate(one(f".options reltol={given}"), "xyce").files["one.cir"]
+    assert float(re.search(r"reltol=(\S+)", text)[1]) == pytest.approx(written)
+    ac = Deck(name="one", text=f"* t\n.options reltol={given}\n.ac lin 2 1 2\n.end\n")
+    assert f"reltol={given}" in translate(ac, "xyce").files["one.cir"]
+
+
+def test_xyce_takes_short_steps_only_where_a_controller_is(loop):
+    def ceiling(deck):
+        (tran,) = re.findall(r"(?mi)^\.tran .*", translate(deck, "xyce").files["loop.cir"])
+        return float(tran.split()[4])
+
+    assert ceiling(loop) == 1e-6
+    own = float(re.search(r"(?m)^\.tran \S+ \S+ \S+ (\S+)", loop.files["loop.cir"])[1])
+    assert ceiling(replace(loop, controlled=False)) == own > 1e-6
+
+
+def test_xyce_gets_initial_states_only_where_they_count(loop):
+    """It obeys ``IC=`` always; without ``uic`` the sphere rests on the contact at the start."""
+    spoken = translate(loop, "xyce")
+    assert "IC=" in loop.files["sphere.lib"]
+    assert "IC=" not in "\n".join(line for line in spoken.files["sphere.lib"].splitlines()
+                                  if line[:1] != "*")  # fmt: skip
+    assert ".nodeset V(contact_v)=0 V(contact_bottom)=0\n.tran" in spoken.files["loop.cir"]
+    text = loop.files["loop.cir"]
+    thrown = Deck(name="loop", text=re.sub(r"(?m)^(\.tran .*)$", r"\1 uic", text),
+                  more={k: v for k, v in loop.files.items() if k != "loop.cir"})  # fmt: skip
+    spoken = translate(thrown, "xyce")
+    assert re.search(r"(?m)^Cmass .* IC=", spoken.files["sphere.lib"])
+    assert ".nodeset" not in spoken.files["loop.cir"]
+
+
+@pytest.mark.parametrize(
+    "card", ["dec 45 630 14000", "dec 10 1 1000", "oct 3 5 1k", "dec 7 1 9.99"]
+)
+def test_xyce_reaches_the_last_frequency(card):
+    """It takes points ``start 10^(k / n)`` while they do not exceed the end."""
+    deck = Deck(name="one", text=f"* title\n.ac {card}\n.end\n")
+    (line,) = re.findall(r"(?m)^\.ac .*", translate(deck, "xyce").files["one.cir"])
+    kind, count, start, stop = line.split()[1:]
+    given = float(card.split()[3].replace("k", "e3"))
+    base, count = {"dec": 10.0, "oct": 2.0}[kind], int(count)
+    taken = [float(start) * base ** (k / count) for k in range(1000)]
+    taken = [f for f in taken if f <= float(stop)]
+    assert given * (1 - 1e-9) <= taken[-1] < given * base ** (1 / count)
+    assert taken[-2] < given
 
 
 # ---------------------------------------------------------------------------------- meaning

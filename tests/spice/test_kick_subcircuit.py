@@ -11,7 +11,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 
 RINGS = ["ring0", "ring1", "ring2", "ring3", "ring4", "ring5"]
 
@@ -48,7 +48,7 @@ def test_open_anode_is_the_partial_inverse(model, header, tmp_path):
 
 
 def test_transient_of_a_force_step_is_the_exact_one(model, header, tmp_path):
-    part = realize(model, header)
+    part = subcircuit(model.linear(), "kick", header)
     cards = """Vanode anode 0 0
 Istep 0 ring0 PULSE(0 1 1e-09 1e-12 1e-12 1)
 Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
@@ -67,7 +67,7 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 
 
 def test_floating_anode_holds_no_charge_and_is_found_in_silence(model, header, tmp_path):
-    part = realize(model, header)
+    part = subcircuit(model.linear(), "kick", header)
     cards = """Iload 0 ring0 1
 Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .dc Iload 1 1 1"""
@@ -78,7 +78,7 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 
 
 def test_only_the_ports_asked_for(model, header, tmp_path):
-    part = realize(model, header, ports=("anode", "ring2"))
+    part = subcircuit(model.linear(), "kick", header, ports=("anode", "ring2"))
     assert [pin.name for pin in part.pins] == ["anode", "cathode", "ring2", "base"]
     assert "ring0" not in part.text.split(".subckt", 1)[1]
     cards = "Va anode 0 AC 1\nXkick anode 0 ring2 0 kick\n.ac lin 5 1e5 5e5"
@@ -88,11 +88,11 @@ def test_only_the_ports_asked_for(model, header, tmp_path):
 
 def test_unknown_port_is_refused(model, header):
     with pytest.raises(UsageError, match="no such port"):
-        realize(model, header, ports=("ring9",))
+        subcircuit(model.linear(), "kick", header, ports=("ring9",))
 
 
 def test_header_agrees_with_the_card(model, header):
-    part = realize(model, header)
+    part = subcircuit(model.linear(), "kick", header)
     pins = re.findall(r"^\* @pin (\d+) (\S+) unit=\S+ flow=\S+$", part.text, re.M)
     card = re.search(r"^\.subckt kick (.*)$", part.text, re.M)
     assert card is not None
@@ -107,7 +107,7 @@ def test_header_agrees_with_the_card(model, header):
 def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
     from dataclasses import replace
 
-    part = realize(replace(model, damp=np.zeros_like(model.damp)), header)
+    part = subcircuit(replace(model, damp=np.zeros_like(model.damp)).linear(), "kick", header)
     assert "Gd1 " not in part.text
     cards = f"Va anode 0 AC 1\nXkick anode 0 {' '.join(RINGS)} 0 kick\n.ac lin 3 1e5 2e5"
     waves = run_deck(bench([part], cards, {"u": ("v(ring0)", 1e-6)}), tmp_path)
@@ -124,10 +124,14 @@ def test_a_mode_that_no_port_hears_is_left_out(model, header):
         gain=np.vstack([model.gain, 1e-12 * model.gain[:1]]),
     )
     cards, kept = (
-        [line for line in realize(each, header).text.splitlines() if not line.startswith("*")]
+        [
+            line
+            for line in subcircuit(each.linear(), "kick", header).text.splitlines()
+            if not line.startswith("*")
+        ]
         for each in (model, extra)
     )
     assert cards == kept
-    assert "Left out: 1 of" in realize(extra, header).text
+    assert "Left out: 1 of" in subcircuit(extra.linear(), "kick", header).text
     louder = dataclasses.replace(extra, gain=np.vstack([model.gain, 1e-6 * model.gain[:1]]))
-    assert "Left out" not in realize(louder, header).text
+    assert "Left out" not in subcircuit(louder.linear(), "kick", header).text

@@ -121,10 +121,7 @@ def test_two_runs_into_one_directory_leave_one_whole_result(tmp_path):
 
 @pytest.mark.parametrize("size", [2_000, 60_000])
 def test_a_full_disk_at_any_stage_spares_the_earlier_result(size, tmp_path, monkeypatch):
-    """No file may grow beyond ``size``: netlists, raw file or pictures are the first that do.
-
-    Pictures cost no results: the run warns and leaves everything else, whole.
-    """
+    """No file may grow beyond ``size``: netlists, raw file or page are the first that do."""
     out = tmp_path / "run"
     code, said = finish(*words("run", 1, out))
     assert code == 0, said
@@ -133,14 +130,8 @@ def test_a_full_disk_at_any_stage_spares_the_earlier_result(size, tmp_path, monk
     code, said = finish(*words("run", 2, out), preexec_fn=limit)
     assert "Traceback" not in said
     assert "internal error" not in said
-    if "no plots" in said:
-        assert code == 0, said
-        files = set(json.loads((out / "result.json").read_text())["files"])
-        assert files == {path.name for path in out.iterdir()}
-        assert not any(name.endswith(".png") for name in files)
-    else:
-        assert code in (2, 5), said
-        assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert code in (2, 5), said
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert {path.name for path in tmp_path.iterdir()} <= {"run", "run.failed"}
 
 

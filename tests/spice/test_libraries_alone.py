@@ -9,7 +9,7 @@ from kc2spice.sim.rawfile import read_raw
 from kc2spice.spice.read import read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
-LIBRARIES = sorted(p for p in NETLISTS.glob("*/*.lib") if not p.name.endswith(".ltspice.lib"))
+LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")

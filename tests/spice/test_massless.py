@@ -18,7 +18,7 @@ from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("massless", "0")
@@ -106,7 +106,7 @@ def test_matrices_and_back(light):
 def test_the_netlist_answers_as_the_model(light, tmp_path, damped):
     """``.ac`` of the emitted subcircuit against the sum over modes, undamped states at once."""
     model = dataclasses.replace(light, damp=damped * light.damp)
-    part = realize(model, HEADER)
+    part = subcircuit(model.linear(), "kick", HEADER)
     rings = " ".join(f"ring{k}" for k in range(6))
     cards = f"""Xkick 0 0 {rings} 0 kick
 Iforce 0 ring0 dc 0 ac 1
@@ -146,7 +146,7 @@ def test_a_bounce_is_that_of_the_plain_equations(tmp_path):
         (full.ports[0], full.ports[-1]), full.certificate, 1,
     )  # fmt: skip
     parts = [
-        realize(model, HEADER),
+        subcircuit(model.linear(), "kick", HEADER),
         contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(EPS)),
         sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=-1.0, height=1e-7),
     ]

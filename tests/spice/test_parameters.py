@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip, Damping
 from kc2spice.rom.reduce import reduce
 from kc2spice.sim.ngspice import run_deck
@@ -149,7 +150,9 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 
 
 def chip(damping, header):
-    device = piezo_stack(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3}))
+    device = from_sector(
+        assemble_kick(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3}))
+    )
     return subcircuit(reduce(device, order=30, band=(0.0, 500e3)), "kick", header)
 
 

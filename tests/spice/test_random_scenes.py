@@ -18,7 +18,6 @@ import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
-from kc2spice.report.figures import draw_all
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.keys import scene_keys, submodel
@@ -202,9 +201,9 @@ def outcome(text, overrides):
             assert error.hint or error.expected or error.got, error
             return "diagnosed"
         assert not any(check.fatal for check in done.verdict.checks)
-        pictures = draw_all(Path(folder), run_figures(build, done.waves))
+        figures = run_figures(build, done.waves)
         record = {"metrics": metrics(done.waves, build)}
-        write_run(Path(folder) / "report.html", record, build.scene, pictures)
+        write_run(Path(folder) / "report.html", record, build.scene, figures)
     return "result" if len(done.attempts) == 1 else "result after retries"
 
 

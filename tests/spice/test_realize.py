@@ -12,7 +12,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import COARSE, FOLLOWED, STRIKING, _balanced, realize, subcircuit
+from kc2spice.spice.realize import COARSE, FOLLOWED, STRIKING, _balanced, subcircuit
 
 HEADER = Header("made up", "0")
 FREQUENCY = "lin 6 150 1400"
@@ -135,7 +135,7 @@ def test_a_port_has_its_number_of_pins(port):
 
 def test_no_capacitance_is_negative():
     with pytest.raises(UsageError, match="negative capacitance"):
-        realize(modes([1e4], [[1.0]], ("electrical",), D=[[-1e-9]]), HEADER)
+        subcircuit(modes([1e4], [[1.0]], ("electrical",), D=[[-1e-9]]).linear(), "kick", HEADER)
 
 
 # ---------------------------------------------------------------------- scaling of resonators
@@ -159,7 +159,7 @@ def test_a_state_is_the_largest_displacement_of_its_mode():
     gain = [[0.5, 0.2, 3.0], [0.1, 4.0, 0.1], [0.0, 0.0, 0.02], [3.0, 9.0, 0.0]]
     kinds = ("mechanical", "mechanical", "electrical")
     model = modes([1e4, 2e4, 4e4, 8e4], gain, kinds, D=np.diag([0, 0, 1e-9]), massless=1, damp=1e3)
-    part = realize(model, HEADER)
+    part = subcircuit(model.linear(), "kick", HEADER)
     assert values(part, r"Gua0_(\d)") == {"1": 1.0, "2": 0.025, "4": pytest.approx(1 / 3)}
     assert values(part, r"Gua1_(\d)") == {"1": 0.4, "2": 1.0, "4": 1.0}
     # charge in uC per um, of a mode that moves no port per its own share
@@ -168,7 +168,7 @@ def test_a_state_is_the_largest_displacement_of_its_mode():
 
 
 def test_a_state_that_moves_nothing_is_no_division_by_zero():
-    part = realize(modes([1e4], [[0.0]], ("mechanical",), damp=1.0), HEADER)
+    part = subcircuit(modes([1e4], [[0.0]], ("mechanical",), damp=1.0).linear(), "kick", HEADER)
     assert values(part, r"Gfa0_(\d)") == {"1": 0.0}
     assert "Left out" not in part.text
 
@@ -191,7 +191,7 @@ def test_what_step_control_sees_of_slow_modes(watch, power, start, share):
 
 
 def test_slight_damping_is_damping():
-    part = realize(modes([1e4], [[1.0]], ("mechanical",), damp=0.5), HEADER)
+    part = subcircuit(modes([1e4], [[1.0]], ("mechanical",), damp=0.5).linear(), "kick", HEADER)
     assert [p.name for p in part.params] == ["damping"]
     assert values(part, r"Gd(\d)") == {"1": pytest.approx(0.5e-6 / 9)}
     assert "Mode 1: 1591.55 Hz, damping ratio 2.5e-05\n" in part.text
@@ -199,7 +199,9 @@ def test_slight_damping_is_damping():
 
 def test_silent_modes_are_counted():
     gain = [[1.0], [1e-12], [1e-12], [1.0], [1.0]]
-    part = realize(modes([1e4, 2e4, 3e4, 4e4, 5e4], gain, ("mechanical",)), HEADER)
+    part = subcircuit(
+        modes([1e4, 2e4, 3e4, 4e4, 5e4], gain, ("mechanical",)).linear(), "kick", HEADER
+    )
     assert "Left out: 2 of the reduced" in part.text
     assert part.params == ()  # nothing damps
     assert list(values(part, r"Cp(\d)")) == ["1", "2", "3"]
@@ -208,7 +210,7 @@ def test_silent_modes_are_counted():
 def test_what_is_silent_is_judged_at_each_port():
     """The second mode is a ten-thousand-millionth of the first, but all that charges the body."""
     model = modes([1e4, 1e5], [[1.0, 0.0], [0.0, 1e-5]], ("mechanical", "electrical"))
-    part = realize(model, HEADER)
+    part = subcircuit(model.linear(), "kick", HEADER)
     assert list(values(part, r"Cp(\d)")) == ["1", "2"]
     assert "Left out" not in part.text
 
@@ -217,7 +219,7 @@ def test_states_without_inertia_come_last_whatever_their_frequency(tmp_path):
     """``1 / (s^2 + d s + w^2)`` and ``1 / (d s + w^2)``; the second without damping is a spring."""
     omega, damp = [9e3, 4e3, 5e3], [50.0, 2e3, 0.0]
     model = modes(omega, [[1.0], [2.0], [0.5]], ("mechanical",), damp=damp, massless=2)
-    part = realize(model, HEADER)
+    part = subcircuit(model.linear(), "kick", HEADER)
     assert "from 636.62 Hz on: relaxes within 0.000125 s\n" in part.text
     farads = values(part, r"Cq(\d)")
     assert farads["2"] == pytest.approx(2e3 / 16e6)  # at 1 S it is the time in seconds

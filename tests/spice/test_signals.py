@@ -29,7 +29,7 @@ part = "resistor"
 resistance = "1 Ohm"
 [analysis]
 type = "transient"
-stop = 10.0
+stop = 0.09
 [solver]
 max_step = "10 ns"
 """

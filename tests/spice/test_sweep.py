@@ -1,8 +1,8 @@
-"""Real sweeps: engines that agree to the last byte, kills that lose nothing, failures as rows."""
+"""Sweeps by the command line: right numbers, equal tables everywhere, nothing lost to any kill."""
 
 import contextlib
-import csv
-import json
+import errno
+import math
 import os
 import shutil
 import signal
@@ -10,225 +10,360 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from sweeps import circuit, command, rows, sweep
 
-import kc2spice
-from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run as run_scene
-from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.point import SceneText, scene_text
-from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine, ThreadEngine
-from kc2spice.workflow.sweep.study import Request, make_study
+import kc2spice as kc
+from kc2spice.core.errors import SimulationError
+from kc2spice.workflow.sweep import point, run
+from kc2spice.workflow.sweep.point import Job, Outcome, SceneText, run_point
+from kc2spice.workflow.sweep.workers import processes
 
-# A kick and its first 0.1 ms of flight: 0.2 s of ngspice.
-SHORT = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=150 us",
-         "solver.reltol=1e-3")  # fmt: skip
-GAINS = ("control.kd=10,20,30", "kick.drive.voltage=80,100")
-
-
-def study(*sets, **options):
-    return make_study(Request(SceneText("kick_and_catch", None), (*sets, *SHORT), **options))
-
-
-def sweep(out, *sets, engine=None, **options):
-    return run.sweep(study(*sets, **options), out, engine or ThreadEngine(1))
-
-
-def rows(path):
-    with Path(path).open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
+TIME = 1e-3  # s of charging
 
 
 @pytest.fixture(scope="module")
-def local(tmp_path_factory):
-    """Six points on two processes, and their summary."""
-    out = tmp_path_factory.mktemp("local") / "o"
-    return out, sweep(out, *GAINS, engine=LocalEngine(2))
+def charge(tmp_path_factory):
+    """Path of the scene, and the directory of eight points of it on two workers."""
+    home = tmp_path_factory.mktemp("charge")
+    scene = circuit(home)
+    summary = sweep(scene, *GRID, out=home / "o", more=("--workers", "2"))
+    return scene, home / "o", summary
 
 
-def test_table_has_a_row_for_each_point_in_order(local):
-    out, summary = local
-    assert (summary["points"], summary["failed"], summary["resumed"]) == (6, 0, 0)
-    found = rows(summary["table"])
-    points = [(float(r["control.kd"]), float(r["kick.drive.voltage"])) for r in found]
-    assert points == [(kd, v) for kd in (10.0, 20.0, 30.0) for v in (80.0, 100.0)]
-    assert {r["status"] for r in found} == {"ok"}
-    for name in summary["files"]:
-        assert (out / name).stat().st_size > 0
+def test_a_table_has_the_points_in_order_and_their_numbers(charge):
+    _, out, summary = charge
+    assert (summary["points"], summary["failed"], summary["resumed"]) == (8, 0, 0)
+    table = rows(summary)
+    ohms, volts = (500.0, 1000.0, 1500.0, 2000.0), (5.0, 10.0)
+    found = [(float(r["wire.resistance"]), float(r["supply.pulse.high"])) for r in table]
+    assert found == [(r, v) for r in ohms for v in volts]
+    for (r, v), row in zip(found, table, strict=True):
+        assert row["status"] == "ok"
+        assert float(row["charged"]) == pytest.approx(
+            v * (1 - math.exp(-TIME / (r * 1e-6))), rel=1e-3
+        )
+        assert float(row["largest"]) == pytest.approx(v / r, rel=1e-3)
+    assert all((out / name).stat().st_size for name in summary["files"])
 
 
-def test_the_summary_tells_what_the_points_cost(local):
-    """CPU of workers and ngspice cannot exceed what two workers have; ngspice's own word is less.
-
-    Timing decides nothing here: only what must hold on any machine is asked.
-    """
-    _, summary = local
-    ngspice, python = summary["ngspice_cpu_s"], summary["python_cpu_s"]
-    assert ngspice > 0.0
-    assert python > 0.0
-    assert summary["overhead"] == pytest.approx(python / ngspice)
-    parent = 1  # is no worker
-    share = summary["busy_share"]
-    assert share == pytest.approx((ngspice + python) / (2 * summary["wall_s"]))
-    assert 0.0 < share < (2 + parent) / 2
+def test_a_point_is_the_run_of_that_scene(charge):
+    scene, _, summary = charge
+    changes = {"wire.resistance": 1500.0, "supply.pulse.high": 10.0}
+    alone = kc.run(kc.load_scene(scene, changes)).metrics
+    row = rows(summary)[5]
+    assert {name: float(row[name]) for name in alone} == alone  # same deck, same digits
 
 
-def test_a_point_is_the_run_of_that_scene(local, tmp_path):
-    _, summary = local
-    scene = load_scene("kick_and_catch", [*SHORT, "control.kd=30", "kick.drive.voltage=80"])
-    alone = run_scene(scene, tmp_path / "alone")["metrics"]
-    row = rows(summary["table"])[4]
-    for name in ("launch_velocity_m_s", "peak_height_m", "final_position_m"):
-        assert float(row[name]) == alone[name]  # same deck, same digits
+def test_python_gives_the_same_table_on_any_executor(charge):
+    scene, _, summary = charge
+    values = {"wire.resistance": [500, 1000, 1500, 2000], "supply.pulse.high": ["5 V", "10 V"]}
+    tables = [kc.sweep(scene, values)]
+    with processes(2)() as (executor, _):
+        tables.append(kc.sweep(scene, values, executor=executor))
+    wanted = [float(row["charged"]) for row in rows(summary)]
+    for table in tables:
+        assert table["charged"] == wanted
+        assert table[3]["supply.pulse.high"] == "10 V"
 
 
 @pytest.mark.slow
-def test_dask_gives_the_same_bytes(local, tmp_path):
+def test_dask_gives_the_same_bytes(charge, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    scene, out, _ = charge
+    local = sweep(scene, *GRID, out=tmp_path / "o", more=("--dask", "local", "--workers", "2"))
+    assert Path(local["table"]).read_bytes() == (out / "sweep.csv").read_bytes()
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        table = kc.sweep(scene, {"wire.resistance": [500.0]}, executor=client.get_executor())
+    assert table["charged"] == [float(rows(local)[1]["charged"])]
+
+
+def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(charge, tmp_path):
     pytest.importorskip("distributed")
-    summary = sweep(tmp_path / "o", *GAINS, engine=DaskEngine("local", 2))
-    assert Path(summary["table"]).read_bytes() == Path(local[1]["table"]).read_bytes()
+    scene, _, _ = charge
+    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--dask", "tcp://127.0.0.1:9"), code=3)
+    assert "no Dask scheduler" in said
+    assert sweep(scene, *GRID, out=tmp_path / "o")["failed"] == 0
 
 
-def test_an_array_of_parts_gives_the_same_bytes(local, tmp_path):
-    plan = run.write_array(study(*GAINS), tmp_path, 2)
-    script = Path(plan["script"]).read_text(encoding="utf-8")
-    assert "#SBATCH --array=0-1" in script
-    assert subprocess.run(["bash", "-n", plan["script"]]).returncode == 0
-    run.sweep_shard(tmp_path, run.Shard(1, 2), ThreadEngine(1))
-    with pytest.raises(SimulationError, match="3 points missing"):
-        run.collect(tmp_path)
-    run.sweep_shard(tmp_path, run.Shard(0, 2), ThreadEngine(1))
-    table = Path(run.collect(tmp_path)["table"])
-    assert table.read_bytes() == Path(local[1]["table"]).read_bytes()
+# --- what is asked ------------------------------------------------------------------------------
 
 
-def test_a_finished_sweep_is_not_run_again(local):
-    out, _ = local
-    before = (out / "sweep.csv").stat().st_mtime_ns
-    assert sweep(out, *GAINS)["resumed"] == 6
-    assert (out / "sweep.csv").stat().st_mtime_ns == before
+def test_a_finished_sweep_is_not_run_again_and_its_other_numbers_are_there(charge):
+    scene, out, _ = charge
+    before = (out / "sweep.csv").read_bytes()
+    more = ("--metric", "charged", "--metric", "steps.accepted")
+    again = sweep(scene, *GRID, out=out, more=more)
+    assert again["resumed"] == 8
+    table = rows(again)
+    assert list(table[0]) == ["wire.resistance", "supply.pulse.high", "charged", "steps.accepted",
+                              "status"]  # fmt: skip
+    assert all(float(row["steps.accepted"]) > 500 for row in table)
+    assert sweep(scene, *GRID, out=out)["resumed"] == 8
+    assert (out / "sweep.csv").read_bytes() == before
 
 
-def test_another_sweep_does_not_overwrite_it(local):
-    out, _ = local
-    with pytest.raises(UsageError, match="holds another sweep"):
-        sweep(out, "control.kd=10,20")
-    assert len(rows(out / "sweep.csv")) == 6
+def test_another_sweep_does_not_overwrite_it(charge):
+    scene, out, _ = charge
+    said = sweep(scene, "wire.resistance=1,2", out=out, code=2)
+    assert "holds another sweep" in said
+    assert len(rows(out / "sweep.csv")) == 8
+
+
+def test_a_changed_scene_is_another_sweep(tmp_path):
+    scene = Path(circuit(tmp_path))
+    sweep(scene, "wire.resistance=500,900", out=tmp_path / "o")
+    scene.write_text(scene.read_text().replace("1 uF", "2 uF"))
+    said = sweep(scene, "wire.resistance=500,900", out=tmp_path / "o", code=2)
+    assert "holds another sweep" in said
+
+
+def test_an_unknown_column_is_refused_with_the_nearest(charge, tmp_path):
+    scene, _, _ = charge
+    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--metric", "chargd"), code=2)
+    assert "charged" in said
+    assert not (tmp_path / "o" / "sweep.csv").exists()
+    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--format", "xlsx"), code=2)
+    assert "csv or parquet" in said
+
+
+def test_a_scene_of_curves_alone_is_refused_with_what_to_do(tmp_path):
+    scene = Path(circuit(tmp_path))
+    scene.write_text(scene.read_text().partition("[probes]")[0])
+    said = sweep(scene, "wire.resistance=500,900", out=tmp_path / "o", code=2)
+    assert "kc2spice run" in said
+    with pytest.raises(kc.errors.UsageError, match="every metric is a curve"):
+        kc.sweep(str(scene), {"wire.resistance": [500.0, 900.0]})
+
+
+def test_columns_come_from_what_the_runs_have(tmp_path):
+    """A harvester has no impedance to read off, whatever a bimorph could have."""
+    small = ("beam.length=20 mm", "analysis.points=11")
+    summary = sweep("harvester", "load.resistance=1e4,3e4", *small, out=tmp_path / "o")
+    assert list(rows(summary)[0]) == ["load.resistance", "peak_voltage_v", "peak_tip_m", "status"]
+    assert summary["failed"] == 0
+
+
+# --- failures -----------------------------------------------------------------------------------
 
 
 def test_failures_are_rows_with_their_diagnosis(tmp_path):
     # Edges longer than the pulse: either value alone would do.
-    sets = ("kick.drive.width=25 us,0.5 us", "kick.drive.edge=0.1 us,1 us")
-    summary = sweep(tmp_path / "o", *sets)
-    status = [row["status"] for row in rows(summary["table"])]
-    assert summary["failed"] == 1
-    assert status[:3] == ["ok"] * 3
+    scene = circuit(tmp_path)
+    sets = ("supply.pulse.width=1 s,0.1 ms", "supply.pulse.edge=1 ns,0.2 ms")
+    summary = sweep(scene, *sets, out=tmp_path / "o")
+    status = [row["status"] for row in rows(summary)]
+    assert [text == "ok" for text in status] == [True, True, True, False]
     assert status[3].startswith("failed: ")
-    assert "longer than the pulse" in status[3]
+    assert summary["failed"] == 1
+    # What failed by itself is run again only if asked.
+    assert sweep(scene, *sets, out=tmp_path / "o")["resumed"] == 4
+    assert sweep(scene, *sets, out=tmp_path / "o", more=("--retry-failed",))["resumed"] == 3
 
 
 def test_a_run_that_takes_too_long_is_a_failure(tmp_path):
-    long = ("control.kd=10,20", "solver.stop=1", "kick.drive.voltage=0")
-    found = make_study(Request(SceneText("kick_and_catch", None), long, timeout=0.3))
-    summary = run.sweep(found, tmp_path / "o", ThreadEngine(1))
-    assert summary["failed"] == 2
-    assert all("0.3 s" in row["status"] for row in rows(summary["table"]))
+    scene = circuit(tmp_path)
+    long = ("wire.resistance=500,900", "solver.stop=0.9", "solver.max_step=1e-7")
+    said = sweep(scene, *long, out=tmp_path / "o", more=("--timeout", "0.3"), code=5)
+    assert "every point failed" in said
+    assert all("0.3 s" in row["status"] for row in rows(tmp_path / "o" / "sweep.csv"))
 
 
-def test_subcircuit_parameters_are_swept_without_a_new_netlist(tmp_path):
-    metric = "final_position_m"
-    sets = ("param.pid.current_limit=0.02,0.1",)
-    summary = sweep(tmp_path / "o", *sets, metrics=(metric,))
-    assert summary["runs"]["netlists"] == 1
-    weak, strong = (float(row[metric]) for row in rows(summary["table"]))
-    other = sweep(tmp_path / "p", "control.current_limit=0.02,0.1", metrics=(metric,))
-    same_weak, same_strong = (float(row[metric]) for row in rows(other["table"]))
-    assert abs(strong - weak) > 1e-6
-    # The scene's limit also decides which small force terms are left out: 1e-6 of the force.
-    assert weak == pytest.approx(same_weak, abs=1e-9)
-    assert strong == same_strong
-    with pytest.raises(UsageError, match="no part of this scene"):
-        sweep(tmp_path / "q", "param.pid.nothing=1,2")
+JOB = Job(SceneText("impact", None))
+
+
+def failed_by(error, monkeypatch):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(point, "testbench", fail)
+    return run_point(JOB, {})
+
+
+def test_a_full_disk_is_no_property_of_a_point(monkeypatch):
+    outcome = failed_by(OSError(errno.ENOSPC, "No space left on device"), monkeypatch)
+    assert outcome.interrupted
+    assert not failed_by(OSError(errno.EACCES, "no"), monkeypatch).interrupted
+    broken = SimulationError("the raw file is not complete")
+    assert not failed_by(broken, monkeypatch).interrupted
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    assert failed_by(broken, monkeypatch).interrupted
+
+
+def test_an_interrupted_point_is_tried_once_more_and_by_the_next_sweep(tmp_path):
+    """ngspice is killed under one point, twice under another."""
+    found = run.make_sweep(point.scene_text(circuit(tmp_path)), ("wire.resistance=1,2,3,4",))
+    ran = []
+
+    class Immediate:
+        """An executor that runs what it is given at once, with kills where it is told."""
+
+        def __init__(self, kills):
+            self.kills = kills
+
+        def submit(self, function, job, values):
+            ran.append(values["wire.resistance"])
+            killed = ran.count(ran[-1]) <= self.kills.get(ran[-1], 0)
+            done = (
+                Outcome(failure="exit code -9", interrupted=True) if killed else Outcome({"x": 1})
+            )
+            return finished(done)
+
+    def swept(kills):
+        ran.clear()
+        pool = contextlib.nullcontext((Immediate(kills), 1))
+        summary = run.sweep(found, tmp_path / "o", lambda: pool)
+        return summary, [row["status"] for row in rows(summary)], list(ran)
+
+    summary, status, order = swept({2.0: 1, 3.0: 2})
+    assert (order[:4], sorted(order[4:])) == ([1.0, 2.0, 3.0, 4.0], [2.0, 3.0])
+    assert status == ["ok", "ok", "failed: exit code -9", "ok"]
+    summary, status, order = swept({})
+    assert (summary["resumed"], status, order) == (3, ["ok"] * 4, [3.0])
+
+
+def finished(result):
+    from concurrent.futures import Future
+
+    future = Future()
+    future.set_result(result)
+    return future
+
+
+# --- kills --------------------------------------------------------------------------------------
+
+MANY = ("wire.resistance=500:2000:16", "solver.max_step=0.1 us")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    home = tmp_path_factory.mktemp("many")
+    return Path(sweep(circuit(home), *MANY, out=home / "o")["table"]).read_bytes()
+
+
+def begun(scene, out, count=2, **options):
+    """A sweep of which at least ``count`` rows are there."""
+    # Tests that run in the background would hand the signal down as one that is ignored.
+    words = [shutil.which("env"), "--default-signal=INT"]
+    words += command(scene, *MANY, out=out, more=("--workers", "2", "--quiet"))
+    process = subprocess.Popen(words, start_new_session=True, stderr=subprocess.PIPE, text=True,
+                               **options)  # fmt: skip
+    deadline = time.monotonic() + 120
+    while recorded(out) < count:
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return process
+
+
+def recorded(out):
+    path = out / run.ROWS
+    return path.read_bytes().count(b'"interrupted": ') if path.exists() else 0
 
 
 def session(leader):
-    """Living processes of the session that ``leader`` began."""
+    """Living processes of the session that ``leader`` began, with what they run."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it ended meanwhile
             state, _, _, number, *_ = path.read_text().rpartition(")")[2].split()
             if int(number) == leader and state != "Z":
-                return True
-    return False
+                found[int(path.parent.name)] = (path.parent / "cmdline").read_bytes()
+    return found
 
 
-def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(local, tmp_path):
-    out, temporary = tmp_path / "o", tmp_path / "temporary"
+def goes_on(scene, out, undisturbed, code=0):
+    before = recorded(out)
+    summary = sweep(scene, *MANY, out=out, code=code)
+    assert (summary["points"], summary["failed"], summary["resumed"]) == (16, 0, before)
+    assert Path(summary["table"]).read_bytes() == undisturbed
+    return before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(undisturbed, tmp_path):
+    temporary = tmp_path / "temporary"
     temporary.mkdir()
     own = {**os.environ, "TMPDIR": str(temporary)}  # other tests' sweeps have files of their own
-    pairs = [word for text in (*GAINS, *SHORT) for word in ("--set", text)]
-    command = [sys.executable, "-m", "kc2spice", "sweep", "kick_and_catch", *pairs, "-o", str(out)]
-    process = subprocess.Popen(
-        [*command, "--workers", "1", "--quiet"], start_new_session=True, env=own
-    )
-    rows = out / "rows.sqlite"
-    deadline = time.monotonic() + 120
-    while not (rows.exists() and rows.read_bytes().count(b",ok\n") >= 2):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    recorded = rows.read_bytes().count(b",ok\n")
-    assert recorded < 6
-    assert list(temporary.glob("kc2spice-sweep-*"))
+    scene, out = circuit(tmp_path), tmp_path / "o"
+    process = begun(scene, out, env=own)
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 60
     # The workers notice, end and leave nothing behind.
     while session(process.pid) or list(temporary.glob("kc2spice-sweep-*")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True)
-    summary = json.loads(done.stdout)
-    assert (summary["points"], summary["failed"], summary["resumed"]) == (6, 0, recorded)
-    assert Path(summary["table"]).read_bytes() == Path(local[1]["table"]).read_bytes()
+    assert not (out / "sweep.csv").exists()
+    assert 2 <= goes_on(scene, out, undisturbed) < 16
 
 
-def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(tmp_path):
-    pytest.importorskip("distributed")
-    with pytest.raises(MissingToolError) as caught:
-        sweep(tmp_path / "o", "control.kd=10,20", engine=DaskEngine("tcp://127.0.0.1:9", 1, 1.0))
-    assert caught.value.exit_code == 3
-    assert sweep(tmp_path / "o", "control.kd=10,20")["failed"] == 0
+def test_ctrl_c_says_that_the_same_command_goes_on(undisturbed, tmp_path):
+    scene, out = circuit(tmp_path), tmp_path / "o"
+    process = begun(scene, out)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 130
+    assert "the same command runs the rest" in said
+    assert "Traceback" not in said
+    assert 2 <= goes_on(scene, out, undisturbed) < 16
 
 
-@pytest.fixture
-def own_scene(tmp_path):
-    """The gallery's scene with a user's driver, as two files in one directory; then they vanish."""
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
+    scene, out = circuit(tmp_path), tmp_path / "o"
+    process = begun(scene, out)
+    workers = [pid for pid, words in session(process.pid).items() if b"spawn_main" in words]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    said = process.communicate(timeout=240)[1]
+    assert process.returncode == 0, said
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_killed_simulator_loses_no_point(undisturbed, tmp_path):
+    scene, out = circuit(tmp_path), tmp_path / "o"
+    process, killed = begun(scene, out), False
+    while not killed and process.poll() is None:
+        for pid, words in session(process.pid).items():
+            if words.startswith(b"ngspice") or b"/ngspice\0" in words:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                    killed = True
+                break
+    said = process.communicate(timeout=240)[1]
+    assert process.returncode == 0, said
+    assert killed
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+# --- what travels -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
+def test_a_scene_file_takes_its_netlists_along(tmp_path, kind):
+    """The gallery's scene with a user's driver, in one directory that then vanishes."""
     name, folder = "bring_your_own", tmp_path / "mine"
     folder.mkdir()
     for suffix in ("toml", "lib"):
-        text = (Path(kc2spice.__file__).parent / "scenes" / f"{name}.{suffix}").read_text()
+        text = (Path(kc.__file__).parent / "scenes" / f"{name}.{suffix}").read_text()
         (folder / f"{name}.{suffix}").write_text(text)
     early = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=120 us")
-    found = make_study(Request(scene_text(str(folder / f"{name}.toml")),
-                               ("kick.drive.voltage=80,100", *early)))  # fmt: skip
+    sets = ("kick.drive.voltage=80,100", *early)
+    found = run.named_sweep(str(folder / f"{name}.toml"), sets)
     shutil.rmtree(folder)  # as on another machine
-    return found
+    pool = processes(2)
+    if kind == "dask":
+        pytest.importorskip("distributed")
+        from kc2spice.workflow.sweep.workers import dask
 
-
-@pytest.mark.parametrize(
-    "kind", ["processes", "array", pytest.param("dask", marks=pytest.mark.slow)]
-)
-def test_a_scene_file_takes_its_netlists_along(own_scene, tmp_path, kind):
-    if kind == "array":
-        run.write_array(own_scene, tmp_path, 1)
-        run.sweep_shard(tmp_path, run.Shard(0, 1), ThreadEngine(1))  # knows the directory alone
-        summary = run.collect(tmp_path)
-    else:
-        if kind == "dask":
-            pytest.importorskip("distributed")
-        engine = LocalEngine(2) if kind == "processes" else DaskEngine("local", 2)
-        summary = run.sweep(own_scene, tmp_path / "o", engine)
+        pool = dask("local", 2)
+    summary = run.sweep(found, tmp_path / "o", pool)
     assert (summary["points"], summary["failed"]) == (2, 0)
-    slow, fast = (float(row["launch_velocity_m_s"]) for row in rows(summary["table"]))
+    slow, fast = (float(row["launch_velocity_m_s"]) for row in rows(summary))
     assert 0.1 < slow < fast

@@ -9,8 +9,7 @@ import pytest
 
 from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.pool import DaskEngine, LocalEngine
-from kc2spice.workflow.sweep.study import Request, make_study
+from kc2spice.workflow.sweep.workers import dask, processes
 
 pytest.importorskip("distributed")
 
@@ -31,34 +30,34 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     address = f"tcp://127.0.0.1:{port}"
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
-    processes = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
+    daemons = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
     rows = tmp_path / "dask" / run.ROWS
-    study = make_study(Request(SceneText("kick_and_catch", None), SETS))
+    study = run.make_sweep(SceneText("kick_and_catch", None), SETS)
     done = []
 
     def interfere(stage, share, text):
         if stage != "sweep":
             return
-        done.append(rows.read_bytes().count(b",ok\n") if rows.exists() else study.plan.size)
+        done.append(rows.read_bytes().count(b'"interrupted": '))
         if len(done) == 3:
-            processes["a"].kill()
+            daemons["a"].kill()
         if len(done) == 6:
-            processes["scheduler"].kill()
-            processes["scheduler"].wait()
+            daemons["scheduler"].kill()
+            daemons["scheduler"].wait()
             time.sleep(1.0)
-            processes["scheduler"] = start(*scheduler)
-            processes["c"] = start(*worker)
+            daemons["scheduler"] = start(*scheduler)
+            daemons["c"] = start(*worker)
 
     try:
-        engine = DaskEngine(address, 1, patience=60.0)
-        dask = run.sweep(study, tmp_path / "dask", engine, interfere)
+        workers = dask(address, 1, patience=60.0)
+        distributed = run.sweep(study, tmp_path / "dask", workers, interfere)
     finally:
-        for process in processes.values():
+        for process in daemons.values():
             process.kill()
             process.wait()
-    assert (dask["points"], dask["failed"]) == (16, 0)
+    assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = run.sweep(study, tmp_path / "local", LocalEngine(2))
+    local = run.sweep(study, tmp_path / "local", processes(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from device import bench, deck_of
 
-from kc2spice.bodies.piezo_stack import piezo_stack
+from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.ring_magnet_coils import coil_subcircuit
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 
 RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
 COPIES = 200
@@ -33,7 +34,7 @@ def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
     """Springs, dampers and masses on two rings, R, L, C on the anode, 200 of each at random."""
     rng = np.random.default_rng(3)
     few = replace(model, omega=model.omega[:3], damp=model.damp[:3], gain=model.gain[:3])
-    part = realize(few, header, ports=("ring0", "ring3", "anode"))
+    part = subcircuit(few.linear(), "kick", header, ports=("ring0", "ring3", "anode"))
     cards, vectors = [], {}
     for k in range(COPIES):
         stiffness, ohm, henry = 10 ** rng.uniform([0, -2, -4], [2, 6, 0])  # N/um, Ohm, H
@@ -112,7 +113,7 @@ def test_coils_with_an_active_part_do_not(header, table, tmp_path):
 @pytest.fixture(scope="module")
 def chip():
     """The paper's chip for a band of 1 MHz, whole device, with its full model."""
-    device = piezo_stack(Chip())
+    device = from_sector(assemble_kick(Chip()))
     return device, resonators(reduce(device, tolerance=1e-5, band=(0.0, 1e6)))
 
 
@@ -124,7 +125,7 @@ def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
 Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac dec 200 1 1e6"""
     vectors = {"i": ("i(vdrive)", -1.0)}
-    waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
+    waves = run_deck(bench([subcircuit(model.linear(), "kick", header)], cards, vectors), tmp_path)
     f, current = waves["frequency"], waves["i"]
     s = 2j * np.pi * f[:, None]
     charge = (model.gain[:, 6] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
@@ -143,7 +144,7 @@ def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
 Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac lin 2401 260e3 380e3"""
     vectors = {"i": ("i(vdrive)", -1.0)}
-    waves = run_deck(bench([realize(model, header)], cards, vectors), tmp_path)
+    waves = run_deck(bench([subcircuit(model.linear(), "kick", header)], cards, vectors), tmp_path)
     size, facts = np.abs(waves["i"]), device.facts
     series, parallel = (waves["frequency"][k] for k in (np.argmax(size), np.argmin(size)))
     assert series == pytest.approx(facts["resonance_short_hz"], rel=1e-3)
@@ -157,7 +158,9 @@ def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
     full = device.transfer(frequency)[:, -1, -1]
     for f, charge in zip(frequency, full, strict=True):
         cards = f"Vdrive in 0 AC 1\nXkick in 0 {' '.join(RINGS)} 0 kick\n.ac lin 1 {f} {f}"
-        deck = bench([realize(model, header)], cards, {"i": ("i(vdrive)", -1.0)})
+        deck = bench(
+            [subcircuit(model.linear(), "kick", header)], cards, {"i": ("i(vdrive)", -1.0)}
+        )
         current = run_deck(deck, tmp_path / str(f))["i"][0]
         assert current / (2j * np.pi * f * charge) == pytest.approx(1.0, abs=1e-4)
 
@@ -169,7 +172,10 @@ def test_ring_on_a_users_spring(header, model, tmp_path):
 Rspring shaker ring0 {1e6 / stiffness}
 Xkick 0 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
 .ac dec 40 1e3 1e6"""
-    waves = run_deck(bench([realize(model, header)], cards, {"u": ("v(ring0)", 1.0)}), tmp_path)
+    waves = run_deck(
+        bench([subcircuit(model.linear(), "kick", header)], cards, {"u": ("v(ring0)", 1.0)}),
+        tmp_path,
+    )
     s = 2j * np.pi * waves["frequency"][:, None]
     compliance = (model.gain[:, 0] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
     force = stiffness * compliance

@@ -18,6 +18,7 @@ from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import circuits, solve, without_law
+from kc2spice.workflow.verify.full import full_solution
 from kc2spice.workflow.verify.verify import verify
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
@@ -63,6 +64,7 @@ def test_a_circuit_of_plain_parts_is_verified(tmp_path: Path) -> None:
     assert record["passed"], failed(record)
     assert record["left_out"] == []
     assert {"ngspice_vs_rom"} == set(record["errors"])
+    assert "speedup" not in record
     assert (tmp_path / "out" / "verify.html").stat().st_size > 10_000
 
 
@@ -85,7 +87,8 @@ def test_laws_of_a_circuit_against_its_closed_form(tmp_path: Path) -> None:
 def test_a_body_of_foreign_matrices_kicks_a_mass(kicked: Path, tmp_path: Path) -> None:
     record = verify([load_scene(kicked)], tmp_path / "out")["kicked"]
     assert record["passed"], failed(record)
-    assert record["errors"]["rom_vs_fom"] < 1e-6
+    # all six states integrated with located events: 0.08364828 m/s, four of them 0.08358288 m/s
+    assert record["errors"]["rom_vs_fom"] == pytest.approx(7.82e-4, rel=0.01)
     names = [check["name"] for check in record["checks"]]
     assert any(name.startswith("beam: netlist to ROM") for name in names)
     assert any(name.startswith("every metric") for name in names)
@@ -122,14 +125,12 @@ def test_each_solution_is_compared_with_both_others(
     """Whichever of the three is off, its two pairs fail and the third does not."""
     scene = load_scene("imprint", list(SMALL))
     if wrong == "fom":
-        kind = scene.parts["kick"].type
-        solved = kind.full_solution
-
-        def full_solution(*asked: object) -> object:
-            found = solved(*asked)
-            return dataclasses.replace(found, waves=scaled(found.waves))
-
-        monkeypatch.setattr(kind, "full_solution", full_solution)
+        monkeypatch.setattr(
+            module, "full_solution",
+            lambda *asked: dataclasses.replace(
+                found := full_solution(*asked), waves=scaled(found.waves)
+            ),
+        )  # fmt: skip
     if wrong == "rom":
         monkeypatch.setattr(
             module, "solve",
@@ -153,7 +154,7 @@ def test_each_solution_is_compared_with_both_others(
     assert record["passed"] is (wrong == "nothing")
     names = " ".join(check["name"] for check in record["checks"])
     for words in ("ROM to full model, at", "netlist to ROM, all ports", "capacitance of anode",
-                  "charge by loads of anode", "ROM, rightmost pole", "ROM, active power",
+                  "charge by loads of anode", "ROM, growth of its poles", "ROM, active power",
                   "netlist, active power", "netlist, reciprocity"):  # fmt: skip
         assert f"kick: {words}" in names
 

@@ -38,7 +38,7 @@ def missed_gates(build, text, folder):
     part = build.scene.parts["kick"]
     rom, band = build.model(part), (0.0, 500e3)
     libraries = tuple(subcircuits(text, "kick.lib"))
-    waves, _ = bodies.netlist_response(part, build, libraries, Clock(silent), folder, band)
+    waves = bodies.netlist_response(part, build, libraries, Clock(silent), folder, band)
     frequency = waves["frequency"].real
     found, exact = bodies._matrix(waves, rom), rom.transfer(frequency)
     leak = bodies.leakage(rom, frequency)

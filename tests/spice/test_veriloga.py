@@ -14,7 +14,7 @@ from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.dialect import dialect_files
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 from kc2spice.spice.veriloga import library
 
 openvaf = pytest.importorskip("openvaf_py")
@@ -27,7 +27,7 @@ def parts(header, model, radii, table):
     ball = SphereKeys()
     rings = tuple(f"ring{i}" for i in range(6))
     made = (
-        realize(model, header),
+        subcircuit(model.linear(), "kick", header),
         sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
         contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
         catch_subcircuit(header, table, 0.1, points=81),

@@ -44,7 +44,8 @@ def fresh(code):
 
 def test_import_loads_nothing_else():
     loaded = fresh("import sys, kc2spice; print(*sys.modules)")
-    assert [name for name in loaded if name.startswith("kc2spice")] == ["kc2spice"]
+    own = {name for name in loaded if name.startswith("kc2spice")}
+    assert own == {"kc2spice", "kc2spice.core", "kc2spice.core.version"}
     heavy = {"numpy", "scipy", "pydantic", "gmsh", "PySpice", "matplotlib", "skfem", "typer"}
     assert not heavy & set(loaded)
 
@@ -210,6 +211,52 @@ def test_edited_deck_may_stop_elsewhere(tmp_path):
 def test_edited_deck_is_refused_with_the_reason(tmp_path, change, said):
     with pytest.raises(kc.errors.UsageError, match=said):
         kc.run(PULSE, deck=edited(tmp_path, change))
+
+
+DRIVER = """.subckt mydriver out ref
+Bslope out inner V=0
+Vstep inner ref PULSE(0 2 1m 1u 1u 20m)
+.ends
+"""
+
+
+def test_a_replaced_source_is_told_before_the_run_with_the_card_that_reads_its_current(tmp_path):
+    scene, out = tmp_path / "divider.toml", tmp_path / "out"
+    scene.write_text(
+        'name = "divider"\nanalysis = { type = "transient", stop = "6 ms" }\n'
+        '[drive]\npart = "source"\n'
+        'pulse = { high = "1 V", start = "1 ms", width = "20 ms", edge = "1 us" }\n'
+        '[upper]\npart = "resistor"\nresistance = "1 kOhm"\npins = { a = "drive.out" }\n'
+        '[store]\npart = "capacitor"\ncapacitance = "1 uF"\npins = { a = "upper.b" }\n'
+        '[probes.charge_a]\nof = "drive.i"\n'
+    )
+    deck = kc.deck(scene)
+    text = deck.files[deck.main]
+    card = next(line for line in text.splitlines() if line.startswith("Vdrive"))
+    node, path = card.split()[1], tmp_path / deck.main
+
+    def run(change):
+        own = text.replace(card, f"Xmine {change}").replace(".end\n", DRIVER + ".end\n")
+        path.write_text(own)
+        return subprocess.run(
+            [sys.executable, "-m", "kc2spice", "run", str(scene), "--deck", str(path), "-o",
+             str(out), "--json"],
+            capture_output=True, text=True, check=False,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+
+    done = run(f"{node} 0 mydriver")
+    said = " ".join(done.stderr.split())
+    assert done.returncode == 2, said
+    assert "got: i(vdrive)" in said
+    assert f"Vdrive {node} NODE 0" in said
+    assert "simulate" not in said
+    assert not out.exists()
+    done = run(f"mine 0 mydriver\nVdrive {node} mine 0")  # as the message says
+    assert done.returncode == 0, done.stderr
+    # 2 V on 1 kOhm at the step; the same sign as of the scene's own source
+    peak = json.loads(done.stdout)["metrics"]["charge_a"]
+    assert peak == pytest.approx(2e-3, rel=5e-3)
 
 
 def test_command_line_takes_an_edited_deck(tmp_path):

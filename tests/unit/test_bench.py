@@ -64,8 +64,8 @@ def test_record_has_the_contracts_shape(made):
         assert {"label", "settings", "error", "time_s", "front"} <= set(point)
     stored = json.loads((out / "bench.json").read_text(encoding="utf-8"))
     assert stored["points"] == record["points"]
-    for name in ("bench.html", "bench.png"):
-        assert (out / name).stat().st_size > 5_000
+    page = (out / "bench.html").read_text(encoding="utf-8")
+    assert all(json.dumps(point["label"])[1:-1] in page for point in record["points"])
 
 
 def test_what_does_not_converge_is_left_out_and_said(record):
@@ -274,11 +274,11 @@ def test_a_scene_has_the_axes_of_its_parts():
     ("name", "transient", "coarser", "finer"),
     [
         ("buzzer_ft_20t_6_5a1", False, (1e-2, [520, 16.8e3]), (1e-4, [520, 16.8e3])),
-        ("buzzer_square", True, (1e-3, [0.0, 1e5]), (1e-5, [0.0, 2e5])),
+        ("buzzer_square", True, (1e-3, [0.0, 5e6]), (1e-5, [0.0, 1e7])),
     ],
 )
 def test_a_reduction_is_varied_around_the_one_in_use(name, transient, coarser, finer):
-    """Neither scene says how: its body chooses, for 650 Hz to 14 kHz, and for steps of 1 us."""
+    """Neither scene says how: its body chooses, for 650 Hz to 14 kHz, and for edges of 0.1 us."""
     rom = axes(load_scene(name), transient=transient)[-1]
     for step, (tolerance, band) in ((-1, coarser), (1, finer)):
         values = rom.values[rom.own + step]

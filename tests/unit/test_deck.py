@@ -100,7 +100,7 @@ def test_a_bound_is_rounded_upwards(error, written):
     certificate = Certificate((0.0, 5e5), error, "residual", True, True)
     line = rom_line(7, certificate)
     assert line.startswith(
-        f"* rom: order=7 band=0.0..500000.0 Hz error={written} (residual); above"
+        f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written} (residual); above"
     )
     assert line.endswith("above the band not certified; a contact or a steep edge excites it\n")
 

@@ -138,7 +138,7 @@ MISTAKES = {
     ),
     "a source on itself": (
         '[supply]\npart = "source"\ndc = 1.0\npins = { out = "gnd" }\n',
-        1, "supply", ["loop of ideal sources"],
+        4, "supply.pins.out", ["both ends are on one net"],
     ),
     "a circuit without ground": (
         _changed("resistance = 3e3", 'resistance = 3e3\npins = { b = "supply.ret" }'),

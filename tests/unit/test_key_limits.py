@@ -33,7 +33,7 @@ half_bridge: rail >0 100, resistance >0 2, gate_resistance >0 10, current_limit 
 inductor: inductance >0
 langevin: rated_voltage >0
 linear_drive: rail >0 48, bandwidth >0 50000, slew >0 2e+07
-mass: mass >0
+mass: mass >0, position 0, velocity 0
 matrices: rated_voltage >0
 netlist: ratings.slew >0
 pid: setpoint 0.0025, kp 50000, ki 10, kd 20, rolloff >0 1e-07, current_limit >0 0.1, enable_at

@@ -80,8 +80,8 @@ pid without output: setpoint 2.5e-3 m, kp 5e4 A/m >, ki 10 A/(m.s) >, kd 20 A.s/
 pid as a law: setpoint 2.5e-3 m, ki 10 A/(m.s) >, current_limit 0.1 A >
 sphere: mass 1e-5 kg >, radius 1e-3 m >, gravity 9.81 m/s2, velocity -1 m/s, height 2e-3 m
 sensor: bandwidth 1e6 Hz >=, offset 1e-7 m
-mass: mass 2 kg >, gravity 9.81 m/s2
-mass without weight: mass 2 kg >, gravity 0 m/s2
+mass: mass 2 kg >, gravity 9.81 m/s2, position 0 m, velocity 0 m/s
+mass without weight: mass 2 kg >, gravity 0 m/s2, position 0 m, velocity 0 m/s
 diode: is 2.52e-9 A, n 1.752 -, rs 0.5 Ohm, cjo 4e-12 F, tt 20e-9 s, bv 100 V
 """
 ROWS = dict(row.split(": ") for row in TABLE.replace("\n    ", " ").strip().splitlines())

@@ -14,7 +14,9 @@ from kc2spice.spice.lint import lint
 from kc2spice.spice.read import read_deck, read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
-LIBRARIES = sorted(p for p in NETLISTS.glob("*/*.lib") if not p.name.endswith(".ltspice.lib"))
+LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
+EXAMPLES = NETLISTS.parent / "docs" / "examples" / "dialects"
+TOOL = runpy.run_path(str(NETLISTS.parent / "tools" / "netlists.py"))
 OURS = [p for p in LIBRARIES if "* tool: kc2spice" in p.read_text()[:400]]
 HEAD = re.compile(r"(?m)^\* (sign|validity|rating): (\S.*)$")
 # what a head says of temperature
@@ -43,7 +45,7 @@ def test_the_table_of_parts_is_complete_and_current():
     page = (NETLISTS / "README.md").read_text()
     table = set(re.findall(r"`(\w+\.lib)`", page))
     assert table == {re.sub(r"\d+(?=\.lib)", "", p.name) for p in LIBRARIES}
-    assert runpy.run_path(str(NETLISTS.parent / "tools" / "parts_table.py"))["page"]() == page
+    assert TOOL["page"]() == page
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
@@ -70,16 +72,21 @@ def test_a_head_states_sign_validity_rating_and_units(path):
         assert param.unit == "-" or param.doc, param.name
 
 
-def test_no_two_designs_have_one_name():
-    known = {}
-    for path in LIBRARIES:
-        for name in names(path.read_text()):
-            assert known.setdefault(name.lower(), path) == path, name
+def test_few_files_are_committed():
+    """A deck and libraries a scene, the symbols of all, and a page."""
+    assert sum(path.is_file() for path in NETLISTS.rglob("*")) < 120
+    assert {p.suffix for p in NETLISTS.glob("*/*")} == {".cir", ".lib"}
 
 
-def test_all_libraries_stand_in_one_deck_and_a_clash_does_not():
-    """Same file names come from different scenes: the deck has them under the scene's name."""
-    files = {f"{p.parent.name}_{p.name}": p.read_text() for p in LIBRARIES}
+def test_subcircuits_carry_the_name_of_their_part():
+    for path in OURS:
+        kind = re.sub(r"\d+$", "", path.stem)
+        assert all(n == path.stem or n.startswith(f"{kind}") for n in names(path.read_text())), path
+
+
+def test_libraries_of_a_scene_share_a_deck_and_a_clash_does_not():
+    folder = NETLISTS / "newtons_cradle"
+    files = {p.name: p.read_text() for p in folder.glob("*.lib")}
     main = "* all\n" + "\n".join(f".include {name}" for name in files) + "\n.end\n"
     top = circuit("all.cir", {"all.cir": main, **files})
     assert len(top.subcircuits) == sum(len(names(text)) for text in files.values())
@@ -92,11 +99,15 @@ def test_all_libraries_stand_in_one_deck_and_a_clash_does_not():
         lint(clash)
 
 
+def test_the_symbols_are_those_of_the_libraries():
+    assert TOOL["symbol_library"]() == (NETLISTS / "kc2spice.kicad_sym").read_text()
+
+
 def test_no_pin_reads_as_a_resistor():
     pins = [pin.name for path in OURS for part in read_lib(path) for pin in part.pins]
-    for path in NETLISTS.glob("*/*.asy"):
+    for path in EXAMPLES.rglob("*.asy"):
         pins += re.findall(r"(?m)^PINATTR PinName (\S+)", path.read_text())
-    for path in NETLISTS.glob("*/*.kicad_sym"):
+    for path in (*NETLISTS.glob("*.kicad_sym"), *EXAMPLES.rglob("*.kicad_sym")):
         pins += re.findall(r'\(name "([^"]+)"', path.read_text())
     assert "ring0" in pins
     assert not [pin for pin in pins if re.fullmatch(r"(?i)r\d+", pin)]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -12,7 +13,9 @@ import threading
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from kc2spice.cli.main import app
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
@@ -306,8 +309,41 @@ def test_an_unrelated_failed_directory_is_spared(tmp_path):
     assert names(theirs) == ["thesis.tex"]
 
 
+def test_what_is_kept_of_a_failure_goes_with_the_next_success(tmp_path, monkeypatch):
+    """From the command line: a deck with two voltages on one node, then the scene as it is."""
+    monkeypatch.chdir(tmp_path)
+    Path("rc.toml").write_text(RC)
+    run = CliRunner().invoke
+    assert run(app, ["export", "rc.toml", "-o", "deck", "-q"]).exit_code == 0
+    text = Path("deck/rc.cir").read_text()
+    node = re.search(r"(?im)^v\S+ (\S+) 0 ", text)[1]
+    Path("deck/bad.cir").write_text(text.replace(".tran", f"Vtwo {node} 0 7\n.tran"))
+    failed = run(app, ["run", "rc.toml", "--deck", "deck/bad.cir", "-o", "out", "-q"])
+    assert failed.exit_code == 5, failed.output
+    assert "out.failed" in names(tmp_path)
+    assert run(app, ["run", "rc.toml", "-o", "out", "-q"]).exit_code == 0
+    assert names(tmp_path) == ["deck", "out", "rc.toml"]
+
+
+RC = """
+name = "rc"
+[supply]
+part = "source"
+kind = "voltage"
+dc = 1.0
+pins = { out = "ohm.a" }
+[ohm]
+part = "resistor"
+resistance = 10.0
+pins = { b = "gnd" }
+[analysis]
+type = "transient"
+stop = "100 us"
+"""
+
+
 def test_an_export_spares_what_another_deck_there_includes(tmp_path):
-    """Its own deck may be written anew; another scene's would look for a subcircuit in vain."""
+    """Its own deck may be written anew; another scene's would run another part in silence."""
 
     def exported(name, radius):
         scene = load_scene({"name": name, "sphere": {"radius": radius}, "solver": {"stop": 1e-3}})
@@ -316,7 +352,7 @@ def test_an_export_spares_what_another_deck_there_includes(tmp_path):
     exported("fall", 1e-3)
     exported("drop", 1e-3)  # the same design: both decks run
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(UsageError, match=r"this deck there needs sphere_\w+ of sphere\.lib"):
+    with pytest.raises(UsageError, match=r"this deck there includes another sphere\.lib"):
         exported("fall", 2e-3)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "drop.cir").unlink()

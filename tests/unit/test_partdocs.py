@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.core.toml import parse_toml
+from kc2spice.scene.keys import model_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.partdocs import part_docs
 from kc2spice.scene.parttype import part_types
@@ -96,3 +97,8 @@ def test_command_line_lists_them(docs):
     listed = {entry["name"]: entry for entry in json.loads(done.stdout)}
     assert list(listed) == list(docs)
     assert [pin["name"] for pin in listed["spring"]["pins"]] == ["a", "b"]
+
+
+@pytest.mark.parametrize("name", [n for n, kind in part_types().items() if kind.reduced])
+def test_every_key_of_every_body_is_described(name):
+    assert [k.name for k in model_keys(part_types()[name].schema) if len(k.doc) < 5] == []

@@ -2,10 +2,15 @@
 
 import warnings
 
+import numpy as np
 import pytest
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.parts import matrices
 from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.decks import libraries, make_deck
 
 WILD = [
     ("kick.side=0.15", "kick.side", "sintered"),
@@ -31,6 +36,71 @@ def test_they_may_be_run_all_the_same():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_scene("kick_and_catch", [override, "checks.plausible=off"])
+
+
+def slips(brass="20 mm", ceramic="14 mm", thickness="0.22 mm", drive="10 V", **disc):
+    layers = [{"material": "brass", "diameter": brass, "thickness": "0.2 mm"},
+              {"material": "PZT-5A", "diameter": ceramic, "thickness": thickness}]  # fmt: skip
+    return {
+        "name": "slips", "disc": {"part": "disc", "layers": layers, **disc},
+        "drive": {"part": "source", "dc": drive, "pins": {"out": "disc.anode"}},
+    }  # fmt: skip
+
+
+BODIES = [
+    (slips(thickness=0.22), "disc.layers[1].thickness", "0.22 m", 'mean "0.22 mm"'),
+    (slips(brass=20.0, ceramic=14.0), "disc.layers[0].diameter", "20 m", 'mean "20 mm"'),
+    (slips(ceramic="22 mm"), "disc.layers[1].diameter", "0.022 m", "wider than its plate"),
+    (slips(ceramic="20 um"), "disc.layers[1].thickness", "0.00022 m", "10 times as thick"),
+    (slips(drive="80 kV"), "drive", "8e+04 V at disc", "depolarises"),
+    (slips(drive="8 kV", rated_voltage="0.5 kV"), "drive", "stands 500 V", "depolarises"),
+    ({"name": "heavy", "box": {"part": "mass", "mass": 5.68e6, "pins": {"a": "hold.a"}},
+      "hold": {"part": "spring", "stiffness": 1.0}}, "box.mass", "5.68e+06 kg", "more than a ton"),
+    ({"name": "long", "beam": {"part": "bimorph", "length": 30.0, "width": "5 mm", "layers": [
+        {"material": "PZT-5A", "thickness": "0.3 mm"}] * 2}}, "beam.length", "30 m", '"30 mm"'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("tables", "key", "got", "why"), BODIES)
+def test_every_body_is_held_against_what_exists(tables, key, got, why):
+    """The key, the number as it was read and, where a unit slipped, the one that was meant."""
+    with pytest.raises(UsageError) as refused:
+        load_scene(tables)
+    error = refused.value
+    assert f"key {key}" in str(error)
+    assert got in error.got
+    assert why in f"{error.message} {error.hint}"
+    assert "checks.plausible" in error.hint
+    load_scene({**tables, "checks": {"plausible": "off"}})
+    with pytest.warns(UserWarning, match=error.message.split(":")[0]):
+        load_scene({**tables, "checks": {"plausible": "warn"}})
+
+
+@pytest.mark.parametrize(
+    ("drive", "rated", "word"), [("8 kV", "7.5 kV", "may depolarise"), ("80 mV", "1 kV", "80 V")]
+)
+def test_a_drive_that_may_be_meant_is_told_before_the_run(drive, rated, word):
+    with pytest.warns(UserWarning, match=word):
+        load_scene(slips(drive=drive, rated_voltage=rated))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scene(slips(drive="0.5 kV", rated_voltage=rated))
+
+
+def test_the_mass_of_a_mesh_is_told_before_a_simulator_runs(monkeypatch):
+    """A fork whose mesh was drawn in millimetres and read in metres weighs gigagrams."""
+    ports = (kc.Port("tip", "mechanical"),)
+    one = np.eye(1)
+    model = kc.LinearModel(M=one, E=one, K=one, B=one, ports=ports, facts={"mass_kg": 5.68e6})
+    monkeypatch.setattr(matrices, "_read", lambda *_: model)
+    monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("fork.mtx",))
+    tables = {"name": "heavy", "fork": {"part": "matrices", "file": "fork.mtx"}}
+    scene = load_scene(tables)
+    with pytest.raises(UsageError, match="more than a ton") as refused:
+        make_deck(Build(scene, {"fork": model}, libraries(scene)))
+    assert refused.value.got == "5.68e+06 kg"
+    scene = load_scene({**tables, "checks": {"plausible": "off"}})
+    make_deck(Build(scene, {"fork": model}, libraries(scene)))
 
 
 def test_the_gallery_exists():

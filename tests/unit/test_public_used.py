@@ -14,8 +14,8 @@ import kc2spice
 PACKAGE = Path(kc2spice.__file__).parent
 # What users call and the package itself may not: methods of the classes that it exports.
 API = frozenset(kc2spice.__all__)
-# Quantities of a material, a field table and a circuit that belong to the others beside them.
-ALSO = frozenset({"eps_T", "flux_linkage", "Switch"})
+# A quantity of a material that belongs to the others beside it.
+ALSO = frozenset({"eps_T"})
 # Called by their names by somebody else: the interpreter, Jupyter, pydantic, ctypes, jinja.
 DECORATED = frozenset({"property", "cached_property", "staticmethod", "classmethod", "cache",
                        "lru_cache", "dataclass", "contextmanager", "overload"})  # fmt: skip

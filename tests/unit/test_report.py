@@ -8,6 +8,7 @@ import re
 import shutil
 import struct
 import subprocess
+import tomllib
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import SHOWN, Section, _thinned, write_page
+from kc2spice.report.html import SHOWN, Section, figure_html, write_page
 from kc2spice.report.plots import open_sheet, plain_log
 from kc2spice.report.run_page import write_run
 from kc2spice.report.words import fact, quantity
@@ -55,7 +56,11 @@ def figures(waves: Waveforms) -> tuple[Figure, ...]:
     )
     bottom = Panel("time [ms]", "displacement [um]", rings)
     response = Panel(
-        "frequency [Hz]", "height [mm]", (Curve("", 1 + t, y),), log_x=True, log_y=True
+        "frequency [Hz]",
+        "height [mm]",
+        (Curve("", np.geomspace(0.1, 1e6, t.size), y),),
+        log_x=True,
+        log_y=True,
     )
     return (
         Figure("trajectory", "Trajectory", "Above and below.", (top, bottom)),
@@ -96,13 +101,6 @@ class Page(HTMLParser):
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     out = tmp_path_factory.mktemp("report")
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
-    pictures = draw_all(out, figures(waves))
-    assert [p.path.stem for p in pictures] == ["trajectory", "response"]
-    for picture in pictures:
-        width, height = png_size(picture.path)
-        assert width >= 1000  # 7 inches at 150 dots
-        assert height >= 450
-        assert picture.path.stat().st_size > 10_000  # an empty sheet is smaller
     result = {
         "metrics": metrics(waves, Build(scene, {})),
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
@@ -117,9 +115,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
         "model": {"kick": {"unknowns": 16722}, "catch": {"coil_resistance_ohm": 1596.0}},
         "files": ["kick.lib"],
     }
-    found = {figure.name: figure for figure in figures(waves)}
-    pictures = [replace(picture, figure=found[picture.path.stem]) for picture in pictures]
-    path = write_run(out / "report.html", result, scene, pictures)
+    path = write_run(out / "report.html", result, scene, figures(waves))
     return Page(path.read_text(encoding="utf-8"))
 
 
@@ -132,9 +128,7 @@ def test_page_has_all_sections(page: Page) -> None:
 
 
 def test_page_loads_nothing_from_elsewhere_and_links_its_files(page: Page) -> None:
-    pictures = [source for source in page.sources if source.startswith("data:image/png;base64,")]
-    assert len(pictures) == 2
-    assert [source for source in page.sources if source not in pictures] == ["kick.lib"]
+    assert [source for source in page.sources if not source.startswith("#")] == ["kick.lib"]
     assert "http" not in page.text.replace("http://www.w3.org/2000/svg", "")
 
 
@@ -152,34 +146,119 @@ def test_sketch_names_every_part_and_net(page: Page) -> None:
     assert 2 * float(circle[1]) / float(chip[1]) == pytest.approx(2 / 3, rel=1e-2)  # mm over mm
 
 
+def test_a_bolted_transducer_is_sketched_to_scale() -> None:
+    """A head of 30 mm, two rings of 3 mm, each cut into a left and a right half, a tail of 20 mm
+    and the bolt, which reaches through the head."""
+    from kc2spice.report.sketch import devices
+    from kc2spice.scene.parttype import part_type
+
+    drawing = devices(load_scene(tomllib.loads(part_type("langevin").example)))
+    boxes = re.findall(r'width="([\d.]+)" height="([\d.]+)"[^>]* fill="(#\w+)"', drawing)
+    (_, unit, _), *rest = ((float(w), float(h) / 30, fill) for w, h, fill in boxes)
+    sizes = [(round(w / unit, 1), round(30 * h / unit, 1)) for w, h, _ in rest]
+    assert sizes == [(6.0, 3.0)] * 4 + [(20.0, 20.0), (6.0, 56.0)]
+    for words in ("front, aluminium, 20 mm by 30 mm", "ring, PZT-8", "bolt, steel, 6 mm"):
+        assert f"langevin: {words}" in drawing
+
+
+def shown(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a curve that a page has."""
+    html = figure_html(Figure("", "", "", (Panel("", "", (curve,)),)))
+    data = json.loads(re.search(r"json\">(.*?)</script>", html)[1])["panels"][0]["curves"][0]
+    x, y = (np.frombuffer(base64.b64decode(data[k]), "<f4") for k in "xy")
+    return x, y
+
+
+def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
+    t = np.linspace(0.0, 1.0, 100_000)
+    for place in (0, 1, 77_777, 99_998, 99_999):
+        for height in (2.0, -2.0):
+            y = np.sin(500 * t)
+            y[place] = height
+            assert np.float32(height) in shown(Curve("", t, y))[1]
+
+
 def test_curves_in_the_page_are_those_of_the_figure() -> None:
     t = np.union1d(np.linspace(0, 1, 50_000), 0.5 + np.linspace(0, 1e-6, 100))
     y = np.where(np.abs(t - 0.5) < 1e-6, 1.0, 0.0) + 1e-3 * np.sin(40 * t)
     y[1234] = -3.0
-    thin = _thinned(Curve("", t, y))
-    x, v = (np.frombuffer(base64.b64decode(thin[k]), "<f4") for k in "xy")
-    assert x.size <= SHOWN
+    y[40_000:40_010] = np.nan
+    x, v = shown(Curve("", t, y))
+    assert 1000 < x.size <= SHOWN
+    assert np.isnan(v).any()  # a gap stays one
+    t, y, x, v = t[np.isfinite(y)], y[np.isfinite(y)], x[np.isfinite(v)], v[np.isfinite(v)]
     assert (v.min(), x[v.argmin()]) == (np.float32(-3), np.float32(t[1234]))
     away = np.abs(t - 0.5) > 5e-5  # the jumps themselves have no width in float32
     assert np.abs(np.interp(t, x, v) - y)[away].max() < 2e-3
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-def test_the_script_draws_and_zooms(page: Page, tmp_path: Path) -> None:
-    """Run by a JavaScript engine against the few parts of a browser that it uses."""
-    (tmp_path / "page.html").write_text(page.text, encoding="utf-8")
+def run_script(html: str, folder: Path) -> dict:
+    """What the page's script draws, run by a JavaScript engine against the few parts of a browser
+    that it uses; it fails where the script throws or draws at a place that is no number."""
+    (folder / "page.html").write_text(html, encoding="utf-8")
     browser = Path(__file__).parents[1] / "data" / "browser.js"
-    done = subprocess.run(["node", str(browser), str(tmp_path / "page.html")],
+    done = subprocess.run(["node", str(browser), str(folder / "page.html")],
                           capture_output=True, text=True, check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    return json.loads(done.stdout)
+
+
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+
+
+@needs_node
+def test_the_script_draws_reads_zooms_and_hides(page: Page, tmp_path: Path) -> None:
+    found = run_script(page.text, tmp_path)
     assert found["panels"] == 3
+    assert found["titles"] == ["Trajectory", "Response"]
     assert found["strokes"] > 30
-    assert found["images"] == 0  # the canvas stands in for the picture
-    assert found["labels"][:2] == ["ngspice", "scipy"]
-    assert "2.5" in found["read"]
+    assert found["labels"] == ["ngspice", "scipy", *(f"ring{k}" for k in range(6))]
+    assert "Trajectory, height [mm]" in found["spoken"]
+    assert {"set point", "settling band", "launch", "time [ms]", "1000", "10⁵", "2"} <= {
+        *found["texts"]
+    }
+    # 2.5 - 1.5 exp(-(4.776 - 0.5057) / 0.4) mm at the place of pixel 480 of 64 … 486
+    at = next(text for text in found["read"] if text.endswith(" ms"))
+    assert float(at.removesuffix(" ms")) == pytest.approx(5.0 * (480 - 64) / 422, rel=2e-3)
+    assert "ngspice  2.5 mm" in found["read"]
+    assert sum("ring" in text and text.endswith(" um") for text in found["read"]) == 6
     assert found["zoomed"] < 0.6 * found["whole"]
     assert found["reset"] == found["whole"]
+    assert found["hidden"] >= 1
+
+
+@needs_node
+def test_maps_bars_steps_and_points_are_drawn(tmp_path: Path) -> None:
+    x, y = np.array([1.0, 10.0, 100.0]), np.array([0.0, 1.0])
+    z = np.array([[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]])
+    nothing = Curve("none", np.array([]), np.array([]))
+    panels = (
+        Panel("drive in V", "gap in µm", (), map=Map(x, y, z, "speed in m/s"), log_x=True),
+        Panel("speed in m/s", "points", (Curve("", x, x, "bar"),)),
+        Panel("error", "time in s", (Curve("a", x, x, "step"), Curve("b", x, x, "o")), log_x=True,
+              log_y=True),
+        Panel("mm", "mm", (Curve("c", np.array([0, 1, 1, 0.0]), x[[0, 1, 1, 0]], "o-"), nothing),
+              equal=True),
+        Panel("flat in s", "y", (Curve("", x, 0 * x), Curve("gap", x, x * np.nan))),
+    )  # fmt: skip
+    figure = Figure("all", "All", "", panels, columns=3)
+    path = write_page(tmp_path / "x.html", "t", "", [Section("s", figures=[figure])])
+    found = run_script(path.read_text(encoding="utf-8"), tmp_path)
+    assert found["panels"] == 5
+    assert found["fills"] > 6 + 3  # cells and bars, besides the colour bar
+    assert "speed in m/s" in found["texts"]
+    assert any(text.startswith("speed in m/s: ") for text in found["read"])
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_figures_as_files(tmp_path: Path, columns: int) -> None:
+    drawn = [replace(figure, columns=columns) for figure in figures(loop_waves())]
+    assert draw_all(tmp_path, drawn) == ["trajectory.png", "response.png"]
+    for name in ("trajectory.png", "response.png"):
+        width, height = png_size(tmp_path / name)
+        assert width >= 1000  # 7 inches at 150 dots
+        assert height >= 400
+        assert (tmp_path / name).stat().st_size > 10_000  # an empty sheet is smaller
 
 
 def test_page_shows_the_numbers_and_escapes_words(page: Page) -> None:
@@ -189,9 +268,28 @@ def test_page_shows_the_numbers_and_escapes_words(page: Page) -> None:
     assert "yes" in page.cells
 
 
+BAD = "</script><script>a()</script><img src=x onerror=a()>"
+
+
 def test_markup_in_a_title_stays_text(tmp_path: Path) -> None:
-    path = write_page(tmp_path / "x.html", "<script>a()</script>", "", [Section("s", [("&",)])])
-    assert "<script>" not in path.read_text(encoding="utf-8")
+    path = write_page(tmp_path / "x.html", BAD, BAD, [Section(BAD, [("&",)], note=BAD)])
+    assert "a()</script>" not in path.read_text(encoding="utf-8")
+    assert "<img" not in path.read_text(encoding="utf-8")
+
+
+@needs_node
+def test_markup_in_names_of_curves_stays_text(tmp_path: Path) -> None:
+    """Of everything that a figure has words for; the browser shows them as they are."""
+    x = np.arange(3.0)
+    curve = Curve(BAD, x, x, "o", (BAD, BAD, BAD))
+    panel = Panel(BAD, BAD, (curve,), ((1.0, BAD),), ((0.0, 1.0, BAD),), ((1.0, BAD),))
+    figure = Figure(BAD, BAD, BAD, (panel,))
+    path = write_page(tmp_path / "x.html", "t", "", [Section("s", figures=[figure])])
+    text = path.read_text(encoding="utf-8")
+    assert text.count("<script") == text.count("</script>") == 2  # the data and the code
+    assert "<img" not in text
+    found = run_script(text, tmp_path)
+    assert found["titles"] == found["labels"] == [BAD]
 
 
 def test_a_run_without_catch_says_nothing_of_one() -> None:
@@ -227,8 +325,18 @@ def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) ->
         ("launch_velocity_m_s", 1.02, ("launch velocity", "1.02 m/s")),
         ("hold_current_a", 4.9e-4, ("hold current", "490 µA")),
         ("settling_time_s", None, ("settling time", "not reached")),
-        ("free_stroke_m_per_100v", 2.35e-6, ("free stroke", "2.35 µm per 100 V")),
-        ("free_stroke_m_per_v", 2.35e-8, ("free stroke", "23.5 nm/V")),
+        ("free_stroke_ring0_m_per_100v", 2.35e-6, ("free stroke ring0", "2.35 µm per 100 V")),
+        ("free_stroke_tip_m_per_v", 2.35e-8, ("free stroke tip", "23.5 nm/V")),
+        (
+            "resonance_open_hz",
+            2.5e3,
+            ("resonance of the model, electrodes open, undamped", "2.5 kHz"),
+        ),
+        (
+            "antiresonance_hz",
+            2.5e3,
+            ("resonance read off the impedance (parallel, as if open)", "2.5 kHz"),
+        ),
         ("kick_charge_peak_c", 1.4e-5, ("kick charge peak", "14 µC")),
         ("band_hz", [0, 5e5], ("band", "0 Hz, 500 kHz")),
         ("caught", True, ("caught", "yes")),
@@ -238,6 +346,15 @@ def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) ->
 )
 def test_facts_take_their_unit_from_the_key(key: str, value: object, shown: tuple) -> None:
     assert fact(key, value) == shown
+
+
+@pytest.mark.parametrize(
+    ("key", "unit", "shown"),
+    [("height", "m", ("height", "1.5 mm")), ("height_m", "m", ("height", "1.5 mm")),
+     ("losses", "", ("losses", "0.0015")), ("turn_m", "rad", ("turn m", "1.5 mrad"))],
+)  # fmt: skip
+def test_a_probe_has_the_unit_of_what_it_looks_at(key: str, unit: str, shown: tuple) -> None:
+    assert fact(key, 1.5e-3, unit=unit) == shown
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,11 @@
 """Which rings a scene keeps, against the paper's chip and closed forms."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waveforms, Waves
 from kc2spice.fem.piezo.keys import Chip, Material
 from kc2spice.parts.contact import reach
 from kc2spice.parts.piezo_stack import free_stroke, kept_rings, top_material
@@ -134,31 +132,3 @@ def test_an_unstable_material_is_refused_before_anything_is_estimated():
     soft = "kick.material.stiffness=[1e9, 2e9, 1e9, 1e9, 1e9, 1e9]"
     with pytest.raises(UsageError, match="no such material"):
         load_scene("impact", [soft])
-
-
-def test_the_former_names_are_understood():
-    """``R0`` became ``ring0``: pins, own pins, contacts and probes of older scenes are read."""
-    tables = {
-        "kick": {"pins": {"NAME2": "free.a"}},
-        "free": {"part": "mass", "mass": 1e-6},
-        "load": {"part": "mass", "mass": 1e-6, "pins": {"a": "kick.NAME1"}},
-        "ball": {"part": "sphere"},
-        "touch": {"part": "contact", "a": ["kick.NAME0"], "b": "ball"},
-        "probes": {"top": {"of": "kick.u.NAME3"}},
-    }
-    old, new = (
-        load_scene(json.loads(json.dumps(tables).replace("NAME", name))) for name in ("R", "ring")
-    )
-    assert (old.nets, old.frame) == (new.nets, new.frame)
-    assert old.nets["load", "a"] == old.nets["kick", "ring1"]
-    assert old.joined("free", "a") == (("kick", "ring2"),)
-
-
-def test_a_port_of_the_user_keeps_its_name():
-    waves = Waves({"mine.u.R0": np.zeros(2), "kick.u.ring0": np.ones(2)})
-    assert waves["mine.u.R0"][0] == 0.0
-    assert waves["kick.u.R0"][0] == 1.0
-    assert "kick.u.R0" in waves
-    assert list(Waveforms(waves, {})) == ["mine.u.R0", "kick.u.ring0"]
-    assert "kick.u.R1" not in waves
-    assert set(waves.former()) == {"kick.u.R0"}

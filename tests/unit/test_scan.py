@@ -239,9 +239,9 @@ def test_text_has_one_spelling(tmp_path):
 def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "user.cir").write_text(".include inner.lib\n")
-    (tmp_path / "sub" / "inner.lib").write_text("R1 a 0 1\n")
-    (tmp_path / "inner.lib").write_text("R1 another 0 1\n")
-    expected = "* begin of inner.lib\nR1 a 0 1\n\n* end of inner.lib\n"
+    (tmp_path / "sub" / "inner.lib").write_text(".param a=1\n")
+    (tmp_path / "inner.lib").write_text(".param a=2\n")
+    expected = "* begin of inner.lib\n.param a=1\n\n* end of inner.lib\n"
     assert included_netlists(["sub/user.cir"], tmp_path) == {"user.cir": expected}
     assert included_sources(["sub/user.cir"], tmp_path) == {"sub/user.cir": expected}
 
@@ -255,17 +255,17 @@ def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
 def test_trust_reaches_what_lies_beside_a_circuit_elsewhere(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "user.cir").write_text(".include inner.lib\n.control\n")
-    (tmp_path / "inner.lib").write_text("R1 a 0 1\n")
+    (tmp_path / "inner.lib").write_text(".param a=1\n")
     files = included_netlists(["../user.cir"], tmp_path / "home", trust=True)
-    assert "\nR1 a 0 1\n" in files["user.cir"]
+    assert "\n.param a=1\n" in files["user.cir"]
 
 
 @pytest.mark.parametrize("names", [["a b.lib", "a_b.lib"], ["a_b.lib", "a b.lib"]])
 def test_two_files_that_would_have_one_name_are_refused(names, tmp_path):
-    (tmp_path / "a b.lib").write_text("R1 a b 1\n")
-    (tmp_path / "a_b.lib").write_text("R1 a b 1\n")
+    (tmp_path / "a b.lib").write_text(".param a=1\n")
+    (tmp_path / "a_b.lib").write_text(".param a=1\n")
     assert list(included_netlists(names, tmp_path)) == ["a_b.lib"]
-    (tmp_path / "a_b.lib").write_text("R1 a b 2\n")
+    (tmp_path / "a_b.lib").write_text(".param a=2\n")
     with pytest.raises(UsageError, match="one name"):
         included_netlists(names, tmp_path)
 
@@ -439,10 +439,10 @@ def test_links_do_not_lead_out(tmp_path):
 
 def test_a_folder_of_the_scene_may_link_to_another(tmp_path):
     (tmp_path / "sub").mkdir()
-    (tmp_path / "shared.lib").write_text("R1 a 0 1\n")
+    (tmp_path / "shared.lib").write_text(".param a=1\n")
     (tmp_path / "sub" / "link.lib").symlink_to(tmp_path / "shared.lib")
     (tmp_path / "sub" / "user.cir").write_text(".include link.lib\n")
-    assert "\nR1 a 0 1\n" in included_netlists(["sub/user.cir"], tmp_path)["user.cir"]
+    assert "\n.param a=1\n" in included_netlists(["sub/user.cir"], tmp_path)["user.cir"]
 
 
 @pytest.mark.parametrize("name", ["missing.lib", "."])

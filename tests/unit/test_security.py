@@ -1,12 +1,9 @@
 """Files of others, class by class: refused with exit code 2 in bounded time, nothing written."""
 
-import contextlib
 import itertools
 import json
 import os
 import shutil
-import sqlite3
-import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -26,10 +23,8 @@ from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.circuit import Pin
 from kc2spice.spice.header import Header, part_header
-from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.point import SceneText, scene_text
-from kc2spice.workflow.sweep.study import PLAN, Request, make_study, read_plan, write_plan
-from kc2spice.workflow.sweep.table import RowStore
+from kc2spice.workflow.sweep.point import scene_text
+from kc2spice.workflow.sweep.run import make_sweep
 
 SOON = 5.0  # s
 CRAFTED = {
@@ -134,10 +129,6 @@ def test_names_keep_to_their_directory(tmp_path):
         assert name_threat(bad)
         with pytest.raises(UsageError):
             write_files({bad: "x"}, tmp_path / "out")
-        with pytest.raises(UsageError):
-            SceneText("s", "", ((bad, b"x"),))
-        with pytest.raises(UsageError):
-            SceneText(bad, "")
     assert not list(tmp_path.iterdir())
     assert plain_name("/a b/ü.lib") == "_.lib"
 
@@ -148,132 +139,6 @@ def test_reading_is_bounded(tmp_path):
     assert read_bounded(path, 10) == b"x" * 10
     with pytest.raises(OSError, match="too long"):
         read_bounded(path, 9)
-
-
-@pytest.fixture
-def plan(tmp_path):
-    """A directory with a plan, and a function that changes a field of it."""
-    home = tmp_path / "sweep"
-    home.mkdir()
-    study = make_study(Request(SceneText("amplifier_kick", None), ("control.kd=10,20",)))
-    write_plan(study, home, study.digest)
-
-    def change(**fields):
-        content = json.loads((home / PLAN).read_text())
-        for key, value in fields.items():
-            *tables, last = key.split("__")
-            table = content
-            for name in tables:
-                table = table[name]
-            table[last] = value
-        (home / PLAN).write_text(json.dumps(content))
-        return home
-
-    return change
-
-
-OWN = 'name = "x"\n[sphere]\n'
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"scene__name": "/absolute", "scene__text": OWN},
-        {"scene__name": "../parent", "scene__text": OWN},
-        {"scene__name": "a/../../parent", "scene__text": OWN},
-        {"scene__name": "line\nbreak", "scene__text": OWN},
-        {"scene__name": 3},
-        {"scene__text": 3},
-        {"scene__text": OWN, "scene__files": [["../parent.lib", "eA=="]]},
-        {"scene__text": OWN, "scene__files": [["/absolute.lib", "eA=="]]},
-        {"scene__text": OWN, "scene__files": [["a.lib", 3]]},
-        {"scene__text": OWN, "scene__files": [["a.lib", "no base64"]]},
-        {"scene__files": 3},
-        {"scene": []},
-        {"format": "../../x"},
-        {"format": ["csv"]},
-        {"sets": [3]},
-        {"sets": "control.kd=10,20"},
-        {"metrics": [["x"]]},
-        {"seed": "1"},
-        {"seed": -1},
-        {"timeout": "1"},
-        {"timeout": float("nan")},
-        {"zipped": 1},
-        {"digest": 3},
-        {"digest": "other"},
-        {"unknown": 1},
-    ],
-)
-@pytest.mark.parametrize("act", ["collect", "shard"])
-def test_a_plan_of_others_writes_nothing(fields, act, plan, tmp_path, monkeypatch):
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
-    home = plan(**fields)
-    before = sorted(tmp_path.rglob("*"))
-    options = {"collect": ["--collect", str(home)], "shard": ["--out", str(home), "--shard", "0/1"]}
-    result = CliRunner().invoke(app, ["sweep", *options[act]])
-    assert result.exit_code == 2, result.output
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000, '{"digest": ' * 50_000, "\0"])
-def test_damaged_plans_are_refused(text, plan):
-    home = plan()
-    (home / PLAN).write_text(text)
-    with pytest.raises(UsageError, match="not the plan"):
-        read_plan(home)
-
-
-@pytest.mark.parametrize("link", ["shards", "shards/000000.sqlite", "sweep.csv.part", "sweep.html"])
-def test_links_in_a_sweep_lead_nowhere(link, plan, tmp_path):
-    home = plan()
-    victim = tmp_path / "victim"
-    victim.mkdir() if link == "shards" else victim.write_text("precious")
-    (home / link).parent.mkdir(exist_ok=True)
-    (home / link).symlink_to(victim)
-    for act in (lambda: run.collect(home), lambda: run.sweep_shard(home, run.Shard(0, 1), None)):
-        with pytest.raises(UsageError, match="link"):
-            act()
-    assert victim.is_dir() or victim.read_text() == "precious"
-
-
-@pytest.mark.parametrize(
-    "row",
-    [
-        (-1, 0, "1,ok"), (99, 0, "1,ok"), (0, 0, "1,maybe"), (0, 0, None), (0, 0, ""),
-        (0, 7, "1,ok"), (0, 0, b"\xff,ok"), (0, 1, "1,ok"), (0, 0, "1,failed: x"), (0, "0", '"'),
-    ],
-)  # fmt: skip
-def test_damaged_rows_are_named(row, tmp_path):
-    path = tmp_path / "000000.sqlite"
-    RowStore(path, 2).close()
-    with contextlib.closing(sqlite3.connect(path)) as rows, rows:
-        rows.execute("insert into row values (?, ?, ?)", row)
-    with pytest.raises(UsageError, match=r"000000\.sqlite") as caught:
-        RowStore(path, 2)
-    assert caught.value.exit_code == 2
-
-
-@pytest.mark.parametrize("content", [b"0,1,ok\n", b"SQLite format 3\0" + b"\xff" * 500])
-def test_what_is_no_database_is_named(content, tmp_path):
-    (tmp_path / "000000.sqlite").write_bytes(content)
-    with pytest.raises(UsageError, match="is damaged"):
-        RowStore(tmp_path / "000000.sqlite", 2)
-
-
-def test_a_table_of_another_shape_is_named(tmp_path):
-    with contextlib.closing(sqlite3.connect(tmp_path / "a.sqlite")) as rows, rows:
-        rows.execute("create view row as select 'x' as point, 0 as state, 1 as line")
-    with pytest.raises(UsageError, match="is damaged"):
-        RowStore(tmp_path / "a.sqlite", 2)
-
-
-def test_a_pipe_is_no_shard(tmp_path):
-    os.mkfifo(tmp_path / "000000.sqlite")
-    with pytest.raises(UsageError, match="is no file"):
-        RowStore(tmp_path / "000000.sqlite", 2)
 
 
 def small_rom():
@@ -357,4 +222,4 @@ def test_a_name_with_blanks_is_a_name(tmp_path):
     shutil.copy(folder / "bring_your_own.lib", tmp_path / "my amp.lib")
     found = scene_text(str(tmp_path / "my scene.toml"))
     assert found.load(()).include == ("my amp.lib",)
-    assert make_study(Request(found, ("solver.reltol=1e-3,1e-4",))).plan.size == 2
+    assert make_sweep(found, ("solver.reltol=1e-3,1e-4",)).plan.size == 2

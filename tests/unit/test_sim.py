@@ -4,8 +4,6 @@ import _ctypes
 import ctypes
 import os
 import struct
-import subprocess
-import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +15,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim import loop, ngspice, retries, shared
+from kc2spice.sim import loop, ngspice, shared
 from kc2spice.sim.failure import FailedRunError, Failure, belongs_to, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.ngspice import run_deck
@@ -244,27 +242,6 @@ def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, tmp_pat
     assert got in caught.value.got
 
 
-@pytest.mark.parametrize(
-    ("platform", "text", "words"),
-    [("linux", 'test "$*" = "--pdeathsig KILL -- true"', 4), ("linux", "exit 1", 0),
-     ("linux", None, 0), ("darwin", "exit 0", None)],
-)  # fmt: skip
-def test_a_program_dies_with_this_process_by_setpriv_or_by_a_call(
-    platform, text, words, tmp_path, monkeypatch
-):
-    if text is not None:
-        script(tmp_path / "setpriv", text)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(ngspice.sys, "platform", platform)
-    ngspice._mortal.cache_clear()
-    try:
-        before, call = ngspice._mortal()
-    finally:
-        ngspice._mortal.cache_clear()
-    assert len(before) == (words or 0)
-    assert (call is not None) is (words == 0)
-
-
 RAW = 'for last; do :; done; raw=$(echo "$*" | sed "s/.*-r \\\\([^ ]*\\\\).*/\\\\1/")\n'
 
 
@@ -379,29 +356,6 @@ def test_a_simulator_that_does_nothing_hangs(fake, tmp_path, monkeypatch):
     assert (
         ngspice._still_alive(0, (now - 99, 5), tmp_path)[0] >= now
     )  # no such process: nothing to say
-
-
-def test_a_simulator_is_alive_while_its_clock_ticks(tmp_path, monkeypatch):
-    monkeypatch.setattr(ngspice, "_processor_time", lambda pid: 5)
-    now = time.monotonic()
-    assert ngspice._still_alive(1, (now - 99, 4), tmp_path) == (pytest.approx(now, abs=10), 5)
-    assert ngspice._still_alive(1, (now - 59, 5), tmp_path) == (now - 59, 5)
-    with pytest.raises(SimulationError, match="hangs") as caught:
-        ngspice._still_alive(1, (now - 60, 5), tmp_path)
-    assert caught.value.got == "no processor time for 60 s"
-
-
-def test_processor_time_counts_the_children_as_well():
-    """In clock ticks: what this process used is what the system's clocks say."""
-    before = os.times()
-    assert subprocess.run(
-        [sys.executable, "-c", "x = 0\nwhile x < 1e6: x += 1"], check=True
-    ).returncode == 0  # fmt: skip
-    after = os.times()
-    ticks = os.sysconf("SC_CLK_TCK")
-    assert sum(after[:4]) - sum(before[:4]) > 0.02
-    assert ngspice._processor_time(os.getpid()) == pytest.approx(sum(os.times()[:4]) * ticks, abs=3)
-    assert ngspice._processor_time(2**22 + 1) is None
 
 
 def test_a_full_disk_is_told_as_such(fake, tmp_path, monkeypatch):
@@ -586,26 +540,12 @@ def test_one_check_that_no_tolerance_cures_ends_it(tmp_path):
     assert caught.value.attempts[0].cause == "left: 2 J"  # the first of two
 
 
-def test_a_failure_at_a_time_is_farther_than_one_without():
-    none, early = Failure("stuck", None), Failure("stuck", None, time=1e-6)
-    assert retries._farther(none, early) is early
-    assert retries._farther(early, none) is early
-
-
 def test_a_retry_is_announced(tmp_path):
     run, _ = failing(("singular", None), Waveforms({"frequency": np.ones(2)}, {}))
     with pytest.warns(UserWarning, match="own settings: cause 1; trying firmer pivots: the pivots"):
         done = run_with_retries(PLAIN, tmp_path, retries=1, engine=run)
     assert done.attempts[-1].points is None
     assert done.verdict == Verdict()
-
-
-def test_the_simulator_is_the_engine_unless_told(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(retries, "run_deck", lambda *words: asked.append(words) or WAVES)
-    progress = [].append
-    run_with_retries(PLAIN, tmp_path, retries=1, progress=progress, timeout=5.0)
-    assert asked == [(PLAIN, tmp_path, progress, 5.0)]
 
 
 def test_settings_without_words_of_the_deck_begin_at_ngspices_own():
@@ -683,14 +623,6 @@ def test_includes_stand_in_their_places():
     text = '* main\n.include "a.lib"\n.includes x\nD\n'
     whole = loop.flattened(Deck(name="d", text=text, more=files))
     assert whole.splitlines() == ["* main", "A", "B", "C", ".includes x", "D"]
-
-
-@pytest.mark.parametrize(
-    ("asked", "own"),
-    [("v(y)", "y"), ("i(vkick)", "vkick#branch"), ("i(l1)", "i(l1)"), ("@q[i]", "@q[i]")],
-)
-def test_names_of_vectors_are_the_librarys(asked, own):
-    assert loop._plain(asked) == own
 
 
 class Said:

@@ -1,6 +1,10 @@
-"""The table: rows in any order, torn rows, sorted once, the same in CSV and Parquet."""
+"""The rows of a sweep and what is made of them: whole or not there, sorted, exact, drawn."""
 
+import contextlib
 import csv
+import os
+import resource
+import sqlite3
 import subprocess
 import sys
 
@@ -8,137 +12,223 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.report.sweep_figures import sweep_figures
-from kc2spice.report.sweep_page import yields
-from kc2spice.workflow.sweep.table import BAD, INTERRUPTED, MISSING, RowStore, columns, publish
+from kc2spice.report.sweep_page import figures, yields
+from kc2spice.workflow.sweep.plan import Grid, make_plan
+from kc2spice.workflow.sweep.point import Outcome
+from kc2spice.workflow.sweep.table import (
+    BAD,
+    INTERRUPTED,
+    MISSING,
+    RowStore,
+    columns,
+    write_csv,
+    write_parquet,
+)
 
-KINDS = {"a": float, "word": str, "t": float, "caught": bool, "status": str}
+PLAN = make_plan([Grid("a", tuple(0.1 * k for k in range(6)))])
 
 
-def filled(path, order, size=6):
-    store = RowStore(path, size)
-    for index in order:
-        failure = 'stopped, at "x"\n2' if index == 2 else None
-        cells = (None, None) if failure else (index / 7.0, index % 2 == 0)
-        store.record(index, (index * 0.1, "parallel", *cells), failure)
-    store.close()
-    return store
+def outcome(index):
+    if index == 2:
+        return Outcome(failure='stopped, at "x"\n2')
+    metrics = {"t": index / 7.0, "caught": index % 2 == 0, "never": None}
+    return Outcome(metrics, {"rom.order": float(index)})
+
+
+@contextlib.contextmanager
+def opened(path, points=6, digest="d"):
+    store = RowStore(path, points, digest)
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def filled(path, order=range(6)):
+    with opened(path) as store:
+        for index in order:
+            store.record(index, outcome(index))
+        return columns(list(store.outcomes()), PLAN)
 
 
 def test_rows_are_sorted_and_exact(tmp_path):
-    store = filled(tmp_path / "j.sqlite", (4, 0, 2, 5, 1, 3))
-    publish([store.path], tmp_path / "t.csv", list(KINDS), KINDS)
+    table = filled(tmp_path / "rows", (4, 0, 2, 5, 1, 3))
+    write_csv(table, tmp_path / "t.csv")
     rows = list(csv.DictReader((tmp_path / "t.csv").open(encoding="utf-8", newline="")))
-    assert list(rows[0]) == list(KINDS)
-    assert [float(row["a"]) for row in rows] == [index * 0.1 for index in range(6)]
+    assert list(rows[0]) == ["a", "t", "caught", "never", "status"]
+    assert [float(row["a"]) for row in rows] == [0.1 * index for index in range(6)]
     assert [row["t"] for row in rows if row["t"]] == [repr(i / 7.0) for i in (0, 1, 3, 4, 5)]
     assert [row["caught"] for row in rows] == ["true", "false", "", "false", "true", "false"]
-    assert [row["status"] == "ok" for row in rows] == [True, True, False, True, True, True]
-    assert rows[2]["status"].startswith("failed: stopped")
+    assert [row["status"] for row in rows] == ["ok"] * 2 + ['failed: stopped, at "x" 2'] + [
+        "ok"
+    ] * 3
 
 
 def test_order_of_arrival_leaves_no_trace(tmp_path):
     for name, order in (("a", range(6)), ("b", (5, 3, 1, 4, 2, 0))):
-        store = filled(tmp_path / f"{name}.j", order)
-        publish([store.path], tmp_path / f"{name}.csv", list(KINDS), KINDS)
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-
-
-def test_rows_survive_a_process_that_is_killed(tmp_path):
-    """A writer that ends without closing anything leaves whole rows, all of them."""
-    path = tmp_path / "j.sqlite"
-    code = (
-        "import os\nfrom pathlib import Path\n"
-        "from kc2spice.workflow.sweep.table import RowStore\n"
-        f"store = RowStore(Path({str(path)!r}), 6)\n"
-        "for k in range(4): store.record(k, (0.1 * k, None), 'no' if k == 2 else None)\n"
-        "os.kill(os.getpid(), 9)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
-    store = RowStore(path, 6)
-    assert list(np.flatnonzero(store.state == MISSING)) == [4, 5]
-    assert [row[-1] for row in store.rows()] == ["ok", "ok", "failed: no", "ok"]
-    assert store.failed == 1
-    store.close()
-
-
-def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
-    store = RowStore(tmp_path / "j.sqlite", 3)
-    store.record(0, (1.0,), None)
-    store.record(1, (None,), "did not converge")
-    store.record(2, (None,), "killed", interrupted=True)
-    store.close()
-    store = RowStore(tmp_path / "j.sqlite", 3)
-    store.forget(INTERRUPTED)
-    assert list(np.flatnonzero(store.state == MISSING)) == [2]
-    store.forget(BAD)
-    assert list(np.flatnonzero(store.state == MISSING)) == [1, 2]
-    store.record(2, (5.0,), None)
-    assert list(store.rows())[2] == ["5.0", "ok"]
-    store.close()
-
-
-def test_two_sweeps_do_not_write_one_table(tmp_path):
-    store = RowStore(tmp_path / "j.sqlite", 3)
-    with pytest.raises(UsageError, match="another sweep"):
-        RowStore(tmp_path / "j.sqlite", 3)
-    store.close()
-    RowStore(tmp_path / "j.sqlite", 3).close()
-
-
-def test_rows_of_several_parts_make_one_table(tmp_path):
-    whole = filled(tmp_path / "whole.j", range(6))
-    parts = [filled(tmp_path / f"{k}.j", order) for k, order in enumerate(((5, 1), (0, 2, 3, 4)))]
-    publish([whole.path], tmp_path / "a.csv", list(KINDS), KINDS)
-    publish([part.path for part in parts], tmp_path / "b.csv", list(KINDS), KINDS)
+        write_csv(filled(tmp_path / f"{name}.rows", order), tmp_path / f"{name}.csv")
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
 def test_parquet_holds_the_same_columns(tmp_path):
-    pytest.importorskip("pyarrow")
-    store = filled(tmp_path / "j.sqlite", range(6))
-    tables = [tmp_path / "t.csv", tmp_path / "t.parquet"]
-    for path in tables:
-        publish([store.path], path, list(KINDS), KINDS)
-    first, second = (columns(path, KINDS) for path in tables)
-    for name in KINDS:
-        np.testing.assert_array_equal(first[name], second[name])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["j.sqlite", "t.csv", "t.parquet"]
+    arrow = pytest.importorskip("pyarrow.parquet")
+    table = filled(tmp_path / "rows")
+    write_parquet(table, tmp_path / "t.parquet")
+    assert arrow.read_table(tmp_path / "t.parquet").to_pydict() == table
+
+
+def test_rows_survive_a_process_that_is_killed(tmp_path):
+    """A writer that ends without closing anything leaves whole rows, all of them."""
+    path = tmp_path / "rows"
+    code = (
+        "import os\nfrom pathlib import Path\n"
+        "from kc2spice.workflow.sweep.point import Outcome\n"
+        "from kc2spice.workflow.sweep.table import RowStore\n"
+        f"store = RowStore(Path({str(path)!r}), 6, 'd')\n"
+        "for k in range(4):\n"
+        "    store.record(k, Outcome({'x': 0.1 * k}, {}, 'no' if k == 2 else None))\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    with opened(path) as store:
+        assert list(np.flatnonzero(store.state == MISSING)) == [4, 5]
+        found = [(each.metrics["x"], each.failure) for _, each in store.outcomes()]
+        assert found == [(0.0, None), (0.1, None), (0.2, "no"), (0.1 * 3, None)]
+        assert store.failed == 1
+
+
+def test_a_full_disk_stops_with_a_word_and_spares_the_rows_so_far(tmp_path):
+    path = tmp_path / "rows"
+    code = (
+        "from pathlib import Path\n"
+        "from kc2spice.core.errors import UsageError\n"
+        "from kc2spice.workflow.sweep.point import Outcome\n"
+        "from kc2spice.workflow.sweep.table import RowStore\n"
+        f"store = RowStore(Path({str(path)!r}), 1000, 'd')\n"
+        "try:\n"
+        "    for k in range(1000):\n"
+        "        store.record(k, Outcome({f'x{n}': 0.1 * n for n in range(50)}))\n"
+        "except UsageError as error:\n"
+        "    print(k, error)\n"
+    )
+    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))  # noqa: E731
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                          preexec_fn=limit)  # fmt: skip
+    assert "cannot be written" in done.stdout
+    assert "give the same command again" in done.stdout
+    count = int(done.stdout.split()[0])
+    with opened(path, 1000) as store:
+        assert list(np.flatnonzero(store.state != MISSING)) == list(range(count))
+    assert count > 10
+
+
+def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
+    with opened(tmp_path / "rows", 3) as store:
+        store.record(0, Outcome({"x": 1.0}))
+        store.record(1, Outcome(failure="did not converge"))
+        store.record(2, Outcome(failure="killed", interrupted=True))
+    with opened(tmp_path / "rows", 3) as store:
+        store.forget(INTERRUPTED)
+        assert list(np.flatnonzero(store.state == MISSING)) == [2]
+        store.forget(BAD)
+        assert list(np.flatnonzero(store.state == MISSING)) == [1, 2]
+        store.record(2, Outcome({"x": 5.0}))
+        assert dict(store.outcomes())[2].metrics == {"x": 5.0}
+
+
+def test_two_sweeps_do_not_write_one_table(tmp_path):
+    with opened(tmp_path / "rows"), pytest.raises(UsageError, match="another sweep"):
+        RowStore(tmp_path / "rows", 6, "d")
+    with opened(tmp_path / "rows"):
+        pass
+    with pytest.raises(UsageError, match="holds another sweep"):
+        RowStore(tmp_path / "rows", 6, "other")
+
+
+GOOD = '{"metrics": {"x": 1.0}, "facts": {}, "failure": null, "interrupted": false}'
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        (-1, GOOD), (99, GOOD), (0, ""), (0, None), (0, "3"), (0, b"\xff"), (0, GOOD[:-1]),
+        (0, GOOD.replace("1.0", '"1.0"')), (0, GOOD.replace("1.0", "[1.0]")),
+        (0, GOOD.replace("null", "3")),
+        (0, "[" * 100_000),
+    ],
+)  # fmt: skip
+def test_damaged_rows_are_named(row, tmp_path):
+    path = tmp_path / "rows.sqlite"
+    RowStore(path, 2, "d").close()
+    with contextlib.closing(sqlite3.connect(path)) as rows, rows:
+        rows.execute("insert into row values (?, ?)", row)
+    with pytest.raises(UsageError, match=r"rows\.sqlite") as caught:
+        RowStore(path, 2, "d")
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("content", [b"0,1,ok\n", b"SQLite format 3\0" + b"\xff" * 500])
+def test_what_is_no_database_is_named(content, tmp_path):
+    path = tmp_path / "rows.sqlite"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=r"rows\.sqlite"):
+        RowStore(path, 2, "d")
+    assert path.read_bytes() == content
+
+
+def test_a_pipe_is_no_file_of_rows(tmp_path):
+    os.mkfifo(tmp_path / "rows")
+    with pytest.raises(UsageError, match="no file of a sweep"):
+        RowStore(tmp_path / "rows", 2, "d")
+
+
+def test_a_table_of_another_shape_is_named(tmp_path):
+    with contextlib.closing(sqlite3.connect(tmp_path / "rows")) as rows, rows:
+        rows.execute("create table sweep (digest text)")
+        rows.execute("insert into sweep values ('d')")
+        rows.execute("create view row as select 'x' as point, 1 as outcome, 2 as more")
+    with pytest.raises(UsageError, match="is damaged"):
+        RowStore(tmp_path / "rows", 2, "d")
+
+
+def test_rows_do_not_follow_a_link(tmp_path):
+    (tmp_path / "rows").symlink_to(tmp_path / "victim")
+    with pytest.raises(UsageError, match="no file of a sweep"):
+        RowStore(tmp_path / "rows", 2, "d")
+    assert not (tmp_path / "victim").exists()
 
 
 def test_yield_has_the_exact_binomial_interval():
     # Clopper-Pearson for 8 of 10 at 95 %: 0.4439 … 0.9748 (tabulated, e.g. Altman 1991).
-    data = {"caught": np.array([1.0] * 8 + [0.0, np.nan])}
-    found = yields(data, ["caught"])["caught"]
-    assert found["share"] == 0.8
-    assert found["low"] == pytest.approx(0.4439, abs=5e-5)
-    assert found["high"] == pytest.approx(0.9748, abs=5e-5)
-
-
-def grid(*axes):
-    return [mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")]
+    table = {"k": [1.0] * 10, "caught": [True] * 8 + [False, None], "flag": [None] * 10}
+    found = yields(table, ["k"])
+    assert list(found) == ["caught"]
+    assert found["caught"]["share"] == 0.8
+    assert found["caught"]["low"] == pytest.approx(0.4439, abs=5e-5)
+    assert found["caught"]["high"] == pytest.approx(0.9748, abs=5e-5)
 
 
 @pytest.mark.parametrize(
     ("keys", "random", "expected"),
     [
-        (1, (), {"sweep_curves.png"}),
-        (2, (), {"sweep_map_settling_time_s.png", "sweep_map_caught.png"}),
-        (3, (), {"sweep_scatter.png"}),
-        (2, ("k0", "k1"), {"sweep_histograms.png", "sweep_scatter.png"}),
+        (1, (), {"curves"}),
+        (2, (), {"map_settling_time_s", "map_caught"}),
+        (3, (), {"histograms", "over_settling_time_s", "over_caught"}),
+        (2, ("k0", "k1"), {"histograms", "over_settling_time_s", "over_caught"}),
     ],
 )
-def test_figures_are_chosen_by_what_was_swept(tmp_path, keys, random, expected):
-    values = grid(*[np.linspace(1.0, 2.0, 4)] * keys)
-    data = {f"k{i}": column for i, column in enumerate(values)}
-    data |= {"settling_time_s": values[0] * 1e-3, "caught": np.ones(values[0].size)}
-    data["settling_time_s"][0] = np.nan
-    names = [name for name in data if name.startswith("k")]
-    pictures = sweep_figures(tmp_path, data, names, ["settling_time_s", "caught"], random, {})
-    assert {picture.path.name for picture in pictures} == expected
-    assert all(picture.path.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
-
-
-def test_nothing_stays_beside_the_rows(tmp_path):
-    filled(tmp_path / "j.sqlite", range(6))
-    assert [path.name for path in tmp_path.iterdir()] == ["j.sqlite"]
+def test_figures_are_chosen_by_what_was_swept(keys, random, expected):
+    values = [mesh.ravel() for mesh in np.meshgrid(*[np.linspace(1.0, 2.0, 4)] * keys)]
+    table = {f"k{i}": column.tolist() for i, column in enumerate(values)}
+    units = dict.fromkeys(table, "V")
+    table |= {"settling_time_s": [None, *(values[0][1:] * 1e-3)], "caught": [True] * 4**keys}
+    table = {name: [v if v is None or v is True else float(v) for v in column]
+             for name, column in table.items()}  # fmt: skip
+    table["status"] = ["failed: no"] + ["ok"] * (4**keys - 1)
+    found = list(figures(table, units, ["settling_time_s", "caught"], random))
+    assert {figure.name for figure in found} == expected
+    if keys == 2 and not random:
+        drawn = found[0].panels[0].map
+        i, j = np.searchsorted(drawn.y, values[1][5]), np.searchsorted(drawn.x, values[0][5])
+        assert drawn.z[i, j] == values[0][5] * 1e-3
+        assert np.isnan(drawn.z).sum() == 1

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import checked, existing, guarded
-from kc2spice.bodies.readers.raw import CODES, Dofs, Raw
+from kc2spice.bodies.readers.archive import packed, read_in_child
+from kc2spice.bodies.readers.raw import CODES, Raw
 from kc2spice.core.errors import MissingToolError
 from kc2spice.rom.matrix_market import mirrored
 
@@ -27,26 +27,31 @@ def read_full(path: Path) -> Raw:
     UsageError : damaged, or without a symmetric stiffness.
     MissingToolError : ansys-mapdl-reader is not installed.
     """
+    return read_in_child(path, "a symmetric .full file of Ansys", f"{__name__}:unpack")
+
+
+def unpack(path: str) -> dict[str, np.ndarray]:
+    """The matrices of a ``.full`` file as arrays of an archive.
+
+    Raises
+    ------
+    MissingToolError : ansys-mapdl-reader is not installed.
+    """
     try:
         from ansys.mapdl.reader.full import FullFile
     except ImportError:
         raise MissingToolError(
-            "ansys-mapdl-reader is not installed", where=str(path),
+            "ansys-mapdl-reader is not installed", where=path,
             expected="it to read .full files", hint="pip install 'kc2spice[ansys]'",
         ) from None  # fmt: skip
-    existing(path)
-
-    def load() -> Raw:
-        file = FullFile(str(path))
-        place, stiffness, mass = file.load_km()
-        place = np.asarray(place, dtype=np.int64)
-        kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])
-        matrices = {"K": stiffness, "M": mass}
-        # the upper triangle is stored
-        found = {k: checked(mirrored(sparse.csc_array(m)), k, path) for k, m in matrices.items()}
-        return Raw(found, Dofs(place[:, 0], kind), _held(file, place))
-
-    return guarded(path, "a symmetric .full file of Ansys", load)
+    file = FullFile(path)
+    place, stiffness, mass = file.load_km()
+    place = np.asarray(place, dtype=np.int64)
+    kind = np.array([CODES[_KINDS[int(k)]] for k in place[:, 1]])
+    found = {"nodes": place[:, 0], "dofs": kind, "held": _held(file, place)}
+    for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
+        found |= packed(letter, mirrored(sparse.csc_array(matrix)))
+    return found
 
 
 def _held(file: Any, place: np.ndarray) -> np.ndarray:

@@ -3,14 +3,15 @@
 Dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or the parts of a sparse
 matrix as ``scipy.sparse.save_npz`` names them behind the letter and a dot (``K.format``,
 ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; coo has ``K.row`` and ``K.col``). ``nodes``
-(n,) and ``dofs`` (n,), integers, may name the rows.
+(n,) and ``dofs`` (n,), integers, may name the rows. Readers in a process of their own hand their
+matrices over in the same form.
 """
 
 from __future__ import annotations
 
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -27,64 +28,67 @@ from kc2spice.bodies.readers.limits import (
     refused,
 )
 from kc2spice.bodies.readers.raw import DOFS, Dofs, Raw
+from kc2spice.core import archive
+from kc2spice.core.child import in_child
 
 _NAMES = ("nodes", "dofs")
+_PLAIN = (
+    "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
+    "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
+)
 
 
-def read_archive(archive: Path, path: Path | None = None) -> Raw:
-    """Matrices of ``archive``; ``path`` is the file that the user knows.
+def read_archive(path: Path) -> Raw:
+    """Matrices of the archive at ``path``.
 
     Raises
     ------
     UsageError : missing, damaged, too large, with Python objects, or parts that make no matrix.
     """
-    path = path or archive
-    existing(archive)
-    arrays = guarded(path, "a numpy archive without Python objects", lambda: _load(archive, path))
+    existing(path)
+
+    def wanted(name: str) -> bool:
+        return name.split(".")[0] in (*LETTERS, *_NAMES)
+
+    def largest(name: str) -> int:
+        return MAX_DENSE if name in LETTERS else MAX_ENTRIES
+
+    arrays = guarded(
+        path, _PLAIN,
+        lambda: archive.read_archive(path, wanted, entries=largest, total=MAX_BYTES),
+    )  # fmt: skip
+    return _raw(arrays, path)
+
+
+def read_in_child(path: Path, expected: str, function: str, **request: Any) -> Raw:
+    """What ``function(path, **request)`` packs in a process of its own.
+
+    Raises
+    ------
+    UsageError : missing, too large, or anything else that goes wrong there.
+    MissingToolError : it needs a package that is not installed.
+    """
+    request["path"] = str(existing(path).absolute())
+    return _raw(guarded(path, expected, lambda: in_child(function, request)), path)
+
+
+def packed(name: str, matrix: Any) -> dict[str, np.ndarray]:
+    """A matrix, or the numbers of rows, as the arrays of an archive."""
+    if not sparse.issparse(matrix):
+        return {name: np.asarray(matrix)}
+    csc = matrix.tocsc()
+    parts = {f"{name}.{key}": getattr(csc, key) for key in ("data", "indices", "indptr")}
+    return {**parts, f"{name}.shape": np.array(csc.shape), f"{name}.format": np.array("csc")}
+
+
+def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
     found = {}
     for letter in LETTERS:
         parts = {k.partition(".")[2]: a for k, a in arrays.items() if k.split(".")[0] == letter}
         if parts:
             matrix = parts[""] if "" in parts else _sparse(path, letter, parts)
             found[letter] = checked(matrix, letter, path)
-    return Raw(found, _dofs(arrays, path))
-
-
-def _load(archive: Path, path: Path) -> dict[str, np.ndarray]:
-    with zipfile.ZipFile(archive) as members:
-        wanted = [
-            item for item in members.infolist()
-            if item.filename.removesuffix(".npy").split(".")[0] in (*LETTERS, *_NAMES)
-        ]  # fmt: skip
-        unpacked = sum(item.file_size for item in wanted)
-        if unpacked > MAX_BYTES:
-            raise refused(path, f"{unpacked:.3g} bytes unpacked", f"at most {MAX_BYTES:.3g}")
-        for item in wanted:
-            with members.open(item) as stream:
-                _bounded_header(stream, item, path)
-    with np.load(archive, allow_pickle=False) as data:
-        return {key: data[key] for key in data.files if key.split(".")[0] in (*LETTERS, *_NAMES)}
-
-
-def _bounded_header(stream: IO[bytes], item: zipfile.ZipInfo, path: Path) -> None:
-    """The header of one array says how much memory it wants: look before numpy takes it."""
-    name = item.filename.removesuffix(".npy")
-    version = np.lib.format.read_magic(stream)
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0
-    }  # fmt: skip
-    if version not in read:
-        raise ValueError(f"array {name} is of version {version}")
-    shape, _, dtype = read[version](stream)
-    if dtype.hasobject:
-        raise ValueError(f"array {name} holds Python objects")
-    entries = int(np.prod([int(k) for k in shape], dtype=object)) if shape else 1
-    limit = MAX_ENTRIES if "." in name or name in _NAMES else MAX_DENSE
-    if entries > limit:
-        size = " x ".join(map(str, shape))
-        raise refused(path, f"array {name} of {size}", f"at most {limit} entries")
-    if entries * dtype.itemsize > item.file_size:
-        raise ValueError(f"array {name} is cut off")
+    return Raw(found, _dofs(arrays, path), arrays.get("held", np.empty(0, dtype=np.int64)))
 
 
 def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc_array:
@@ -104,7 +108,7 @@ def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.csc
     return guarded(path, f"csc, csr or coo parts of {letter}", build)
 
 
-def _dofs(arrays: dict[str, np.ndarray], path: Path) -> Dofs | None:
+def _dofs(arrays: Mapping[str, np.ndarray], path: Path) -> Dofs | None:
     given = [name for name in _NAMES if name in arrays]
     if not given:
         return None

@@ -16,6 +16,8 @@ from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
+FEEDTHROUGH = "D is the feedthrough, y = C x + D u; a damping matrix is called E: rename it"
+
 
 def assemble(source: Source) -> LinearModel:
     """The model of ``source`` in SI with the ports of its sidecar.
@@ -84,6 +86,7 @@ def _complete(source: Source) -> dict[str, Matrix]:
                 got=" x ".join(map(str, matrix.shape)),
                 expected=" x ".join("any" if k is None else str(k) for k in shape)
                 + ", at least one row and column",
+                hint=FEEDTHROUGH if letter == "D" and matrix.shape == (n, n) else None,
             )  # fmt: skip
     return found
 

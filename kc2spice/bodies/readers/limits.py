@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import sparse
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
@@ -62,7 +62,7 @@ def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
     """``read()``; whatever a damaged file makes a parser raise becomes one clear error."""
     try:
         return read()
-    except UsageError:
+    except Kc2spiceError:
         raise
     except NotImplementedError:
         raise UsageError(

@@ -5,24 +5,18 @@ as COMSOL's ``mphmatrix`` and ``mphstate`` return it. It writes ``E u'' + D u' +
 ``E`` is our mass, its ``D`` our damping, its ``L`` our ``B``; the eliminated ``Ec``, ``Dc``,
 ``Kc``, ``Lc`` are taken where they exist. ``mphstate`` gives ``Mc x' = MA x + MB u`` (or ``A``,
 ``B``) and ``y = C x + D u``.
-
-The child writes what it found as an ``.npz`` archive, or says on stderr what is wrong.
 """
 
 from __future__ import annotations
 
-import contextlib
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import io, sparse
 
-from kc2spice.bodies.readers.archive import read_archive
-from kc2spice.bodies.readers.limits import LETTERS, MAX_BYTES, MAX_DENSE, existing, guarded
+from kc2spice.bodies.readers.archive import packed, read_in_child
+from kc2spice.bodies.readers.limits import LETTERS, MAX_DENSE
 from kc2spice.bodies.readers.raw import Raw
 
 _OTHER = ("cell", "object", "char", "function", "opaque")
@@ -39,7 +33,6 @@ _SECOND: dict[str, tuple[str, ...]] = {
     "K": ("Kc", "K"),
     "B": ("Lc", "L"),
 }
-_CHILD_BYTES = MAX_BYTES + 4_000_000_000  # address space, libraries included
 
 
 def read_mat(path: Path) -> Raw:
@@ -49,37 +42,25 @@ def read_mat(path: Path) -> Raw:
     ------
     UsageError : missing, damaged, of version 7.3, or one of the matrices is not numeric.
     """
-    existing(path)
     expected = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
-    with tempfile.TemporaryDirectory() as place:
-        archive = Path(place) / "matrices.npz"
-        absolute = path.absolute()
-        guarded(path, expected, lambda: _unpack(absolute, archive))
-        return read_archive(archive, path)
+    return read_in_child(path, expected, f"{__name__}:unpack")
 
 
-def _unpack(path: Path, archive: Path) -> None:
-    command = [sys.executable, "-m", __name__, str(path), str(archive)]
-    root = Path(__file__).parents[3]  # the child must find this package, installed or not
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=root)
-    if ran.returncode == 0:
-        return
-    said = ran.stderr.strip().splitlines()
-    reason = said[-1] if said and ran.returncode > 0 else "it makes the reader crash"
-    raise (NotImplementedError if "HDF" in reason else ValueError)(reason)
+def unpack(path: str) -> dict[str, np.ndarray]:
+    """The matrices of a MATLAB file as arrays of an archive.
 
-
-def _main(path: str, archive: str) -> None:
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (_CHILD_BYTES, _CHILD_BYTES))
+    Raises
+    ------
+    ValueError, NotImplementedError : nearly anything that is wrong with it.
+    """
     names = (*LETTERS, "nodes", "dofs")
-    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path)}
+    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
     wanted = [name for name in names if name in kinds]
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
     if not set(wanted) & set(LETTERS) and len(structs) == 1:
-        found = _struct(io.loadmat(path, variable_names=structs)[structs[0]], structs[0])
+        found = _struct(
+            io.loadmat(path, appendmat=False, variable_names=structs)[structs[0]], structs[0]
+        )
     else:
         for name in wanted:
             shape, kind = kinds[name]
@@ -87,26 +68,23 @@ def _main(path: str, archive: str) -> None:
                 raise ValueError(f"variable {name} is a {kind}")
             if kind != "sparse" and np.prod(shape, dtype=float) > MAX_DENSE:
                 raise ValueError(f"variable {name} of {shape} is too large")
-        found = io.loadmat(path, variable_names=wanted) if wanted else {}
-    parts: dict[str, Any] = {}
+        found = io.loadmat(path, appendmat=False, variable_names=wanted) if wanted else {}
+    parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in found:
-            _put(parts, name, found[name])
-    np.savez(archive, **parts)
+            parts |= packed(name, _plain(name, found[name]))
+    return parts
 
 
-def _put(parts: dict[str, Any], name: str, matrix: Any) -> None:
+def _plain(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
-        csc = _real(matrix.tocsc())
-        parts |= {f"{name}.{key}": getattr(csc, key) for key in ("data", "indices", "indptr")}
-        parts |= {f"{name}.shape": np.array(csc.shape), f"{name}.format": np.array("csc")}
-        return
+        return _real(matrix.tocsc())
     matrix = _real(np.asarray(matrix))
     if name in ("nodes", "dofs"):  # MATLAB's numbers are doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} holds fractions")
-        matrix = matrix.astype(np.int64)
-    parts[name] = matrix
+        return matrix.astype(np.int64)
+    return matrix
 
 
 def _real(matrix: Any) -> Any:
@@ -147,10 +125,3 @@ def _struct(value: Any, name: str) -> dict[str, Any]:
 
 def _entries(matrix: Any) -> int:
     return int(matrix.count_nonzero() if sparse.issparse(matrix) else np.count_nonzero(matrix))
-
-
-if __name__ == "__main__":
-    try:
-        _main(*sys.argv[1:])
-    except Exception as error:  # a damaged file makes the parser raise nearly anything
-        sys.exit(" ".join(str(error).split())[:200] or type(error).__name__)

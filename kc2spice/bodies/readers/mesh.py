@@ -76,14 +76,18 @@ def read_mesh(path: Path) -> Mesh:
     readers |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _bulk)
     if suffix not in readers:
         raise UsageError("is no mesh", where=str(path), got=suffix, expected=_EXPECTED)
-    nodes, sets = guarded(path, _EXPECTED, lambda: readers[suffix](path))
-    if not nodes:
+
+    def read() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        nodes, sets = readers[suffix](path)  # numbers may be too large for any array
+        node = np.fromiter(nodes, dtype=np.int64, count=len(nodes))
+        named = {name: np.unique(np.array(list(n), dtype=np.int64)) for name, n in sets.items()}
+        return node, np.array(list(nodes.values()), dtype=float), named
+
+    node, at, named = guarded(path, _EXPECTED, read)
+    if not len(node):
         raise UsageError("holds no node", where=str(path), expected=_EXPECTED)
-    node = np.fromiter(nodes, dtype=np.int64, count=len(nodes))
-    at = np.array(list(nodes.values()), dtype=float)
     if not np.isfinite(at).all():
         raise UsageError("a coordinate is not finite", where=str(path), expected=_EXPECTED)
-    named = {name: np.unique(np.array(list(n), dtype=np.int64)) for name, n in sets.items()}
     return Mesh(str(path), node, at, named)
 
 

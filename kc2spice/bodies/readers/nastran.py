@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from kc2spice.bodies.readers.archive import packed, read_in_child
 from kc2spice.bodies.readers.limits import (
     bounded,
     checked,
     content,
-    existing,
     guarded,
     refused,
     whole,
@@ -160,23 +160,31 @@ def read_op4(path: Path, wanted: Mapping[str, str]) -> Raw:
     UsageError : damaged, too large, complex, or no stiffness in it.
     MissingToolError : pyyeti is not installed.
     """
+    expected = "a Nastran OUTPUT4 file"
+    return read_in_child(path, expected, f"{__name__}:unpack_op4", wanted=dict(wanted))
+
+
+def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """The matrices of an OUTPUT4 file as arrays of an archive.
+
+    Raises
+    ------
+    MissingToolError : pyyeti is not installed.
+    """
     try:
         from pyyeti.nastran import op4
     except ImportError:
         raise MissingToolError(
-            "pyyeti is not installed", where=str(path), expected="it to read OUTPUT4 files",
+            "pyyeti is not installed", where=path, expected="it to read OUTPUT4 files",
             hint="pip install 'kc2spice[nastran]'",
         ) from None  # fmt: skip
-    existing(path)
-    expected = "a Nastran OUTPUT4 file"
-    names, sizes, _, _ = guarded(path, expected, lambda: op4.dir(str(path), verbose=False))
-    chosen = choose(list(names), wanted, path)
+    names, sizes, _, _ = op4.dir(path, verbose=False)
+    chosen = choose(list(names), wanted, Path(path))
     for letter, name in chosen.items():
-        bounded(path, letter, sizes[names.index(name)], None)
-    wants = list(chosen.values())
-    loaded = guarded(path, expected, lambda: op4.load(str(path), wants, sparse=True))
-    found = {}
+        bounded(Path(path), letter, sizes[names.index(name)], None)
+    loaded = op4.load(path, list(chosen.values()), sparse=True)
+    found: dict[str, np.ndarray] = {}
     for letter, name in chosen.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        found[letter] = checked(whole(matrix) if form == _SYMMETRIC else matrix, letter, path)
-    return Raw(found)
+        found |= packed(letter, whole(matrix) if form == _SYMMETRIC else matrix)
+    return found

@@ -62,6 +62,9 @@ def open_source(path: Path, sidecar: Path | None) -> Source:
     if "\0" in str(path):
         where = str(path).replace("\0", "\\0")
         raise UsageError("no such file", where=where, expected="a name without NUL")
+    if not path.name:
+        expected = "the name of a model, such as FOLDER/NAME"
+        raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files = _family(path)
     beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     given = sidecar is not None or path.suffix == ".toml"
@@ -97,7 +100,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
-    match = _MEMBER.fullmatch(path.name) if present(path) else None
+    match = _member(path)
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
     found: dict[str, Path] = {}
@@ -118,6 +121,15 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     if found:
         return base, found
     return (path.with_suffix("") if present(path) else path), {}
+
+
+def _member(path: Path) -> re.Match[str] | None:
+    """Parts of the name of a file of one matrix; ``NAME.K`` may stand for ``NAME.K.mtx``."""
+    match = _MEMBER.fullmatch(path.name)
+    if match is None or present(path):
+        return match
+    tails = () if match[4] else _TAILS[1:]
+    return match if any(present(path.with_name(path.name + tail)) for tail in tails) else None
 
 
 def _read(path: Path, files: dict[str, Path], said: Sidecar) -> Raw:

@@ -19,31 +19,26 @@ zeros end the mode.
 """
 
 from kc2spice.core.laws.contact import Contact
-from kc2spice.core.laws.control import Pid, Sampled
+from kc2spice.core.laws.control import Pid
 from kc2spice.core.laws.device import Device, Flow, Tap
-from kc2spice.core.laws.electronics import Amplifier, Diode, Switch
 from kc2spice.core.laws.equations import Equations, Reading, difference, reading
 from kc2spice.core.laws.linear import (
-    Capacitor,
-    Damper,
-    Inductor,
     LinearBody,
     Mass,
     Port,
-    Resistor,
     Sensor,
     SignalBlock,
     Source,
-    Spring,
+    TwoTerminal,
 )
 from kc2spice.core.laws.magnets import CoilForce, ForceTable, PositionForce
 from kc2spice.core.laws.pin import GROUND, KINDS, MECHANICAL, Law, Pin
+from kc2spice.core.laws.ported import PortBody, Relation
 from kc2spice.core.laws.wave import Line, Recorded, Sine, Waveform
 
 __all__ = [
-    "GROUND", "KINDS", "MECHANICAL", "Amplifier", "Capacitor", "CoilForce", "Contact", "Damper",
-    "Device", "Diode", "Equations", "Flow", "ForceTable", "Inductor", "Law", "Line", "LinearBody",
-    "Mass", "Pid", "Pin", "Port", "PositionForce", "Reading", "Recorded", "Resistor", "Sampled",
-    "Sensor", "SignalBlock", "Sine", "Source", "Spring", "Switch", "Tap", "Waveform",
-    "difference", "reading",
+    "GROUND", "KINDS", "MECHANICAL", "CoilForce", "Contact", "Device", "Equations", "Flow",
+    "ForceTable", "Law", "Line", "LinearBody", "Mass", "Pid", "Pin", "Port", "PortBody",
+    "PositionForce", "Reading", "Recorded", "Relation", "Sensor", "SignalBlock",
+    "Sine", "Source", "Tap", "TwoTerminal", "Waveform", "difference", "reading",
 ]  # fmt: skip

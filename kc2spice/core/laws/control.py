@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -120,51 +119,3 @@ class Pid(Device):
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """The error."""
         return {"error": self._error(e)}
-
-
-@dataclass(frozen=True)
-class Sampled(Device):
-    """A controller in Python: ``outputs = function(t, inputs)`` every ``period`` [s], held between.
-
-    ``inputs`` are pins of ``kind``. The function must be pure or keep its own state.
-    """
-
-    name: str
-    function: Callable[[float, np.ndarray], Sequence[float]]
-    period: float
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...] = field(default=("out",))
-    kind: str = "displacement"
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        """Inputs, then outputs."""
-        sensed = tuple(Pin(n, self.kind) for n in self.inputs)
-        return (*sensed, *(Pin(n, "signal") for n in self.outputs))
-
-    @property
-    def taps(self) -> tuple[Tap, ...]:
-        """The inputs."""
-        return tuple(Tap(n) for n in self.inputs)
-
-    @property
-    def drives(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self.outputs
-
-    def corners(self, stop: float) -> np.ndarray:
-        """The sampling instants."""
-        return self.period * np.arange(1, int(np.ceil(stop / self.period)))
-
-    @property
-    def affine(self) -> bool:
-        """Within a mode."""
-        return True
-
-    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[float, ...]:
-        """The values held."""
-        return tuple(float(v) for v in self.function(t, e))
-
-    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The held values."""
-        return np.array(mode), np.zeros((len(mode), e.size))

@@ -87,10 +87,15 @@ class Device(ABC):
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """``out`` (k,) and its derivative (k, m) by ``e``."""
 
-    def store(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Stored quantities (len(states),) and their derivative (len(states), m) by ``e``."""
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
+
+    def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of ``out`` (k, m) and of the store (len(states), m) for small signals
+        ``exp(s t)`` about ``e``; complex where they depend on the frequency."""
+        return self.evaluate(0.0, e, mode)[1], self.store(e, mode)[1]
 
     def mode(self, t: float, e: np.ndarray, before: Any = None) -> Any:
         """Mode at ``t``: the first one, or after one of its own corners or a switched guard."""

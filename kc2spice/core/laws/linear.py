@@ -97,65 +97,23 @@ class Mass:
 
 
 @dataclass(frozen=True)
-class Spring:
-    """Force ``stiffness (u_a - u_b - free)`` pulls ``a`` and ``b`` together [N/m]."""
+class TwoTerminal:
+    """``through = value d^order/dt^order`` of the voltage, or of the velocity, from ``a`` to ``b``.
+
+    ``order`` -1 stores energy by the integral (inductor, spring), 0 dissipates it (resistor,
+    damper), 1 stores it by the value itself (capacitor, inerter). ``value`` is in SI: 1/H, N/m,
+    1/Ohm, N s/m, F or kg.
+    """
 
     name: str
-    stiffness: float
-    free: float = 0.0
-    kind: str = "displacement"
+    order: int
+    value: float
+    kind: str = "electrical"
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        """``a``, and ``b``, which lies on the base by default."""
+        """``a``, and ``b``, which lies on the reference by default."""
         return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
-
-
-@dataclass(frozen=True)
-class Damper:
-    """Force ``damping d(u_a - u_b)/dt`` between ``a`` and ``b`` [N s/m]."""
-
-    name: str
-    damping: float
-    kind: str = "displacement"
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        """``a``, and ``b``, which lies on the base by default."""
-        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True))
-
-
-@dataclass(frozen=True)
-class _TwoPole:
-    name: str
-
-    @property
-    def pins(self) -> tuple[Pin, ...]:
-        """``a``, and ``b``, which is grounded by default."""
-        return (Pin("a", "electrical"), Pin("b", "electrical", grounded=True))
-
-
-@dataclass(frozen=True)
-class Resistor(_TwoPole):
-    """``i = v / resistance`` [Ohm]."""
-
-    resistance: float
-
-
-@dataclass(frozen=True)
-class Capacitor(_TwoPole):
-    """``i = capacitance dv/dt`` [F]; ``voltage`` at the start, None for that in equilibrium."""
-
-    capacitance: float
-    voltage: float | None = None
-
-
-@dataclass(frozen=True)
-class Inductor(_TwoPole):
-    """``v = inductance di/dt`` [H]; ``current`` at the start, None for that in equilibrium."""
-
-    inductance: float
-    current: float | None = None
 
 
 @dataclass(frozen=True)

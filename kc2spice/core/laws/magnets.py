@@ -198,7 +198,7 @@ class CoilForce(Device):
         jac[1 + m :, 1 + m :] = -np.diag(self.resistance)
         return out, jac
 
-    def store(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Flux linkages [Wb] with their slopes."""
         m = self.table.coils
         y, _, i = self._split(e)

@@ -61,27 +61,6 @@ def catch_table(catch: Catch, radius: float, progress: Progress | None = None) -
     )
 
 
-def brute_force(
-    catch: Catch, radius: float, currents: np.ndarray, progress: Progress | None = None
-) -> np.ndarray:
-    """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
-
-    The paper's road and the baseline of :func:`catch_table`: on the same meshes, each case
-    assembles, factorises and solves for the sum of its sources and takes that one field's force.
-    """
-    y = positions(catch)
-    amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
-    result = np.empty((len(amplitudes), y.size))
-    for done, (index, pieces) in enumerate(_pieces(catch, radius, y, lambda pieces: pieces), 1):
-        for case, amplitude in enumerate(amplitudes):
-            system = pieces.system(y[index])
-            field = system.solve(system.loads @ amplitude[:, None])
-            result[case, index] = system.force(field)[0, 0]
-        if progress is not None:
-            progress(done, y.size)
-    return result
-
-
 def positions(catch: Catch) -> np.ndarray:
     """Heights of the sphere's centre [m] that the table has."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)

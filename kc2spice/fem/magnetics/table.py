@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics.cubics import Piecewise, cubic_spline
 
 FORCE = ("c0", "c1", "c2", "c11", "c12", "c22")
@@ -85,20 +84,6 @@ def force(
     return _quadratic(np.moveaxis(coefficients(table, y), -1, 0), i1, i2)
 
 
-def flux_linkage(
-    table: EMTable, y: np.ndarray | float, i1: np.ndarray | float, i2: np.ndarray | float
-) -> np.ndarray:
-    """Flux linkages (..., 2) [Wb] of both coils with ``d lambda_k / dy = dF / di_k`` exactly.
-
-    A circuit whose coils see ``d lambda_k / dt`` therefore gives the sphere the work that it takes
-    from the sources, apart from what ``inductances`` store.
-    """
-    _, f1, f2, *_ = np.moveaxis(table.potentials(_inside(table, y)), -1, 0)
-    currents = np.stack(np.broadcast_arrays(i1, i2), axis=-1)
-    induced = np.squeeze(inductances(table, y) @ currents[..., None], axis=-1)
-    return np.stack([f1, f2], axis=-1) + induced
-
-
 def inductances(table: EMTable, y: np.ndarray | float) -> np.ndarray:
     """Symmetric L (..., 2, 2) [H] at the heights ``y`` [m], consistent with :func:`force`."""
     *_, l11, l12, l22 = np.moveaxis(table.potentials(_inside(table, y)), -1, 0)
@@ -134,31 +119,3 @@ def _inside(table: EMTable, y: np.ndarray | float) -> np.ndarray:
 def _quadratic(c: np.ndarray, i1: np.ndarray | float, i2: np.ndarray | float) -> np.ndarray:
     i1, i2 = np.asarray(i1), np.asarray(i2)
     return c[0] + c[1] * i1 + c[2] * i2 + c[3] * i1**2 + c[4] * i1 * i2 + c[5] * i2**2
-
-
-def save(table: EMTable, path: Path) -> None:
-    """Write ``em_table.npz`` (SI, no pickle); the file appears whole or not at all."""
-    partial = path.with_name(path.name + ".part")
-    with partial.open("wb") as stream:
-        np.savez(stream, **{field.name: getattr(table, field.name) for field in fields(table)})
-    partial.replace(path)
-
-
-def load(path: Path) -> EMTable:
-    """Read a table that :func:`save` wrote.
-
-    Raises
-    ------
-    UsageError : not such a file.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            values = {field.name: file[field.name] for field in fields(EMTable)}
-    except (OSError, ValueError, KeyError) as error:
-        raise UsageError(
-            "not a table of the catch actuator",
-            where=str(path),
-            got=str(error),
-            expected=f"an .npz file with {', '.join(field.name for field in fields(EMTable))}",
-        ) from error
-    return EMTable(**{**values, "unknowns": int(values["unknowns"])})

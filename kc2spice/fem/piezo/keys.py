@@ -30,7 +30,7 @@ from kc2spice.fem.materials import material
 class Material(Section):
     """Piezoelectric ceramic in Voigt order xx yy zz yz xz xy, poled along +z (paper A.2)."""
 
-    density: Density = Field(7700.0, gt=0)
+    density: Density = Field(7700.0, gt=0, description="of the ceramic")
     stiffness: tuple[Pressure, Pressure, Pressure, Pressure, Pressure, Pressure] = Field(
         (158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9),
         description="C11 C12 C13 C33 C44 C66",
@@ -41,7 +41,7 @@ class Material(Section):
     permittivity: tuple[Ratio, Ratio] = Field(
         (3370.0, 3300.0), description="relative, 11 and 33, at constant permittivity_at"
     )
-    permittivity_at: Literal["stress", "strain"] = "stress"
+    permittivity_at: Literal["stress", "strain"] = Field("stress", description="which is constant")
     tensile_strength: Pressure | None = Field(
         None, gt=0, description="largest principal stress; that of PZT-5H is assumed if absent"
     )
@@ -66,11 +66,11 @@ class Material(Section):
 class ChipMesh(Section):
     """In-plane polar mesh; ``refine`` splits every cell edge, layers included, into that many."""
 
-    refine: Count = Field(1, ge=1, le=6)
-    order: Literal[1, 2] = 1
+    refine: Count = Field(1, ge=1, le=6, description="multiplies the cells along each edge")
+    order: Literal[1, 2] = Field(1, description="of the elements")
     sectors: Count = Field(10, ge=2, le=180, description="of the quarter circle")
     rings: Count = Field(5, ge=1, le=100, description="contact rings around the centre node")
-    ring_spacing: Length = Field(50e-6, gt=0)
+    ring_spacing: Length = Field(50e-6, gt=0, description="of the contact rings")
     outer_rings: Count = Field(11, ge=1, le=200, description="graded, out to the edge")
     layers_per_element: Count = Field(
         1, ge=1, le=100, description="at most, in elements that grow with their depth below the top"
@@ -80,9 +80,9 @@ class ChipMesh(Section):
 class Damping(Section):
     """Rayleigh damping: ``alpha`` on the mass, and a ratio met at one frequency by stiffness."""
 
-    ratio: Ratio = Field(0.01, ge=0)
-    at: Frequency = Field(250e3, gt=0)
-    alpha: Rate = Field(0.0, ge=0)
+    ratio: Ratio = Field(0.01, ge=0, description="of critical, at `at`")
+    at: Frequency = Field(250e3, gt=0, description="where the ratio holds")
+    alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
 
     @property
     def beta(self) -> float:
@@ -116,8 +116,10 @@ def _from_library(given: object) -> object:
 class Cap(Section):
     """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
 
-    thickness: Length = Field(gt=0)
-    material: str | dict[str, Any] | None = None
+    thickness: Length = Field(gt=0, description="of the inactive layer")
+    material: str | dict[str, Any] | None = Field(
+        None, description="name or table; that of the chip unless told"
+    )
 
 
 class Chip(Section):
@@ -129,16 +131,16 @@ class Chip(Section):
     along x.
     """
 
-    side: Length = Field(3e-3, gt=0)
-    depth: Length | None = Field(None, gt=0)
-    diameter: Length | None = Field(None, gt=0)
-    height: Length = Field(2e-3, gt=0)
-    layers: Count = Field(33, ge=1, le=400)
-    layer_thickness: Length | None = Field(None, gt=0)
+    side: Length = Field(3e-3, gt=0, description="width")
+    depth: Length | None = Field(None, gt=0, description="the other width; side unless told")
+    diameter: Length | None = Field(None, gt=0, description="of a round stack, instead of side")
+    height: Length = Field(2e-3, gt=0, description="of all layers")
+    layers: Count = Field(33, ge=1, le=400, description="active ones")
+    layer_thickness: Length | None = Field(None, gt=0, description="instead of height")
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
     material: Annotated[Material, BeforeValidator(_from_library)] = Material()
-    poling: Literal["z", "x"] = "z"
+    poling: Literal["z", "x"] = Field("z", description="z makes the stack longer, x shears it")
     mesh: ChipMesh = ChipMesh()
     damping: Damping = Damping()
     mounting: Mounting = Field(

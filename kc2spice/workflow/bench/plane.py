@@ -197,7 +197,7 @@ def bench(
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the plane of the scene that ``load`` gives and write ``bench.json``, ``bench.html``
-    and ``bench.png`` into ``out``; return the record. Parameters and errors: see :func:`search`.
+    into ``out``; return the record. Parameters and errors: see :func:`search`.
     """
     with staged(out) as work:
         plane = search(load, error=error, metric=metric, trust=trust, progress=progress)

@@ -1,4 +1,4 @@
-"""The points of a sweep: ranges of keys and how they combine, generated one by one.
+"""The points of a sweep: ranges of keys, crossed, stepped through together or drawn.
 
 A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
 ``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are SI or carry a unit; anything else is
@@ -7,28 +7,26 @@ one plain value.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
 from math import prod
+from typing import Any
 
 import numpy as np
 
-from kc2spice import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.keys import Key
+from kc2spice.scene.load import override_value
 
 MAX_POINTS = 10_000_000
 PARAMETER = "param."  # param.PART.NAME is a parameter of a part's subcircuit, not a scene key
 GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
 _CALL = re.compile(r"(normal|uniform)\s*\((.*)\)", re.DOTALL)
-
-Value = float | int | str
+_PARAMETER = re.compile(rf"{re.escape(PARAMETER)}\w+\.\w+")
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Grid:
     """A key with the values that it takes, in order."""
 
     key: str
-    values: tuple[Value, ...]
+    values: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -61,62 +59,27 @@ class Random:
 # --- one range ----------------------------------------------------------------------------------
 
 
-def first_value(override: str) -> str | None:
-    """``key=value`` of the first value in ``key=RANGE``, mu for draws; None for one plain value."""
-    name, equals, text = (part.strip() for part in override.partition("="))
-    call, spans, items = _CALL.fullmatch(text), _split(text, ":"), _split(text, ",")
-    if not equals or text[:1] in "\"'[{" or (not call and len(items) == 1 and len(spans) == 1):
-        return None
-    if call:
-        return f"{name}={_split(call[2], ',')[0]}"
-    return f"{name}={spans[spans[0] == 'log'] if len(spans) > 1 else items[0]}"
+def form(text: str) -> tuple[str, list[str]]:
+    """Kind of a range (``value``, ``list``, ``linear``, ``log``, ``normal``, ``uniform``), words.
 
-
-def parse(override: str, keys: Mapping[str, Key]) -> Grid | Random:
-    """The range in ``key=RANGE``.
-
-    Raises
-    ------
-    UsageError : a range that cannot be, of an unknown key, or with values the key cannot take.
+    The first word is a value that the key takes.
     """
-    name, _, text = (part.strip() for part in override.partition("="))
-    key, call, spans = find_key(name, keys), _CALL.fullmatch(text), _split(text, ":")
-    if call:
-        return _random(override, key, call[1], _split(call[2], ","))
-    if len(spans) > 1:
-        return _span(override, key, spans)
-    return _grid(override, key, [_value(override, key, item) for item in _split(text, ",")])
-
-
-def find_key(name: str, keys: Mapping[str, Key]) -> Key:
-    """One of the scene's ``keys``, or one that stands for a parameter ``param.PART.NAME``.
-
-    Raises
-    ------
-    UsageError : there is no such key.
-    """
-    if re.fullmatch(rf"{re.escape(PARAMETER)}\w+\.\w+", name):
-        return Key(name, "", None, (), "")
-    if name not in keys:
-        near = did_you_mean(name, keys) or "'kc2spice scenes --keys' lists them"
-        raise UsageError("unknown key", where="--set", got=name, hint=near)
-    return keys[name]
-
-
-def number(where: str, key: Key, text: str) -> float:
-    """``text`` in the SI unit of ``key``."""
-    try:
-        plain: object = float(text)
-    except ValueError:
-        plain = text
-    return quantity(plain, key.unit or "", where=where)
+    if text[:1] in ('"', "'"):
+        return "value", [text]
+    if call := _CALL.fullmatch(text):
+        return call[1], _split(call[2], ",")
+    words = _split(text, ":")
+    if len(words) > 1:
+        return ("log", words[1:]) if words[0] == "log" else ("linear", words)
+    words = _split(text, ",")
+    return ("list", words) if len(words) > 1 else ("value", words)
 
 
 def _split(text: str, separator: str) -> list[str]:
-    """Parts between separators that stand outside parentheses, as in ``1 A/(m s),2 A/(m s)``."""
+    """Parts between separators outside of brackets, as in ``1 A/(m s),2 A/(m s)``."""
     parts, depth = [""], 0
     for character in text:
-        depth += {"(": 1, ")": -1}.get(character, 0)
+        depth += (character in "([{") - (character in ")]}")
         if character == separator and depth == 0:
             parts.append("")
         else:
@@ -124,64 +87,85 @@ def _split(text: str, separator: str) -> list[str]:
     return [part.strip() for part in parts]
 
 
-def _bad(override: str, message: str, got: object = None, expected: str = GRAMMAR) -> UsageError:
-    return UsageError(message, where=f"--set {override!r}", got=got, expected=expected)
+def find_key(name: str, keys: Mapping[str, Key]) -> Key:
+    """What is known of a key, of an entry of a list or of ``param.PART.NAME``.
+
+    Raises
+    ------
+    UsageError : there is no such key.
+    """
+    if _PARAMETER.fullmatch(name):
+        return Key(name, "", None, (), "")
+    plain = re.sub(r"\[-?\d+\]", "", name)
+    if plain in keys:
+        return keys[plain]
+    if any(key.startswith(f"{plain}.") for key in keys):  # a table, or a name instead of one
+        return Key(name, None, None, (), "")
+    near = did_you_mean(plain, keys) or "'kc2spice scenes --keys' lists them"
+    raise UsageError("unknown key", where="--set", got=name, hint=near)
 
 
-def _value(override: str, key: Key, text: str) -> Value:
-    """One value of ``key``: a number in its SI unit, a whole number, or a word."""
-    if key.choices:
-        if text not in key.choices:
-            raise _bad(override, "no such choice", repr(text), ", ".join(key.choices))
-        return text
-    if key.whole:
-        try:
-            return int(text)
-        except ValueError:
-            raise _bad(override, "not a whole number", repr(text), "whole numbers") from None
-    return text if key.unit is None else number(f"--set {override!r}", key, text)
+def parse(name: str, text: str, keys: Mapping[str, Key]) -> Grid | Random:
+    """The range ``text`` of the key ``name``.
+
+    Raises
+    ------
+    UsageError : a range that cannot be, of an unknown key, or with values the key cannot take.
+    """
+    key, (kind, words) = find_key(name, keys), form(text)
+    where = f"--set '{name}={text}'"
+
+    def refused(message: str, got: object, expected: str = GRAMMAR) -> UsageError:
+        return UsageError(message, where=where, got=got, expected=expected)
+
+    def count(word: str) -> int:
+        if not word.isdecimal() or not 2 <= int(word) <= MAX_POINTS:
+            raise refused("not a number of points", repr(word), f"2 … {MAX_POINTS}")
+        return int(word)
+
+    if kind in ("list", "value"):
+        values = [_value(where, key, word) for word in words]
+    elif key.choices or (key.unit is None and (kind in ("normal", "uniform") or not key.whole)):
+        raise refused("only numbers have such a range", name)
+    elif len(words) != 3:
+        raise refused(f"{kind} takes three values", ", ".join(words))
+    elif kind in ("normal", "uniform"):
+        a, b = (number(where, key, word) for word in words[:2])
+        if kind == "normal" and b < 0:
+            raise refused("a standard deviation is not negative", f"{b:g}")
+        if kind == "uniform" and b < a:
+            raise refused("empty range", f"{a:g} … {b:g}")
+        return Random(name, kind, a, b, count(words[2]))
+    else:
+        a, b = (float(_value(where, key, word)) for word in words[:2])
+        if kind == "log" and not a * b > 0:
+            raise refused("a logarithmic range does not pass zero", f"{a:g} … {b:g}")
+        values = (np.geomspace if kind == "log" else np.linspace)(a, b, count(words[2])).tolist()
+        if key.whole and not all(value == round(value) for value in values):
+            raise refused("not all values are whole numbers", values[:5])
+        values = [int(value) for value in values] if key.whole else values
+    if len({repr(value) for value in values}) < len(values):
+        raise refused("a value occurs twice", words)
+    return Grid(name, tuple(values))
 
 
-def _count(override: str, text: str) -> int:
-    if not text.isdecimal() or not 2 <= int(text) <= MAX_POINTS:
-        raise _bad(override, "not a number of points", repr(text), f"2 … {MAX_POINTS}")
-    return int(text)
+def number(where: str, key: Key, text: str) -> float:
+    """``text`` in the SI unit of ``key``."""
+    try:
+        return quantity(float(text), key.unit or "", where=where)
+    except ValueError:
+        return quantity(text, key.unit or "", where=where)
 
 
-def _random(override: str, key: Key, kind: str, arguments: Sequence[str]) -> Random:
-    if key.unit is None:
-        raise _bad(override, "only numbers with a unit or ratios can be drawn", key.name)
-    if len(arguments) != 3:
-        raise _bad(override, f"{kind} takes three values", ", ".join(arguments))
-    a, b = (number(f"--set {override!r}", key, text) for text in arguments[:2])
-    if kind == "normal" and b < 0:
-        raise _bad(override, "a standard deviation is not negative", f"{b:g}")
-    if kind == "uniform" and b < a:
-        raise _bad(override, "empty range", f"{a:g} … {b:g}")
-    return Random(key.name, kind, a, b, _count(override, arguments[2]))
-
-
-def _span(override: str, key: Key, fields: Sequence[str]) -> Grid:
-    logarithmic = fields[0] == "log"
-    fields = fields[1:] if logarithmic else fields
-    if len(fields) != 3 or key.choices or (key.unit is None and not key.whole):
-        raise _bad(override, "not a range", ":".join(fields))
-    a, b = (float(_value(override, key, text)) for text in fields[:2])
-    count = _count(override, fields[2])
-    if logarithmic and not a * b > 0:
-        raise _bad(override, "a logarithmic range does not pass zero", f"{a:g} … {b:g}")
-    values = np.geomspace(a, b, count) if logarithmic else np.linspace(a, b, count)
-    if not key.whole:
-        return _grid(override, key, values.tolist())
-    if not np.array_equal(values, np.round(values)):
-        raise _bad(override, "not all values are whole numbers", values.tolist()[:5])
-    return _grid(override, key, [int(value) for value in values])
-
-
-def _grid(override: str, key: Key, values: Sequence[Value]) -> Grid:
-    if len(set(values)) < len(values):
-        raise _bad(override, "a value occurs twice", str(values[0]) if len(values) < 3 else None)
-    return Grid(key.name, tuple(values))
+def _value(where: str, key: Key, text: str) -> Any:
+    """One value: a number in SI, a whole number, one of the choices, or what TOML says it is."""
+    if key.choices and text not in key.choices:
+        choices = ", ".join(key.choices)
+        raise UsageError("no such choice", where=where, got=repr(text), expected=choices)
+    if key.whole and not re.fullmatch(r"[+-]?\d+", text):
+        raise UsageError("not a whole number", where=where, got=repr(text))
+    plain = key.whole or key.choices or key.unit is None or text[:1] in ("[", "{")
+    return override_value(text) if plain else number(where, key, text)
 
 
 # --- all of them --------------------------------------------------------------------------------
@@ -189,88 +173,61 @@ def _grid(override: str, key: Key, values: Sequence[Value]) -> Grid:
 
 @dataclass(frozen=True)
 class Plan:
-    """Swept ``keys`` in the order of the command line and the values that they take.
+    """Swept ``keys`` in the order in which they were given, and all points.
 
-    ``blocks`` are crossed, the last one varies fastest; within a block the columns (one for each
-    key named by ``members``, as positions in ``keys``) vary together. ``random`` names the keys
-    that were drawn.
+    ``blocks`` are crossed, the last one varies fastest; the keys of one block vary together.
+    ``random`` names the keys that were drawn.
     """
 
     keys: tuple[str, ...]
-    members: tuple[tuple[int, ...], ...]
-    blocks: tuple[tuple[tuple[Value, ...], ...], ...]
-    random: tuple[str, ...]
+    blocks: tuple[Mapping[str, tuple[Any, ...]], ...]
+    random: tuple[str, ...] = ()
 
-    @cached_property
+    @property
     def lengths(self) -> tuple[int, ...]:
         """Number of steps of each block."""
-        return tuple(len(block[0]) for block in self.blocks)
+        return tuple(len(next(iter(block.values()))) for block in self.blocks)
 
     @property
     def size(self) -> int:
         """Number of points."""
         return prod(self.lengths)
 
-    def values(self, index: int) -> tuple[Value, ...]:
+    def values(self, index: int) -> dict[str, Any]:
         """Values of all keys at point ``index``, 0 … size - 1."""
-        found: list[Value] = [0.0] * len(self.keys)
-        for members, block in zip(reversed(self.members), reversed(self.blocks), strict=True):
-            index, step = divmod(index, len(block[0]))
-            for member, column in zip(members, block, strict=True):
-                found[member] = column[step]
-        return tuple(found)
+        steps = []
+        for length in reversed(self.lengths):
+            index, step = divmod(index, length)
+            steps.append(step)
+        return self.at(steps[::-1])
 
-    def column(self, key: str) -> tuple[Value, ...]:
-        """All values that ``key`` takes in its block."""
-        block = self.block(key)
-        return self.blocks[block][self.members[block].index(self.keys.index(key))]
+    def at(self, steps: Sequence[int]) -> dict[str, Any]:
+        """Values of all keys where each block has reached its step."""
+        pairs = zip(self.blocks, steps, strict=True)
+        found = {key: column[step] for block, step in pairs for key, column in block.items()}
+        return {key: found[key] for key in self.keys}
 
-    def block(self, key: str) -> int:
-        """Number of the block that ``key`` is in."""
-        position = self.keys.index(key)
-        return next(i for i, members in enumerate(self.members) if position in members)
+    def ends(self, block: int) -> list[dict[str, Any]]:
+        """Points where a number of the block is least or largest, or where a word comes first."""
+        steps: dict[int, None] = {}
+        for column in self.blocks[block].values():
+            if all(isinstance(value, (int, float)) for value in column):
+                steps |= {column.index(min(column)): None, column.index(max(column)): None}
+            else:
+                words = [repr(value) for value in column]
+                steps |= {words.index(word): None for word in dict.fromkeys(words)}
+        return [self.at([step if b == block else 0 for b in range(len(self.blocks))])
+                for step in steps]  # fmt: skip
 
-    def order(self, slow: Sequence[int], step: int = 1) -> Iterator[int]:
-        """Every ``step``-th of all points in an order in which the blocks ``slow`` vary slowest."""
-        fast = [block for block in range(len(self.blocks)) if block not in slow]
-        ranking = [*slow, *fast]
-        strides = [prod(self.lengths[block + 1 :]) for block in ranking]
-        counts = [self.lengths[block] for block in ranking]
-        for number in range(0, self.size, step):
-            index = 0
-            for count, stride in zip(reversed(counts), reversed(strides), strict=True):
-                number, step = divmod(number, count)
-                index += step * stride
-            yield index
+    def product(self, blocks: Sequence[int]) -> Iterator[dict[str, Any]]:
+        """Points of the crossed ``blocks``, all others at their first step."""
+        lengths = enumerate(self.lengths)
+        yield from map(self.at, product(*(range(n) if b in blocks else (0,) for b, n in lengths)))
 
     def distinct(self, keys: Sequence[str]) -> int:
         """How many combinations of values the given keys take in all points."""
-        wanted = {self.keys.index(key) for key in keys}
-        total = 1
-        for members, block in zip(self.members, self.blocks, strict=True):
-            columns = [c for m, c in zip(members, block, strict=True) if m in wanted]
-            total *= len(set(zip(*columns, strict=True))) if columns else 1
-        return total
-
-    def representatives(self, keys: Sequence[str]) -> Iterator[int]:
-        """One point for each combination of values of ``keys``, the first of them slowest."""
-        slow = list(dict.fromkeys(self.block(key) for key in keys))
-        step, seen = self.size // prod(self.lengths[block] for block in slow), set()
-        for index in self.order(slow, step):
-            values = dict(zip(self.keys, self.values(index), strict=True))
-            chosen = tuple(values[key] for key in keys)
-            if chosen not in seen:
-                seen.add(chosen)
-                yield index
-
-    def digest(self, context: object) -> str:
-        """Hash of ``context`` (whatever else decides the results) and of every value."""
-        digest = hashlib.sha256(json.dumps([__version__, context], sort_keys=True).encode())
-        digest.update(repr((self.keys, self.members)).encode())
-        for block in self.blocks:
-            for column in block:
-                digest.update(repr(column).encode())
-        return digest.hexdigest()[:16]
+        columns = [[map(repr, c) for key, c in b.items() if key in keys] for b in self.blocks]
+        return prod(len(set(zip(*each, strict=True))) for each in columns if each)
 
 
 def make_plan(
@@ -286,23 +243,19 @@ def make_plan(
     UsageError : nothing to sweep, a key twice, unequal lengths, too many points.
     """
     keys = tuple(item.key for item in ranges)
-    for key in keys:
-        if keys.count(key) > 1:
-            raise UsageError("swept twice", where="--set", got=key)
-    if not ranges:
+    if not keys:
         raise UsageError("nothing to sweep", where="--set", expected="--set KEY=a:b:n")
-    columns = {i: item.values for i, item in enumerate(ranges) if isinstance(item, Grid)}
-    grids, random = list(columns), [item for item in ranges if isinstance(item, Random)]
-    draws = tuple(i for i in range(len(keys)) if i not in columns)
+    if twice := [key for key in keys if keys.count(key) > 1]:
+        raise UsageError("swept twice", where="--set", got=twice[0])
+    grids = [{item.key: item.values} for item in ranges if isinstance(item, Grid)]
+    random = [item for item in ranges if isinstance(item, Random)]
     _same_length({item.key: item.n for item in random}, "draws")
-    columns |= dict(zip(draws, _drawn(random, latin, seed), strict=True))
+    blocks = [*grids, *([_drawn(random, latin, seed)] if random else [])]
     if zipped:
-        _same_length({keys[i]: len(column) for i, column in columns.items()}, "--zip")
-        members = (tuple(range(len(keys))),)
-    else:
-        members = (*((i,) for i in grids), *((draws,) if draws else ()))
-    blocks = tuple(tuple(columns[i] for i in member) for member in members)
-    plan = Plan(keys, members, blocks, tuple(item.key for item in random))
+        together = {key: column for block in blocks for key, column in block.items()}
+        _same_length({key: len(column) for key, column in together.items()}, "--zip")
+        blocks = [together]
+    plan = Plan(keys, tuple(blocks), tuple(item.key for item in random))
     if plan.size > MAX_POINTS:
         raise UsageError("too many points", got=plan.size, expected=f"at most {MAX_POINTS}")
     return plan
@@ -314,36 +267,13 @@ def _same_length(lengths: dict[str, int], where: str) -> None:
         raise UsageError("unequal numbers of values", where=where, got=got, expected="one number")
 
 
-def _drawn(random: Sequence[Random], latin: bool, seed: int) -> list[tuple[Value, ...]]:
-    if not random:
-        return []
+def _drawn(random: Sequence[Random], latin: bool, seed: int) -> dict[str, tuple[Any, ...]]:
     generator = np.random.default_rng(seed)
-    n, keys = random[0].n, len(random)
-    share = generator.random((keys, n))
+    share = generator.random((len(random), random[0].n))
     if latin:
         from scipy.stats.qmc import LatinHypercube
 
-        share = LatinHypercube(keys, seed=generator).random(n).T
+        share = LatinHypercube(len(random), seed=generator).random(random[0].n).T
     share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # a normal quantile of 0 would be infinite
-    return [tuple(item.quantile(u).tolist()) for item, u in zip(random, share, strict=True)]
-
-
-def deck_keys(keys: Sequence[str]) -> tuple[str, ...]:
-    """Those of ``keys`` that change the netlist and not only its parameters."""
-    return tuple(key for key in keys if not key.startswith(PARAMETER))
-
-
-def overrides(keys: Sequence[str], values: Sequence[Value]) -> tuple[str, ...]:
-    """``key=value`` texts that set a point's scene keys to the last bit, without parameters."""
-    pairs = zip(keys, values, strict=True)
-    return tuple(f"{key}={value}" for key, value in pairs if not key.startswith(PARAMETER))
-
-
-def parameters(keys: Sequence[str], values: Sequence[Value]) -> tuple[tuple[str, float], ...]:
-    """``("PART.NAME", value)`` of a point's subcircuit parameters."""
-    pairs = zip(keys, values, strict=True)
-    return tuple(
-        (key.removeprefix(PARAMETER), float(value))
-        for key, value in pairs
-        if key.startswith(PARAMETER)
-    )
+    columns = zip(random, share, strict=True)
+    return {item.key: tuple(item.quantile(column).tolist()) for item, column in columns}

@@ -1,347 +1,436 @@
-"""Run a sweep: resume what is recorded, keep the workers busy, stream the rows, draw the table."""
+"""Run a sweep: check it, share the models, run and record the points, write the table."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from itertools import chain, islice
+from datetime import timedelta
+from functools import cached_property
+from importlib import resources
+from importlib.resources.abc import Traversable
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import UsageError
+from kc2spice.core.files import staged
+from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
-from kc2spice.workflow.sweep.point import Cost, Outcome, cpu_since_last, run_point, task
-from kc2spice.workflow.sweep.pool import Call, Engine, WorkerDied, WorkerPool
-from kc2spice.workflow.sweep.study import (
-    PLAN,
-    SHARDS,
-    Study,
-    check_parameters,
-    make_study,
-    read_plan,
-    write_plan,
+from kc2spice.core.toml import MAX_BYTES, parse_toml
+from kc2spice.core.version import __version__
+from kc2spice.core.words import did_you_mean
+from kc2spice.scene.hash import scene_hash
+from kc2spice.scene.keys import keys_of
+from kc2spice.scene.model import Scene
+from kc2spice.spice.parameters import with_parameters
+from kc2spice.workflow.sweep.plan import (
+    PARAMETER,
+    Plan,
+    find_key,
+    form,
+    make_plan,
+    number,
+    parse,
+)
+from kc2spice.workflow.sweep.point import (
+    Job,
+    Outcome,
+    Source,
+    build_parts,
+    overrides,
+    parameters,
+    run_point,
+    scene_files,
+    scene_text,
+    testbench,
+    toml,
 )
 from kc2spice.workflow.sweep.table import (
     BAD,
+    FORMATS,
     INTERRUPTED,
     MISSING,
     RowStore,
     columns,
     need_parquet,
-    publish,
+    require_columns,
+    write_csv,
+    write_parquet,
 )
+from kc2spice.workflow.sweep.workers import Call, WorkerDied, Workers, completed
 
-ROWS = "rows.sqlite"
+ROWS, PAGE = "rows.sqlite", "sweep.html"
 DIED = "its worker process died, twice"
-NO_TIME: dict[str, float | None] = {"wall_s": 0.0}
-SCRIPT = "sweep.sbatch"
-_SLURM = """\
-#!/bin/bash
-# {points} points of {scene} in {shards} parts. Edit what your site needs, then
-#     sbatch {script}
-# and when all tasks are done
-#     kc2spice sweep --collect .
-# A task that was killed may be submitted again: it runs only what it did not record.
-#SBATCH --job-name=kc2spice
-#SBATCH --array=0-{last}
-#SBATCH --ntasks=1
-#SBATCH --cpus-per-task=1
-#SBATCH --output=slurm-%A_%a.log
-set -euo pipefail
-cd "${{SLURM_SUBMIT_DIR:-$(dirname "$0")}}"
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-exec kc2spice sweep --out . --shard "${{SLURM_ARRAY_TASK_ID}}/{shards}" \\
-    --workers "${{SLURM_CPUS_PER_TASK:-1}}"
-"""
+_COUNTED = 2000  # combinations of keys whose models are told apart one by one
+
+
+# --- what is asked ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Shard:
-    """Part ``number`` of ``count`` equal parts of a sweep, for one task of an array."""
+class Sweep:
+    """A sweep that was found good: points, what its workers need, and columns of the table.
 
-    number: int
-    count: int
+    ``scene`` is that of the first point, ``units`` those of the swept keys; ``metrics`` are the
+    columns that were asked for, none for all.
+    """
+
+    scene: Scene
+    job: Job
+    plan: Plan
+    units: Mapping[str, str]
+    metrics: tuple[str, ...] = ()
+
+    @cached_property
+    def models(self) -> Models:
+        """What the points share."""
+        return shared_models(self.plan, self.job)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything that decides the numbers."""
+        files = {n: hashlib.sha256(data).hexdigest() for n, data in scene_files(self.scene).items()}
+        context = [
+            __version__, scene_hash(self.scene), files, self.job.parameters, self.plan.keys,
+            self.scene.checks.model_dump(), self.scene.solver.retries,
+        ]  # fmt: skip
+        digest = hashlib.sha256(json.dumps(context, sort_keys=True).encode())
+        for block in self.plan.blocks:
+            digest.update(repr(list(block.items())).encode())
+        return digest.hexdigest()[:16]
+
+    def describe(self) -> str:
+        """How many runs of which kind there will be, in one line."""
+        runs = self.models.runs
+        parts = ", ".join(f"{count} {part}" for part, count in runs["fe"].items())
+        models = f"{sum(runs['fe'].values())} models ({parts}), " if parts else ""
+        return (
+            f"{self.plan.size} points: {models}{sum(runs['rom'].values())} reductions, "
+            f"{runs['netlists']} netlists, {runs['ngspice']} ngspice runs"
+        )
+
+
+def make_sweep(
+    scene: Source, sets: Sequence[str], *, zipped: bool = False, latin: bool = False,
+    seed: int = 0, metrics: Sequence[str] = (), timeout: float | None = None,
+) -> Sweep:  # fmt: skip
+    """Check ``KEY=RANGE`` texts as far as that goes without building a model.
+
+    Raises
+    ------
+    UsageError : a bad range, an unknown key, a value that the scene does not take.
+    """
+    fixed, constants, ranges, firsts = [], [], [], []
+    for text in sets:
+        name, _, value = (part.strip() for part in text.partition("="))
+        kind, words = form(value)
+        if kind == "value" and name.startswith(PARAMETER):
+            plain = number(f"--set {text!r}", find_key(name, {}), value)
+            constants.append((name.removeprefix(PARAMETER), plain))
+        elif kind == "value":
+            fixed.append(text)
+        else:
+            ranges.append((name, value))
+            firsts += [] if name.startswith(PARAMETER) else [f"{name}={words[0]}"]
+    # A range may make a part that the scene does not have without it.
+    first = _at_first(scene, fixed, firsts)
+    keys = keys_of(first)
+    plan = make_plan(
+        [parse(name, value, keys) for name, value in ranges],
+        zipped=zipped, latin=latin, seed=seed,
+    )  # fmt: skip
+    units = {key: find_key(key, keys).unit or "" for key in plan.keys}
+    job = Job(scene, tuple(fixed), tuple(constants), timeout)
+    found = Sweep(job.load(plan.values(0)), job, plan, units, tuple(dict.fromkeys(metrics)))
+    _ = found.models  # tries the ends of all ranges
+    return found
+
+
+def _at_first(source: Source, fixed: Sequence[str], firsts: Sequence[str]) -> Scene:
+    """The scene with the first value of every swept key; an unknown one is named with its like."""
+    try:
+        return source.load((*fixed, *firsts))
+    except UsageError:
+        keys = keys_of(source.load(fixed))
+        for name in (text.partition("=")[0] for text in firsts):
+            if name not in keys and (near := did_you_mean(name, keys)):
+                raise UsageError("unknown key", where="--set", got=name, hint=near) from None
+        raise
+
+
+class _Study(BaseModel):
+    """A sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    title: str = ""
+    scene: str
+    ranges: dict[str, Any] = Field(alias="set", default_factory=dict)
+    zipped: bool = Field(False, alias="zip")
+    latin: bool = False
+    seed: int = 0
+    metrics: list[str] = Field(default_factory=list)
+
+
+def studies() -> dict[str, Traversable]:
+    """Built-in studies by name."""
+    folder = resources.files("kc2spice") / "studies"
+    found = {item.name.removesuffix(".toml"): item for item in folder.iterdir()}
+    return {name: found[name] for name in sorted(found) if found[name].name.endswith(".toml")}
+
+
+def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
+    """The sweep of a scene, or of a study with ``sets`` and what is ``asked`` on top of it.
+
+    A range in ``sets`` replaces the study's of the same key; ``asked`` are options of
+    :func:`make_sweep`.
+
+    Raises
+    ------
+    UsageError : as :func:`make_sweep`; neither a scene nor a study, or a study with a mistake.
+    """
+    study = _study(name)
+    if study is None:
+        return make_sweep(scene_text(name), sets, **asked)
+    ranges = {
+        key: f"{key}={v if isinstance(v, str) else toml(v)}" for key, v in study.ranges.items()
+    }
+    ranges |= {text.partition("=")[0].strip(): text for text in sets}
+    own = study.model_dump(include={"zipped", "latin", "seed", "metrics"})
+    chosen = own | {key: value for key, value in asked.items() if value or key not in own}
+    return make_sweep(scene_text(study.scene), tuple(ranges.values()), **chosen)
+
+
+def _study(name: str) -> _Study | None:
+    """The study ``name``, built in or a file with a key ``scene``; None for a scene."""
+    builtin = studies()
+    try:
+        text = (
+            builtin[name].read_text(encoding="utf-8")
+            if name in builtin
+            else text_of(read_bounded(Path(name), MAX_BYTES))
+        )
+        content = parse_toml(text)
+    except (OSError, ValueError):
+        return None  # whoever loads it as a scene says what is wrong with it
+    if not isinstance(content.get("scene"), str):
+        return None
+    try:
+        return _Study.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = f"{name}, key {'.'.join(map(str, first['loc']))}"
+        raise UsageError(f"no key of a study: {first['msg']}", where=where) from None
+
+
+# --- what points share --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Models:
+    """Models of the points. ``shared`` has for each full model the parts and values that need it.
+
+    ``runs`` counts ``fe`` and ``rom`` by part, ``netlists`` and ``ngspice``; a model that several
+    parts share counts for the first of them.
+    """
+
+    shared: tuple[tuple[tuple[str, Mapping[str, Any]], ...], ...]
+    runs: Mapping[str, Any]
+
+
+def shared_models(plan: Plan, job: Job) -> Models:
+    """Try every range at its ends, see which change a model, and tell these models apart.
+
+    Raises
+    ------
+    UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
+    """
+    start = _model_keys(job.load(plan.values(0)))
+    ends = {b: [_model_keys(job.load(v)) for v in plan.ends(b)] for b in range(len(plan.blocks))}
+    moving = [b for b, found in ends.items() if any(keys != start for keys in found)]
+    combinations = prod(plan.lengths[b] for b in moving)
+    fe: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}  # by full model
+    counts: dict[str, dict[str, int]] = {"fe": {}, "rom": {}}
+    known: set[str] = set()
+    needed = 0
+    for values in plan.product(moving) if combinations <= _COUNTED else [plan.values(0)]:
+        with suppress(UsageError):  # its row will say what is wrong
+            scene = job.load(values)
+            for part, (full, final) in _model_keys(scene).items():
+                needed += 1
+                if final in known:
+                    continue
+                known.add(final)
+                if full not in fe:
+                    counts["fe"][part] = counts["fe"].get(part, 0) + 1
+                if scene.parts[part].type.reduced:
+                    counts["rom"][part] = counts["rom"].get(part, 0) + 1
+                fe.setdefault(full, []).append((part, values))
+    if combinations > _COUNTED:  # no use in sharing what all differ in; an upper limit is told
+        counts = {kind: dict.fromkeys(own, combinations) for kind, own in counts.items()}
+    decks = [key for key in plan.keys if not key.startswith(PARAMETER)]
+    runs = {**counts, "netlists": plan.distinct(decks), "ngspice": plan.size}
+    useful = combinations < plan.size or len(fe) < needed
+    return Models(tuple(map(tuple, fe.values())) if useful else (), runs)
+
+
+def _model_keys(scene: Scene) -> dict[str, tuple[str, str]]:
+    """What the full and the final model of each part depend on, for parts that have one."""
+    found = {}
+    for name, part in scene.parts.items():
+        final = part.type.model_key(part, scene)
+        if final is not None:
+            keys = (part.type.full_key(part, scene), final)
+            full, own = (json.dumps(key, sort_keys=True, default=str) for key in keys)
+            found[name] = (f"{part.type.name} {full}", f"{part.type.name} {own}")
+    return found
+
+
+# --- running it ---------------------------------------------------------------------------------
+
+
+def outcomes(
+    found: Sweep, points: Sequence[int], workers: Workers
+) -> Iterator[tuple[int, Outcome]]:
+    """Run ``points`` and give each with its outcome as it comes.
+
+    Models that points share are built before, each once. A point that is interrupted by what
+    happens to the machine is run once more after all others.
+
+    Raises
+    ------
+    UsageError : the deck has not a subcircuit parameter, or not with one of the swept values.
+    MissingToolError : no workers, or no ngspice where they are.
+    """
+    _check_parameters(found)
+    again: list[int] = []  # iterated when all points have been run once
+    shared = found.models.shared if points else ()
+    models: Iterator[Call[int]] = ((-1, build_parts, (found.job, parts)) for parts in shared)
+    runs = (
+        ((index, run_point, (found.job, found.plan.values(index))) for index in attempt)
+        for attempt in (points, again)
+    )
+    for index, result in completed(workers, models, *runs):
+        if isinstance(result, WorkerDied):
+            result = Outcome(failure=DIED, interrupted=True)
+        elif index >= 0 and result.interrupted and index not in again:
+            again.append(index)
+            continue
+        if index >= 0:
+            yield index, result
+
+
+def _check_parameters(found: Sweep) -> None:
+    """Raise UsageError if the deck has not a swept parameter, or not at all values of its range."""
+    plan, values = found.plan, list(found.job.parameters)
+    for number_, block in enumerate(plan.blocks):
+        if any(key.startswith(PARAMETER) for key in block):
+            values += [pair for point in plan.ends(number_) for pair in parameters(point)]
+    if values:
+        _, deck = testbench(found.job, overrides(plan.values(0)))
+        with_parameters(deck, values)
 
 
 def sweep(
-    study: Study, out: Path, engine: Engine, progress: Progress = silent, *,
-    retry_failed: bool = False,
+    found: Sweep, out: Path, workers: Workers, progress: Progress = silent, *,
+    table_format: str = "csv", retry_failed: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     """Run all points that ``out`` does not hold yet; return the contract's summary.
 
     Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear
     when all are there. A sweep that was killed goes on where it was when it is asked for again.
     Points that failed for what happened to the machine are run again then, with ``retry_failed``
-    all that failed; their rows are kept for that.
+    all that failed.
 
     Raises
     ------
-    UsageError : ``out`` holds another sweep, or another process writes there.
-    MissingToolError : no workers, or no ngspice where they are.
+    UsageError : ``out`` holds another sweep, another process writes there, or it cannot be written.
+    MissingToolError : no workers, or no ngspice where they are; no pyarrow for Parquet.
     """
-    acquire(study, out)
-    table, path = _table(study, out), out / ROWS
-    if table.exists() and not path.exists():
-        return {**_conclude(study, out, progress), "resumed": study.plan.size, **NO_TIME}
-    check_parameters(study)
-    found = _filled(study, path, None, engine, progress, retry_failed)
-    publish([path], table, study.header, study.kinds)
-    if not found["failed"]:
-        path.unlink()
-    return {**found, **_conclude(study, out, progress)}
+    start = time.monotonic()
+    with closing(_open_rows(found, out, table_format)) as rows:
+        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
+        missing = np.flatnonzero(rows.state == MISSING).tolist()
+        first = next((each for _, each in rows.outcomes() if each.failure is None), None)
+        if first is not None:
+            require_columns(first, found.metrics, found.scene.name)
+        begin = start
+        for done, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
+            rows.record(index, outcome)
+            if outcome.failure is None and first is None:
+                first = outcome
+                require_columns(outcome, found.metrics, found.scene.name)
+            begin = begin if done > 1 else time.monotonic()
+            progress("sweep", done / len(missing), _progress(done, missing, rows.failed, begin))
+        progress("report", None, "table, figures and page")
+        summary = _publish(found, rows, out, table_format)
+    resumed = found.plan.size - len(missing)
+    return {**summary, "resumed": resumed, "wall_s": time.monotonic() - start}
 
 
-def tabulate(
-    study: Study, directory: Path, engine: Engine, progress: Progress = silent
-) -> dict[str, np.ndarray]:
-    """Run all points; the table's columns. ``directory`` is scratch."""
-    path, table = directory / ROWS, directory / "sweep.csv"
-    _filled(study, path, None, engine, progress, False)
-    publish([path], table, study.header, study.kinds)
-    return columns(table, study.kinds)
+def _progress(done: int, missing: Sequence[int], failed: int, begin: float) -> str:
+    rate = done / max(time.monotonic() - begin, 1e-9)
+    left = timedelta(seconds=round((len(missing) - done) / rate))
+    return f"{done} of {len(missing)} points, {failed} failed, {rate:.3g}/s, {left} left"
 
 
-def sweep_shard(
-    directory: Path, shard: Shard, engine: Engine, progress: Progress = silent, *,
-    retry_failed: bool = False,
-) -> dict[str, Any]:  # fmt: skip
-    """Run one part of the sweep that is planned in ``directory``; its rows wait to be collected."""
-    study = planned(directory)
-    if not 0 <= shard.number < shard.count:
-        raise UsageError("no such shard", got=shard.number, expected=f"0 … {shard.count - 1}")
-    path = directory / SHARDS / f"{shard.number:06d}.sqlite"
-    return _filled(study, path, shard, engine, progress, retry_failed)
-
-
-def collect(directory: Path, progress: Progress = silent) -> dict[str, Any]:
-    """Put the rows of all shards into the sweep's table.
+def table_name(table_format: str) -> str:
+    """Name of the table's file.
 
     Raises
     ------
-    SimulationError : points are missing; the rows that are there stay where they are.
+    UsageError : no such format.
+    MissingToolError : no pyarrow for Parquet.
     """
-    study = planned(directory)
-    table = _table(study, directory)
-    stores = sorted((directory / SHARDS).glob("*.sqlite"))
-    if not table.exists():
-        found = [RowStore(path, study.plan.size) for path in stores]
-        for rows in found:
-            rows.close()
-        recorded = [rows.state != MISSING for rows in found]
-        there = np.any(recorded, axis=0).sum() if found else 0
-        missing = study.plan.size - int(there)
-        if missing:
-            raise SimulationError(
-                "the sweep is not complete", where=str(directory), got=f"{missing} points missing",
-                expected=f"{study.plan.size} points",
-                hint="submit the array again: only what is missing is run",
-            )  # fmt: skip
-        publish(stores, table, study.header, study.kinds)
-    return {**_conclude(study, directory, progress), "resumed": 0, "wall_s": 0.0}
-
-
-def dry_run_summary(study: Study, out: Path) -> dict[str, Any]:
-    """What :func:`sweep` would do in ``out``; nothing is run or written."""
-    return {
-        "scene": study.base.name,
-        "points": study.plan.size,
-        "failed": 0,
-        "resumed": 0,
-        "table": str(_table(study, out).absolute()),
-        "runs": study.stages.runs,
-    }
-
-
-def write_array(study: Study, directory: Path, shards: int) -> dict[str, Any]:
-    """Plan the sweep in ``directory`` and write the Slurm script that runs it in parts."""
-    acquire(study, directory)
-    shards, script = min(shards, study.plan.size), directory / SCRIPT
-    text = _SLURM.format(points=study.plan.size, scene=study.base.name, shards=shards,
-                         last=shards - 1, script=SCRIPT)  # fmt: skip
-    script.write_text(text, encoding="utf-8")
-    script.chmod(0o755)
-    return {**dry_run_summary(study, directory), "script": str(script.absolute()),
-            "files": [PLAN, SCRIPT]}  # fmt: skip
-
-
-def planned(directory: Path) -> Study:
-    """The study that ``directory`` holds the plan of.
-
-    Raises
-    ------
-    UsageError : there is none, or this version would plan it differently.
-    """
-    request, digest = read_plan(directory)
-    study = make_study(request)
-    if study.digest != digest:
-        raise UsageError("planned by another version of kc2spice", where=str(directory / PLAN),
-                         hint="plan the sweep anew")  # fmt: skip
-    return study
-
-
-def acquire(study: Study, out: Path, purpose: object = None) -> None:
-    """Make ``out`` the directory of this sweep, done for ``purpose``.
-
-    Raises
-    ------
-    UsageError : it is already that of another one, or cannot be written.
-    """
-    own = study.digest if purpose is None else study.plan.digest([study.digest, purpose])
-    if study.request.format == "parquet":
+    if table_format not in FORMATS:
+        expected = " or ".join(FORMATS)
+        raise UsageError("no such format", where="--format", got=table_format, expected=expected)
+    if table_format == "parquet":
         need_parquet()
+    return f"sweep.{table_format}"
+
+
+def _open_rows(found: Sweep, out: Path, table_format: str) -> RowStore:
+    name = table_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
-    if (out / PLAN).exists():
-        _, digest = read_plan(out)
-        if digest == own:
-            return
-        raise UsageError(
-            "holds another sweep", where=str(out), got=f"plan {digest}",
-            expected=f"plan {own}", hint="choose another --out, or remove the old one",
-        )  # fmt: skip
-    for name in (ROWS, _table(study, out).name):
-        if (out / name).exists():
-            raise UsageError("would be overwritten", where=str(out / name),
-                             hint="choose another --out, or remove it")  # fmt: skip
+    if (out / name).exists() and not (out / ROWS).exists():
+        hint = "choose another --out, or remove it"
+        raise UsageError("would be overwritten", where=str(out / name), hint=hint)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_plan(study, out, own)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
+    return RowStore(out / ROWS, found.plan.size, found.digest)
 
 
-def _table(study: Study, out: Path) -> Path:
-    return out / f"sweep.{study.request.format}"
-
-
-def _filled(
-    study: Study, path: Path, shard: Shard | None, engine: Engine, progress: Progress, retry: bool
-) -> dict[str, Any]:
-    """Run the points that the rows in ``path`` lack; what a summary says of them."""
-    rows = RowStore(path, study.plan.size)
-    try:
-        rows.forget(INTERRUPTED, *([BAD] if retry else []))
-        resumed = int((rows.state != MISSING).sum())
-        spent = _fill(study, rows, engine, progress, shard)
-        points = int((rows.state != MISSING).sum())
-        return {"points": points, "failed": rows.failed, "resumed": resumed,
-                "table": str(path.absolute()), **spent}  # fmt: skip
-    finally:
-        rows.close()
-
-
-def _fill(
-    study: Study, rows: RowStore, engine: Engine, progress: Progress, shard: Shard | None
-) -> dict[str, float | None]:
-    """Run the points that are missing; return ``wall_s`` and what it cost.
-
-    A point that is interrupted by what happens to the machine is tried once more at the end.
-    """
-    start, spent = time.monotonic(), Cost()
-    cpu_since_last()
-    missing = int(sum(rows.state[index] == MISSING for index in _share(study, shard)))
-    if not missing:
-        return NO_TIME
-    meter = _Meter(progress, missing, start)
-    for attempt in (1, 2):
-        with WorkerPool(engine) as pool:
-            for call, result in pool.run(_calls(study, rows, _share(study, shard))):
-                outcome = result
-                if isinstance(result, WorkerDied):
-                    outcome = Outcome(call.name, failure=DIED, interrupted=True)
-                cells = outcome.values or (None,) * len(study.job.metrics)
-                rows.record(
-                    call.name, (*study.plan.values(call.name), *cells), outcome.failure,
-                    interrupted=outcome.interrupted,
-                )  # fmt: skip
-                spent += outcome.cost
-                meter.count(rows.failed)
-        again = int((rows.state == INTERRUPTED).sum())
-        if not again or attempt == 2:
-            break
-        progress("again", None, f"{again} points that were interrupted")
-        rows.forget(INTERRUPTED)
-    wall = time.monotonic() - start
-    return {"wall_s": wall, **_cost(spent + Cost(own=cpu_since_last().own), engine.workers, wall)}
-
-
-def _cost(spent: Cost, workers: int, wall: float) -> dict[str, float | None]:
-    """``busy_share`` of the workers' time that any CPU was used, ``overhead`` over ngspice.
-
-    ``overhead`` is the CPU of Python per CPU of ngspice; None where nothing was run, or where the
-    system does not tell what child processes used.
-    """
-    available = workers * wall
-    return {
-        "ngspice_cpu_s": spent.simulator,
-        "python_cpu_s": spent.own,
-        "busy_share": (spent.own + spent.simulator) / available if available else None,
-        "overhead": spent.own / spent.simulator if spent.simulator else None,
-    }
-
-
-def _share(study: Study, shard: Shard | None) -> Iterator[int]:
-    """Points in the order in which they are run.
-
-    First those that need models of their own, so that these are built side by side, then all that
-    share finite elements one after the other.
-    """
-    slow = dict.fromkeys(study.plan.block(key) for key in study.stages.keys)
-    order = study.plan.order(list(slow))
-    if shard is None:
-        first = dict.fromkeys(study.stages.first)
-        return chain(first, (index for index in order if index not in first))
-    start, end = (k * study.plan.size // shard.count for k in (shard.number, shard.number + 1))
-    return islice(order, start, end)
-
-
-def _calls(study: Study, rows: RowStore, points: Iterator[int]) -> Iterator[Call]:
-    for index in points:
-        if rows.state[index] == MISSING:
-            yield Call(index, run_point, (study.job, task(study.plan, index)))
-
-
-class _Meter:
-    """Progress in points since ``start``, with rate and time left."""
-
-    def __init__(self, progress: Progress, total: int, start: float) -> None:
-        self._progress, self._total, self._done, self._start = progress, total, 0, start
-
-    def count(self, failed: int) -> None:
-        """One more point is recorded."""
-        self._done += 1
-        rate = self._done / max(time.monotonic() - self._start, 1e-9)
-        minutes, seconds = divmod(round((self._total - self._done) / rate), 60)
-        hours, minutes = divmod(minutes, 60)
-        left = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds} s"
-        text = f"{self._done} of {self._total} points, {failed} failed, {rate:.3g}/s, {left} left"
-        self._progress("sweep", self._done / self._total, text)
-
-
-def _conclude(study: Study, out: Path, progress: Progress) -> dict[str, Any]:
-    """Summary of a finished table, with figures and page beside it."""
+def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
+    """Write table, figures and page; what the summary says of them."""
     from kc2spice.report.sweep_page import write_sweep, yields
 
-    table = _table(study, out)
-    progress("report", None, "figures and page")
-    data = columns(table, study.kinds)
-    failed = [text for text in data["status"] if text != "ok"]
-    flags = [name for name in study.job.metrics if study.kinds[name] is bool]
-    found = yields(data, flags) if study.plan.random else {}
-    files = write_sweep(
-        out, study.base, data, study.units, study.job.metrics, study.plan.random,
-        study.describe(), found,
-    )  # fmt: skip
+    table, name = (
+        columns(list(rows.outcomes()), found.plan, found.metrics),
+        table_name(table_format),
+    )
+    shares = yields(table, found.plan.keys) if found.plan.random else {}
+    plan = found.describe()
+    with staged(out) as work:
+        (write_csv if table_format == "csv" else write_parquet)(table, work / name)
+        write_sweep(work / PAGE, found.scene, table, found.units, found.plan.random, plan, shares)
     return {
-        "scene": study.base.name,
-        "points": study.plan.size,
-        "failed": len(failed),
-        "table": str(table.absolute()),
+        "scene": found.scene.name,
+        "points": found.plan.size,
+        "failed": rows.failed,
+        "table": str((out / name).absolute()),
         "directory": str(out.absolute()),
-        "runs": study.stages.runs,
-        "yield": found,
-        "files": [table.name, *files],
+        "runs": found.models.runs,
+        "yield": shares,
+        "files": [name, PAGE],
     }

@@ -12,6 +12,7 @@ from kc2spice.core.laws import (
     Equations,
     Law,
     LinearBody,
+    PortBody,
     Reading,
     Recorded,
     Sensor,
@@ -22,6 +23,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference import equilibrium
 from kc2spice.reference.assemble import System, assemble, has_store
 from kc2spice.reference.integrate import Result, transient
+from kc2spice.reference.linear import ac
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import replacements, swept
 
@@ -42,6 +44,7 @@ class Reference:
     results: Waveforms
     imbalance: float | None = None
     events: tuple[tuple[float, str], ...] = ()
+    runs: tuple[tuple[Circuit, Result], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class Circuit:
         return (
             bool(held)
             and all(pins & held for pins in nets)
-            and not any(isinstance(law, LinearBody) for law in self.laws)
+            and not any(isinstance(law, LinearBody | PortBody) for law in self.laws)
         )
 
 
@@ -211,15 +214,16 @@ def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    sources = {net: _replayed(net, kind, waves) for net, kind in (taken or {}).items()}
-    whole = circuits(build, sources)
-    parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
-    held = {f"{source.name}.out" for source in sources.values()}
-    # where every net is given, such as a capacitor behind a rectifier, nothing is left to integrate
-    parts = [c for c in parts if not c.given(held)]
+    parts = moving(build, waves, taken or {})
     kind = build.scene.analysis.type
     if kind == "transient":
         return _transients(parts, build, waves)
+    return steady(parts, build, waves)
+
+
+def steady(parts: Iterable[Circuit], build: Build, waves: Waveforms) -> Reference:
+    """:func:`solve` for circuits in which no time passes."""
+    kind = build.scene.analysis.type
     if kind == "ac":
         frequency = waves["frequency"].real
         return _gathered("frequency", frequency, (_ac(c, frequency) for c in parts))
@@ -230,6 +234,16 @@ def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None
     values = np.linspace(first, last, build.scene.analysis.points)
     solved = (_points(c, (c.sweeps.get((part.name, key)), values)) for c in parts)
     return _gathered(scale, waves[scale], solved)
+
+
+def moving(build: Build, waves: Waveforms, taken: Mapping[str, str]) -> list[Circuit]:
+    """The circuits that are not given: by sources alone, or on all of their nets by ``taken``."""
+    sources = {net: _replayed(net, kind, waves) for net, kind in taken.items()}
+    whole = circuits(build, sources)
+    parts = [c for c in whole if not all(isinstance(law, Source) for law in c.laws)]
+    held = {f"{source.name}.out" for source in sources.values()}
+    # where every net is given, such as a capacitor behind a rectifier, nothing is left to integrate
+    return [c for c in parts if not c.given(held)]
 
 
 def taken_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
@@ -245,7 +259,7 @@ def _replayed(net: str, kind: str, waves: Waveforms) -> Source:
     for k in range(1, times.size):
         if times[k] - times[kept[-1]] >= apart:
             kept.append(k)
-    return Source(f"net_{net}", SOURCES[kind][0], Recorded(times[kept], values[kept]))
+    return Source(f"net {net}", SOURCES[kind][0], Recorded(times[kept], values[kept]))
 
 
 def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Reference:
@@ -257,9 +271,10 @@ def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Referen
     data = {"time": grid}
     for circuit, run in runs:
         run = replace(run, time=grid)
-        data |= _read(circuit, run.waves, grid)
+        data |= read(circuit, run.waves, grid)
     events = sorted((e.time, f"{e.law} {e.what}") for _, run in runs for e in run.events)
-    return Reference(Waveforms(data, {}), _imbalance([run for _, run in runs]), tuple(events))
+    imbalance = _imbalance([run for _, run in runs])
+    return Reference(Waveforms(data, {}), imbalance, tuple(events), tuple(runs))
 
 
 def _imbalance(runs: list[Result]) -> float | None:
@@ -269,7 +284,7 @@ def _imbalance(runs: list[Result]) -> float | None:
 
 
 def _ac(circuit: Circuit, frequency: np.ndarray) -> dict[str, np.ndarray]:
-    return _read(circuit, equilibrium.ac(circuit.system(), frequency), frequency)
+    return read(circuit, ac(circuit.system(), frequency), frequency)
 
 
 def _points(
@@ -284,10 +299,10 @@ def _points(
     else:
         name, scale = source
         solved = equilibrium.dc(system, name, scale * values)
-    return _read(circuit, solved, np.zeros(1))
+    return read(circuit, solved, np.zeros(1))
 
 
-def _read(
+def read(
     circuit: Circuit, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Results of a circuit; a reading of a wave that this analysis has not is left out."""

@@ -14,6 +14,7 @@ from kc2spice.scene.gates import Gate, Limit
 from kc2spice.scene.parttype import Build
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
+STILL = 1e-9  # of its size: what rests moves less, by rounding alone
 SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
 _SUFFIX = {"_m_s": "m/s", "_m": "m", "_a": "A", "_v": "V", "_n": "N", "_s": "s", "_hz": "Hz",
            "_ohm": "Ohm", "_c": "C", "_f": "F"}  # fmt: skip
@@ -50,7 +51,7 @@ def solution(waves: Waveforms, build: Build) -> Solution:
 
 
 def gate_limits(
-    gates: Iterable[Gate], pair: str, ours: Solution, exact: Solution, piece: str = ""
+    gates: Iterable[Gate], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Limit], float | None]:
     """Every gate of this pair, and the largest value of those that stand for the scene."""
     limits, leading = [], []
@@ -60,7 +61,7 @@ def gate_limits(
         if value is _ABSENT:
             continue
         if pair in gate.limits:
-            name = f"{gate.words}{piece}, {words}"
+            name = f"{gate.words}, {words}"
             limits.append(Limit(name, value, gate.limits[pair], gate.unit))
         if gate.leads and value is not None:
             leading.append(value)
@@ -94,15 +95,23 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     apart = max(float(np.abs(a - b).max()) for a, b in pairs)
     if gate.measure == "absolute":
         return apart
+    largest = max(float(np.abs(b).max()) for _, b in pairs)
     if gate.measure == "travel":
-        return apart / max(float(np.ptp(b)) for _, b in pairs)
+        return _share(apart, max(STILL * largest, *(float(np.ptp(b)) for _, b in pairs)))
     if gate.measure == "largest":
-        return apart / max(float(np.abs(b).max()) for _, b in pairs)
+        return _share(apart, largest)
     worst = 0.0
     for a, b in pairs:
         loaded = np.abs(b) > LOADED * np.abs(b).max()
         worst = max(worst, float((np.abs(a - b)[loaded] / np.abs(b)[loaded]).max(initial=0.0)))
     return worst
+
+
+def _share(apart: float, size: float) -> float:
+    """``apart / size``; of what is zero throughout, nothing is no share and all else has none."""
+    if size == 0.0:
+        return 0.0 if apart == 0.0 else math.inf
+    return apart / size
 
 
 def _named(pattern: str, *all_waves: Waveforms) -> list[str]:
@@ -154,7 +163,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
             continue
         at, a, b = _aligned(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
-        if size == 0.0:
+        if size <= _resting(name, exact):
             continue
         error = np.abs(a - b)
         power = (np.trapezoid(np.abs(x) ** 2, at) if at.size > 1 else np.abs(x).max() ** 2
@@ -162,6 +171,15 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
         rms = math.sqrt(float(np.divide(*power)))
         found.append(OutputError(pair, name, float(error.max()) / size, rms))
     return found
+
+
+def _resting(name: str, waves: Waveforms) -> float:
+    """Speed [m/s] below which a velocity is what rounding makes of a position at rest; else 0."""
+    stem, _, last = name.rpartition(".")
+    place = next((waves[n] for n in (f"{stem}.y", f"{stem}.x") if n in waves), None)
+    if last != "v" or place is None or "time" not in waves:
+        return 0.0
+    return STILL * float(np.abs(place).max()) / float(np.ptp(waves["time"]))
 
 
 def metric_errors(
@@ -189,8 +207,13 @@ def metric_errors(
 
 
 def _largest(name: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """The largest wave of the unit that a metric's name ends with; for times their span."""
+    """The largest wave of the unit that a metric's name ends with; for times their span.
+
+    A metric without a unit, such as a coupling, has no such wave: a frequency would excuse any.
+    """
     unit = next((unit for end, unit in _SUFFIX.items() if name.endswith(end)), None)
+    if unit is None:
+        return 0.0
     if unit == "s" and "time" in waves:
         return float(np.ptp(waves["time"]))
     sizes = [float(np.abs(v).max()) for k, v in waves.data.items() if units.get(k) == unit]

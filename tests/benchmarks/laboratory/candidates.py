@@ -16,11 +16,8 @@ import numpy as np
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.core.cache import cached
 from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.contact import ContactSurface, contact_surface
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
-from kc2spice.fem.piezo.transient import Ball, transient
-from kc2spice.parts._mesh_study import as_system, on_reduced
 from kc2spice.parts.contact import ContactKeys
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
@@ -32,6 +29,8 @@ from kc2spice.rom.subspace import subspace
 from kc2spice.rom.surrogate import surrogate
 from laboratory.candidate_figure import candidate_figure
 from laboratory.reductions import Candidate, candidates, leading, of_pencil
+from laboratory.usual.contact import ContactSurface, as_system, contact_surface, on_reduced
+from laboratory.usual.transient import Ball, transient
 
 BAND = (0.0, 500e3)
 FREQUENCY = np.linspace(*BAND, 463)

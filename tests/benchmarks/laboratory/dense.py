@@ -11,7 +11,7 @@ from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 from laboratory.forms import FORMS, synthetic, with_form
 from laboratory.points import Outcome, Plane, Point, Ratio, fastest, timed
 from laboratory.setup import Setup
@@ -67,7 +67,7 @@ def ac_deck(model: Resonators, count: int) -> tuple[Deck, np.ndarray]:
 
     The second result is (frequencies, rings) in um.
     """
-    part = realize(model, Header("forms", "0"))
+    part = subcircuit(model.linear(), "kick", Header("forms", "0"))
     rings = [port.name for port in model.ports if port.kind == "mechanical"]
     step = 1e6 / count
     lines = [

@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from kc2spice.fem.magnetics.field import brute_force, catch_table
+from kc2spice.fem.magnetics.field import catch_table
 from kc2spice.fem.magnetics.keys import Catch
 from kc2spice.fem.magnetics.table import EMTable, em_cases, force
 from laboratory.points import Outcome, Plane, Point, Ratio, Timing, fastest, timed
 from laboratory.setup import Setup, keys_of
+from laboratory.usual.fields import brute_force
 
 HEIGHTS, QUICK_HEIGHTS, MESHES = (41, 21, 81), (5, 9), (1, 2)
 FINE_HEIGHTS, FINE_MESH, CHECKED = 161, 3, 11

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from kc2spice.report.plots import (
     GREY,
     PALETTE,
     RED,
-    Picture,
     legend_beside,
     name_axes,
     sheet,
@@ -22,6 +22,15 @@ from kc2spice.report.plots import (
 
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")
 _LEAST = 1e-16  # an error of zero is drawn here
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on disk with the words that go with it."""
+
+    path: Path
+    title: str
+    caption: str
 
 
 def bench_figures(directory: Path, record: Mapping[str, Any]) -> list[Picture]:

@@ -12,7 +12,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.bench.plane import NEGLIGIBLE, Plane, measure, search
-from kc2spice.workflow.sweep.pool import cores
+from kc2spice.workflow.sweep.workers import cores
 from laboratory.points import Outcome, Ratio, rounds
 from laboratory.setup import Setup
 

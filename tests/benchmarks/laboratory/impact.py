@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.transient import Ball, Road, TransientResult, transient
 from kc2spice.scene.model import Scene
 from laboratory.distance import compare
 from laboratory.fullmodel import (
@@ -29,6 +28,7 @@ from laboratory.points import (
 )
 from laboratory.setup import Setup, keys_of
 from laboratory.transient import FIELDS, Transient
+from laboratory.usual.transient import Ball, Road, TransientResult, transient
 
 PAPER_STEP = 50e-9  # s, of the paper's Newmark integration (2.2.2)
 SAMPLED = 6  # steps of the refactorising code that are timed, unless all are asked for

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.fem.piezo.statics import Electrical, imprint_refactorised
-from kc2spice.fem.piezo.statics import imprint as full_imprint
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from laboratory.fullmodel import factorisations, full_surface, full_system
@@ -13,6 +11,8 @@ from laboratory.law import law
 from laboratory.points import Outcome, Plane, Point, Ratio, quick_timed, scaled, timed
 from laboratory.setup import Setup, keys_of
 from laboratory.statics import pushed
+from laboratory.usual.statics import Electrical, imprint_refactorised
+from laboratory.usual.statics import imprint as full_imprint
 
 REFACTOR, LOW_RANK = 374.0, 100.0  # the paper's speed-up, and the one against the same trick
 SAMPLED = 4  # depths of the refactorising code that are timed, unless all are asked for

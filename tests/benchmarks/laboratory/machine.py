@@ -12,7 +12,7 @@ import scipy
 
 import kc2spice
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.sweep.pool import cores
+from kc2spice.workflow.sweep.workers import cores
 
 
 def machine() -> dict[str, str | int]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from kc2spice.report.html import Section, write_page
-from kc2spice.report.plots import Picture
 from kc2spice.report.words import quantity
 from kc2spice.workflow.bench.plane import NEGLIGIBLE
+from laboratory.figures import Picture
 
 Record = Mapping[str, Any]
 FRONTS = (
@@ -61,25 +63,33 @@ def bench_sections(record: Record, pictures: Sequence[Picture]) -> list[Section]
     if record["ratios"]:
         head = ("figure", "value", "target", "", "taken at error", "what it is")
         sections.append(Section("Targets", ratio_rows(record), head))
-    by_name = {picture.path.stem: picture for picture in pictures}
+    by_name = {picture.path.stem: _embedded(picture) for picture in pictures}
     for name, points in record["planes"].items():
         words = record["titles"][name]
         head = ("method", "setting", "error", "time", "spread", "more")
         note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
-        drawn = [by_name[f"bench_{name}"]] if f"bench_{name}" in by_name else []
-        sections.append(Section(words["title"], _point_rows(points), head, note, drawn))
+        drawn = by_name.get(f"bench_{name}", "")
+        sections.append(Section(words["title"], _point_rows(points), head, note, drawing=drawn))
     if record["scaling"]:
         head = ("size", "of", "time", "memory", "power")
-        drawn = [by_name["bench_scaling"]] if "bench_scaling" in by_name else []
+        drawn = by_name.get("bench_scaling", "")
         note = "The power of the size is fitted to the larger half of the sizes."
-        sections.append(Section("Scaling", _scaling_rows(record), head, note, drawn))
+        sections.append(Section("Scaling", _scaling_rows(record), head, note, drawing=drawn))
     if record["fronts"]:
         head = ("scene", "error", "time", "settings", "beaten by", "error", "time")
         rows = [_front_row(name, front) for name, front in record["fronts"].items()]
         sections.append(Section("Shipped settings of the gallery", rows, head, FRONTS))
     if "bench_poles" in by_name:
-        sections.append(Section("Poles", pictures=[by_name["bench_poles"]]))
+        sections.append(Section("Poles", drawing=by_name["bench_poles"]))
     return sections
+
+
+def _embedded(picture: Picture) -> str:
+    data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(picture.title)}" '
+        f'style="max-width:100%"><figcaption>{escape(picture.caption)}</figcaption></figure>'
+    )
 
 
 def ratio_rows(record: Record) -> list[tuple[str, ...]]:

@@ -10,8 +10,9 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from kc2spice.fem.magnetics.table import EMTable, force
-from kc2spice.report.plots import BLACK, BLUE, RED, Picture, legend_above, name_axes, sheet
+from kc2spice.report.plots import BLACK, BLUE, RED, legend_above, name_axes, sheet
 from kc2spice.scene.model import Scene
+from laboratory.figures import Picture
 from laboratory.setup import keys_of
 
 

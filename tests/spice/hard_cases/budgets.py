@@ -28,7 +28,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.settings import Rom
-from kc2spice.workflow import richer, run
+from kc2spice.workflow import converge, run
 from kc2spice.workflow.decks import libraries
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
@@ -114,7 +114,7 @@ def varied(scene: Scene, clock: Clock, **_: Any) -> Build:
 def judged(number: int) -> Budgeted:
     """Run one draw, and compare what it gives with the independent integrator."""
     budget, keys = drawn(number)
-    run.build_models = richer.build_models = varied  # type: ignore[assignment]
+    run.build_models = converge.build_models = varied  # type: ignore[assignment]
     try:
         scene = scene_of(keys)
         with tempfile.TemporaryDirectory() as work, warnings.catch_warnings(record=True) as said:
@@ -123,8 +123,8 @@ def judged(number: int) -> Budgeted:
     except (UsageError, SimulationError) as error:
         return Budgeted(f"refused: {error.message}", budget, np.nan, np.nan, np.nan, False, keys)
     finally:
-        run.build_models = richer.build_models = build_models
-    checks = [c for c in done.outcome.verdict.checks if c.name.startswith(richer.NAME)]
+        run.build_models = converge.build_models = build_models
+    checks = [c for c in done.outcome.verdict.checks if c.name.startswith("error of ")]
     if not checks:
         left = metrics(done.outcome.waves, done.build).get("launch_time_s")
         what = "nothing leaves" if left is None else "NOT JUDGED"
@@ -133,7 +133,7 @@ def judged(number: int) -> Budgeted:
     outcome = "holds" if error <= budget else "said" if not checks[0].passed else "BROKEN, SILENT"
     if outcome.startswith("BROKEN") and error - doubt <= budget:
         outcome = "holds, as far as the oracle can tell"
-    closer = any("closer run is the result" in str(each.message) for each in said)
+    closer = any("the deck and models are those" in str(each.message) for each in said)
     return Budgeted(outcome, budget, error, doubt, checks[0].value, closer, keys)
 
 

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 from laboratory.distance import compare
 
 MASS = SphereKeys().mass
@@ -61,7 +61,7 @@ def flat_contact(bench):
     """
     model, gap, velocity, stop = chip(6), 1e-6, -1.0, 10e-6
     parts = [
-        realize(model, HEADER),
+        subcircuit(model.linear(), "kick", HEADER),
         contact_subcircuit(HEADER, RINGS, np.zeros(6), Normal(4e8)),
         sphere_subcircuit(HEADER, MASS, 1e-3, 0.0, velocity=velocity, height=gap),
     ]

@@ -26,7 +26,7 @@ from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
 from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
 from kc2spice.rom.linear import Port
-from kc2spice.spice.realize import realize
+from kc2spice.spice.realize import subcircuit
 
 LAUNCH = "launch, relative"
 
@@ -63,7 +63,7 @@ def lightly_damped_mode_decays(bench):
 
 def _struck(bench, one, periods):
     """Displacement of ring 0 of a one-mode chip after 10 V, its times, its static part."""
-    part = realize(one, HEADER, ports=("ring0", "anode"))
+    part = subcircuit(one.linear(), "kick", HEADER, ports=("ring0", "anode"))
     stop = periods * 2 * np.pi / one.omega[0]
     cards = f"""Vstep a 0 PULSE(0 10 0 1e-09 1e-09 1)
 Xkick a 0 r 0 kick
@@ -112,7 +112,7 @@ def flight_of_50_ms(bench):
 def ideal_source_charges_the_chip(bench):
     """1 ns edge of 100 V: the charge is ``C0 V`` and what the modes add (matrix exponential)."""
     model = chip(6)
-    part = realize(model, HEADER, ports=("anode",))
+    part = subcircuit(model.linear(), "kick", HEADER, ports=("anode",))
     cards = """Vstep a 0 PULSE(0 100 0 1e-09 1e-09 1)
 Xkick a 0 0 kick
 Fcharge 0 charge Vstep -1
@@ -147,7 +147,7 @@ def charge_drive_on_a_floating_chip(bench):
     """150 nF times the command's volts on the sense capacitor, the chip in between."""
     model = chip(6)
     parts = [opamp_subcircuit(HEADER, "slew"), charge_drive_subcircuit(HEADER, ChargeKeys()),
-             realize(model, HEADER, ports=("anode",))]  # fmt: skip
+             subcircuit(model.linear(), "kick", HEADER, ports=("anode",))]  # fmt: skip
     cards = """Vcommand command 0 PULSE(0 20 1e-06 1e-07 1e-07 1)
 Xdriver command anode cathode 0 charge
 Xkick anode cathode 0 kick
@@ -238,14 +238,14 @@ def ten_actuators(bench):
 def ports_named_like_inner_nodes(bench):
     """q1 and charge are nodes of the subcircuit itself: two nodes would become one in silence."""
     model = _renamed(chip(6), ("q1", "charge"))
-    realize(model, HEADER, ports=("q1", "charge", "anode"))
+    subcircuit(model.linear(), "kick", HEADER, ports=("q1", "charge", "anode"))
     return 0.0
 
 
 @case("node names that collide", "two ports of one name", refused="each name once")
 def ports_that_differ_by_case_alone(bench):
     model = _renamed(chip(6), ("ring0", "RING0"))
-    realize(model, HEADER, ports=("ring0", "RING0", "anode"))
+    subcircuit(model.linear(), "kick", HEADER, ports=("ring0", "RING0", "anode"))
     return 0.0
 
 

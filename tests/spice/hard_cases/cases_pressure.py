@@ -38,7 +38,9 @@ _thrown(KICKED, "kick by 100 V under pressure", PRESSURE)
 _thrown(KICKED, "kick by 10 V under pressure", PRESSURE, "kick.drive.voltage=10 V")
 _thrown(KICKED, "pressure that draws back first", PRESSURE, "kick.drive.voltage=-100 V", stop=60e-6)
 _thrown(KICKED, "pressure with edges of 1 ns", PRESSURE, "kick.drive.edge=1 ns")
-_thrown(KICKED, "pressure damped by a ten thousandth", PRESSURE, "kick.damping.ratio=1e-4")
+# thirty states of a space for twenty hats are refused where a resonance is this sharp
+SHARP = "rom.tolerance=1e-3"
+_thrown(KICKED, "pressure damped by a ten thousandth", PRESSURE, "kick.damping.ratio=1e-4", SHARP)
 _thrown(KICKED, "hats of 2.5 um", PRESSURE, "contact.spacing=2.5 um")
 _thrown(KICKED, "kick of an elastic sphere", *ELASTIC)
 _thrown(KICKED, "elastic sphere damped by a ten thousandth", PRESSURE,
@@ -90,7 +92,7 @@ def bounces_under_pressure_on_an_undamped_chip(bench):
     pull = 1e4
     build, waves = bench.own(load_scene("impact", [
         PRESSURE, f"gravity={pull} m/s2", "impact.velocity=-10 mm/s", "impact.gap=100 nm",
-        "kick.electrical=short", "kick.damping.ratio=0", "solver.stop=200 us",
+        "kick.electrical=short", "kick.damping.ratio=0", "solver.stop=200 us", SHARP,
     ]))  # fmt: skip
     mass = build.scene.parts["sphere"].keys.mass
     force, y, v = waves["contact.force"], waves["sphere.y"], waves["sphere.v"]

@@ -52,9 +52,9 @@ def reduced(ratio: float, inertia: str) -> tuple[str, ...]:
 def full(ratio: float, mesh: str) -> list[float]:
     """Launches [m/s] of the full model, one per step."""
     from kc2spice.fem.piezo.assembly import assemble_kick
-    from kc2spice.fem.piezo.contact import contact_surface
     from kc2spice.fem.piezo.keys import Chip
-    from kc2spice.fem.piezo.transient import Ball, transient
+    from laboratory.usual.contact import contact_surface
+    from laboratory.usual.transient import Ball, transient
 
     chip = Chip.model_validate({"damping": {"ratio": ratio}, "mesh": MESHES[mesh]})
     sector, surface = assemble_kick(chip), contact_surface(chip, 1e8, 1e-3)

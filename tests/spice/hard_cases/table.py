@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from hard_cases.every import CASES
 from hard_cases.kit import Outcome, judge
 
-PAGE = Path(__file__).parents[3] / "docs" / "hard_cases.md"
+PAGE = Path(__file__).parents[3] / "docs" / "notes" / "hard_cases.md"
 HEAD = """# Hard cases
 
 What breaks circuit simulators, each case with an oracle of its own: scipy, a closed form, or

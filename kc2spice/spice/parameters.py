@@ -1,0 +1,97 @@
+"""Parameters of a deck's subcircuits, changed without a new netlist: ``param.PART.NAME``."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.words import did_you_mean
+from kc2spice.spice.cards import number
+from kc2spice.spice.circuit import LEAST, Param, Subcircuit
+from kc2spice.spice.deck import Deck
+
+_CARD = re.compile(r"^\.subckt\s+(\S+)(.*)$", re.MULTILINE | re.IGNORECASE)
+_DEFAULT = re.compile(r"(\w+)=(\S+)")
+
+Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
+
+
+def library_of(part: Subcircuit) -> str:
+    return part.filename.rpartition(".")[0] or part.filename
+
+
+def cards(part: Subcircuit) -> Iterator[tuple[str, str]]:
+    """Name in ``param.NAME.…`` and text of every ``.subckt`` card of a library.
+
+    The part itself goes by its file, whatever helper it brings along by the helper's own name:
+    ``opamp`` is the amplifier in all libraries that have one.
+    """
+    for card in _CARD.finditer(part.text):
+        own = card[1].lower() == part.name.lower()
+        yield (library_of(part) if own else card[1].removeprefix(f"{part.name}_")), card[2]
+
+
+def declared(deck: Deck) -> dict[str, float]:
+    """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
+    found = {}
+    for part in deck.parts:
+        for library, card in cards(part):
+            for name, text in _DEFAULT.findall(card):
+                with contextlib.suppress(ValueError):  # an expression: nothing to replace
+                    found[f"{library}.{name}"] = float(text)
+    return found
+
+
+def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
+    """``deck`` with other defaults for ``("PART.NAME", value)``, in the card and in the header.
+
+    Raises
+    ------
+    UsageError : no part of the deck has that parameter, or not with that value.
+    """
+    known, parts = declared(deck), list(deck.parts)
+    for key, value in values:
+        if key not in known:
+            raise UsageError(
+                "no part of this scene has such a parameter", where=f"param.{key}",
+                expected=", ".join(known), hint=did_you_mean(key, known),
+            )  # fmt: skip
+        library, _, name = key.partition(".")
+        parts = [_changed(part, library, name, value) for part in parts]
+    return replace(deck, parts=tuple(parts))
+
+
+def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
+    own = library == library_of(part)
+    for param in part.params if own else ():
+        if param.name.lower() == name.lower():
+            _require_within(param, library, value)
+    names = dict(zip((card[1] for card in _CARD.finditer(part.text)), cards(part), strict=True))
+    default = re.compile(rf"(?<=\s){name}=\S+")
+
+    def card(match: re.Match[str]) -> str:
+        mine = names[match[1]][0] == library
+        return default.sub(f"{name}={number(value)}", match[0]) if mine else match[0]
+
+    text = _CARD.sub(card, part.text)
+    if own:
+        text = re.sub(rf"(?m)^(\* @param {name})=\S+", rf"\g<1>={number(value)}", text, count=1)
+    return replace(part, text=text)
+
+
+def _require_within(param: Param, library: str, value: float) -> None:
+    """A mass of zero or a negative stiffness has no solution, or a wrong one."""
+    least, most = param.low, param.high
+    if least <= value <= most and math.isfinite(value):
+        return
+    expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
+    if most == math.inf and least > -math.inf:
+        expected = "above zero" if least == LEAST else f"at least {least:g}"
+    raise UsageError(
+        "outside the range of this parameter", where=f"param.{library}.{param.name}",
+        got=f"{value:g} {param.unit}", expected=expected,
+    )  # fmt: skip

@@ -1,0 +1,294 @@
+"""The largest time step of a transient, and what the steps that were taken did to its result.
+
+ngspice's error control keeps the error of each step below a tolerance. At a resonance the errors of
+thousands of steps add up: with steps ``h`` the trapezoidal rule has every natural frequency ``w``
+lower by ``(w h)^2 / 12`` of it, which detunes a drive of it, and Gear's method damps as well. As
+both rules turn ``e^(r t)`` into another exponential, all that they make of a linear circuit follows
+in closed form, and so does the largest step that keeps it within :data:`AMPLITUDE`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kc2spice.core import laws as L
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.judge import Check
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build, StepLimit, TimeScale, Vector
+
+if TYPE_CHECKING:
+    from kc2spice.reference.linear import Motion
+    from kc2spice.workflow.verify.circuit import Circuit
+
+AMPLITUDE, SHAPE = 5e-4, 1e-3  # of a wave's largest value: what steps may do to its rms, to it
+MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
+CLOSE = 1.1  # ratio of two steps that are the same
+FEWEST = 1000  # points of any run
+UNKNOWN = 10e-6  # s, where the circuit is not linear: its error control sees what happens there
+RESONANT = 2.0  # quality from which on errors of steps add up
+SAMPLES, WINDOWS = 2500, 16
+SEEN = 30_000  # points that a run is compared at
+BESIDE = 1e-5  # of the largest wave in its unit: ngspice stops its iterations before
+LEAST = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}  # and there
+ASIDE = 1e-9  # of the run
+FAIL = 1e-2
+TINY = 1e-9  # of its parts: what is left of a wave that cancels
+SIZE = 600  # unknowns; larger circuits take minutes
+
+
+def largest_step(build: Build) -> StepLimit:
+    """``solver.max_step``, else the smallest of what parts ask for, and what keeps every linear
+    circuit of the scene within :data:`AMPLITUDE`."""
+    scene = build.scene
+    if scene.solver.max_step is not None:
+        return StepLimit(scene.solver.max_step, "set by solver.max_step")
+    scales = time_scales(scene)
+    decided = [row for row in scales if row.decides]
+    if decided:
+        row = min(decided, key=lambda row: row.step)
+        return StepLimit(min(row.step, scene.stop), row.what)
+    found = [StepLimit(row.step, row.what) for row in scales]
+    start = min(
+        [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *found],
+        key=lambda limit: limit.step,
+    )
+    motions, whole = _motions(build)
+    if not whole and start.step > UNKNOWN:
+        start = StepLimit(UNKNOWN, "not all of it is linear")
+    rule = RULES[scene.solver.method]
+    limits = [follows(motion, start, rule) for motion in motions]
+    return min([start, *limits], key=lambda limit: limit.step)
+
+
+def time_scales(scene: Scene) -> list[TimeScale]:
+    """What all parts of a scene do in time."""
+    return [row for part in scene.parts.values() for row in part.type.time_scales(part, scene)]
+
+
+def _motions(build: Build) -> tuple[list[Motion], bool]:
+    """The motions of the linear circuits, others linearised at rest; and whether that is all."""
+    from kc2spice.workflow.verify.circuit import circuits, without_law
+
+    found, whole = [], not without_law(build)
+    try:
+        parts = circuits(build)
+    except UsageError:
+        return [], False
+    for circuit in parts:
+        if all(isinstance(law, L.Source) for law in circuit.laws):
+            continue
+        motion = _motion(circuit, build.scene.stop)
+        whole = whole and motion is not None and motion.linear.exact
+        found += [motion] if motion is not None else []
+    return found, whole
+
+
+def _motion(circuit: Circuit, stop: float) -> Motion | None:
+    from kc2spice.reference.linear import Linear
+
+    try:
+        system = circuit.system()
+        if len(system.M) > SIZE:
+            return None
+        linear = Linear(system)
+    except (SimulationError, UsageError, np.linalg.LinAlgError):
+        return None
+    return linear.motion(tuple(source.wave for source in system.sources), stop)
+
+
+# --- rules of integration -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a rule makes of ``e^(r t)`` and of a drive ``e^(j w t)`` in equal steps ``h``."""
+
+    rates: Callable[[np.ndarray, float], np.ndarray]
+    axis: Callable[[np.ndarray, float], np.ndarray]
+
+
+def _trapezoidal(r: np.ndarray, h: float) -> np.ndarray:
+    return np.asarray(np.log((1 + r * h / 2) / (1 - r * h / 2)) / h)
+
+
+def _gear(r: np.ndarray, h: float) -> np.ndarray:
+    return np.asarray(np.log((2 + np.sqrt(1 + 2 * r * h)) / (3 - 2 * r * h)) / h)
+
+
+RULES = {
+    "trap": Rule(_trapezoidal, lambda jw, h: np.asarray(2 / h * np.tanh(jw * h / 2))),
+    "gear": Rule(
+        _gear, lambda jw, h: np.asarray((1.5 - 2 * np.exp(-jw * h) + 0.5 * np.exp(-2 * jw * h)) / h)
+    ),
+}
+
+
+def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
+    """The largest step up to ``start`` with which ``rule`` is right to :data:`AMPLITUDE`, and to
+    :data:`SHAPE` where that takes less than :data:`MANY` points."""
+    peaks = motion.peaks()
+    t = motion.samples(SAMPLES)
+    outputs = np.arange(len(motion.linear.names))
+    exact = motion.at(t, outputs)
+    real = np.abs(exact).max(axis=0) > TINY * peaks.sum(axis=0)
+    outputs, exact = outputs[real], exact[:, real]
+    modes = motion.modes
+    if not outputs.size:
+        return start
+    resonant = modes.quality > RESONANT
+
+    def errors(h: float) -> tuple[float, float]:
+        def rates(own: np.ndarray) -> np.ndarray:
+            return np.where(resonant, rule.rates(own, h), own)
+
+        tried = motion.at(t, outputs, rates, lambda jw: rule.axis(jw, h))
+        return deviation(t, tried, exact)
+
+    def good(h: float) -> bool:
+        amplitude, shape = errors(h)
+        points = motion.stop / h
+        return (amplitude <= AMPLITUDE or points >= MOST) and (shape <= SHAPE or points >= MANY)
+
+    if good(start.step):
+        return start
+    low, high = motion.stop / MOST, start.step
+    while high / low > CLOSE:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if good(middle) else (low, middle)
+    h = low
+    heard = peaks[:, outputs] / np.abs(exact).max(axis=0)
+    delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
+    lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
+    worst = int(np.argmax(np.where(resonant, heard.max(axis=1) * delay * lasting, -1.0)))
+    quality = modes.quality[worst]
+    text = f"a motion at {_hertz(abs(modes.rates[worst]) / (2 * math.pi))}, " + (
+        f"Q {quality:.3g}" if quality < 1e6 else "undamped"
+    )
+    driven = [f"sine at {_hertz(wave.frequency)}" for _, wave in motion.sines]
+    return StepLimit(float(f"{h:.3g}"), "; ".join([text, *dict.fromkeys(driven)]))
+
+
+def _hertz(f: float) -> str:
+    for unit, size in (("MHz", 1e6), ("kHz", 1e3)):
+        if f >= size:
+            return f"{f / size:.4g} {unit}"
+    return f"{f:.4g} Hz"
+
+
+def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
+    """Largest error of any wave (nt, waves): of its rms in any of the run's windows, of a value.
+
+    Relative to the largest rms of the wave in a window, and to its largest value.
+    """
+    edges = np.linspace(t[0], t[-1], WINDOWS + 1)[1:-1]
+    cuts = np.unique([0, *np.searchsorted(t, edges)])
+    share = np.gradient(t)[:, None]  # where points lie close, at corners, each is worth less
+    length = np.maximum(np.add.reduceat(share, cuts, axis=0), 1e-300)
+    mine = np.sqrt(np.add.reduceat(share * ours**2, cuts, axis=0) / length)
+    true = np.sqrt(np.add.reduceat(share * exact**2, cuts, axis=0) / length)
+    rms = np.abs(mine - true).max(axis=0) / np.maximum(true.max(axis=0), 1e-300)
+    value = np.abs(ours - exact).max(axis=0) / np.maximum(np.abs(exact).max(axis=0), 1e-300)
+    return float(rms.max(initial=0.0)), float(value.max(initial=0.0))
+
+
+# --- what a run did -------------------------------------------------------------------------------
+
+
+def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
+    """What the steps of a run did to its waves.
+
+    Waves of a linear circuit are held against its exact motion. In any other circuit the outputs of
+    each linear body are held against its exact answer to the loads that the run put on it. Nothing
+    is where a part decides on the steps: what that is there for is resolved, not all ringing.
+    """
+    scene = build.scene
+    if scene.analysis.type != "transient" or "time" not in waves:
+        return
+    if any(row.decides for row in time_scales(scene)):
+        return
+    from kc2spice.workflow.decks import result_vectors
+    from kc2spice.workflow.verify.circuit import circuits, without_law
+
+    missing, exact, worst = set(without_law(build)), set(), (0.0, 0.0, "")
+    try:
+        parts = circuits(build)
+    except UsageError:
+        parts = ()
+    for circuit in parts:
+        if _meets(build, circuit, missing):
+            continue
+        motion = _motion(circuit, build.scene.stop)
+        if motion is not None and motion.linear.exact and motion.moves:
+            worst = max(worst, _worst(circuit, motion, waves, result_vectors(build)))
+            exact |= {law.name for law in circuit.laws}
+    if worst[2]:
+        yield _check("steps against the exact motion", worst)
+    for part in scene.parts.values():
+        if part.name in exact:
+            continue
+        found = part.type.exact_outputs(part, build, waves)
+        pairs = [(ours, true, name) for name, (ours, true) in found.items() if true.any()]
+        own = [(*deviation(waves["time"], a[:, None], b[:, None]), name) for a, b, name in pairs]
+        if own:
+            yield _check(f"steps of {part.name} against its exact answer", max(own))
+
+
+def _check(name: str, found: tuple[float, float, str]) -> Check:
+    amplitude, _, wave = found
+    told = "the steps are too coarse for what resonates: leave solver.max_step out, or lower it"
+    return Check(name, amplitude, FAIL, f"of the rms of {wave}", told, coarse=True, wiring=True)
+
+
+def _meets(build: Build, circuit: Circuit, missing: set[str]) -> bool:
+    """Whether a part without law is joined to this circuit."""
+    own = {law.name.partition(".")[0] for law in circuit.laws}
+    scene = build.scene
+    return any(
+        other in missing
+        for (name, pin) in scene.nets
+        if name in own
+        for other, _ in scene.joined(name, pin)
+    )
+
+
+def _worst(
+    circuit: Circuit, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
+) -> tuple[float, float, str]:
+    """Of every wave but those that are rounding beside others of their unit, or by themselves."""
+    time = waves["time"]
+    pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
+    # where currents jump, and a point may lie on either side; an edge may begin at the end
+    corners = np.append(motion.corners, motion.stop)
+    near = np.searchsorted(corners, time[pick])
+    gap = [np.abs(time[pick] - corners[np.clip(near + k, 0, corners.size - 1)]) for k in (-1, 0)]
+    pick = pick[np.minimum(*gap) > ASIDE * motion.stop]
+    names = motion.linear.names
+    place = {name: k for k, name in enumerate(names)}
+    exact = motion.at(time[pick], np.arange(len(names)))
+    parts = motion.peaks().sum(axis=0)
+    found: dict[str, tuple[np.ndarray, str]] = {}
+    for name, reading in circuit.readings.items():
+        if name not in waves or any(wave not in place for _, wave in reading.terms):
+            continue
+        terms = [(factor, place[wave]) for factor, wave in reading.terms]
+        true = np.asarray(sum(factor * exact[:, k] for factor, k in terms) + reading.constant)
+        size = sum(abs(factor) * parts[k] for factor, k in terms)
+        unit = vectors[name].unit if name in vectors else ""
+        if np.abs(true).max() > max(TINY * size, LEAST.get(unit, 0.0)):
+            found[name] = true, unit
+    largest: dict[str, float] = {}
+    for true, unit in found.values():
+        largest[unit] = max(largest.get(unit, 0.0), float(np.abs(true).max()))
+    worst = (0.0, 0.0, "")
+    for name, (true, unit) in found.items():
+        if np.abs(true).max() > BESIDE * largest[unit]:
+            off = deviation(time[pick], waves[name][pick][:, None], true[:, None])
+            worst = max(worst, (*off, name))
+    return worst

@@ -1,9 +1,0 @@
-*ng_script
-* Run it with:  ngspice amplifier_kick_plot.sp
-source amplifier_kick.cir
-run
-plot v(kick_ring0) v(kick_ring1) v(sphere_y) ylabel 'um' title 'amplifier_kick'
-plot v(kick_anode) v(kick_drive_out) v(control_enable) ylabel 'V' title 'amplifier_kick'
-plot @r.xkick_driver.rout[i] v(xcatch.i) i(vkick_drive) i(vcontrol_enable) ylabel 'A' title 'amplifier_kick'
-plot @b.xcontact.bring0[i] @b.xcontact.bring1[i] ylabel 'N' title 'amplifier_kick'
-plot v(contact_v) ylabel 'm/s' title 'amplifier_kick'

@@ -1,0 +1,24 @@
+"""Every scene of the gallery is exported in every dialect."""
+
+import re
+
+import pytest
+
+import kc2spice as kc
+from kc2spice.scene.load import gallery
+from kc2spice.spice.dialect import DIALECTS, dialect_files, translate
+
+
+@pytest.mark.parametrize("scene", sorted(gallery()))
+def test_every_scene_speaks_every_dialect(scene):
+    deck = kc.deck(scene)
+    for dialect in DIALECTS[1:]:
+        assert dialect_files(deck, deck.parts, dialect)
+    for dialect in ("xyce", "ltspice"):
+        spoken = translate(deck, dialect).vectors
+        assert spoken.keys() == deck.vectors.keys()
+        for name, (expression, factor) in spoken.items():
+            own, scale = deck.vectors[name]
+            assert factor == scale
+            assert re.fullmatch(r"-?[VI]\([\w:]+\)([-+][VI]\([\w:]+\))*", expression), expression
+            assert re.findall(r"[-+](?=[VI]\()", expression) == re.findall(r"[-+](?=[vi@])", own)

@@ -1,0 +1,121 @@
+"""What was accepted in silence and never made sense: refused before a run, by name."""
+
+import pytest
+from typer.testing import CliRunner
+
+import kc2spice as kc
+from kc2spice.cli.main import app
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.units import quantity
+from kc2spice.sim import ngspice
+
+RC = {
+    "name": "rc", "analysis": {"stop": 1e-3}, "solver": {"max_step": 1e-5},
+    "drive": {"part": "source", "pulse": {"high": 1.0, "width": 1e-3}},
+    "r": {"part": "resistor", "resistance": 1e3, "pins": {"a": "drive.out", "b": "c.a"}},
+    "c": {"part": "capacitor", "capacitance": 1e-8},
+}  # fmt: skip
+
+
+def changed(**parts):
+    return {k: v for k, v in (RC | parts).items() if v is not None}
+
+
+ENDS = [
+    {"r2": {"part": "resistor", "resistance": 1.0, "pins": {"a": "c.a", "b": "r.b"}}},
+    {"r2": {"part": "capacitor", "capacitance": 1.0, "pins": {"a": "gnd"}}},
+    {"r2": {"part": "diode", "pins": {"anode": "c.a", "cathode": "c.a"}}},
+    {"r2": {"part": "source", "dc": 1.0, "pins": {"out": "gnd"}}},
+    {"r2": {"part": "source", "kind": "current", "dc": 1.0, "pins": {"out": "gnd"}}},
+    {"m": {"part": "mass", "mass": 1e-3},
+     "r2": {"part": "spring", "stiffness": 1.0, "pins": {"a": "m.a", "b": "m.a"}}},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("parts", ENDS)
+def test_a_part_of_two_ends_lies_between_two_nets(parts):
+    with pytest.raises(UsageError, match="both ends are on one net") as caught:
+        kc.load_scene(changed(**parts))
+    assert "r2" in str(caught.value)
+
+
+def test_nothing_touches_itself():
+    tables = {
+        "name": "self", "ball": {"part": "sphere"},
+        "touch": {"part": "contact", "a": "ball", "b": "ball"},
+    }  # fmt: skip
+    with pytest.raises(UsageError, match="nothing touches itself") as caught:
+        kc.load_scene(tables)
+    assert "touch.b" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["transient", "ac", "op"])
+def test_a_sweep_stands_beside_dc_alone(kind):
+    analysis = {"type": kind, "sweep": "drive.dc"} | {
+        "transient": {"stop": 1e-3}, "ac": {"start": 1.0, "stop": 2.0}, "op": {},
+    }[kind]  # fmt: skip
+    with pytest.raises(UsageError, match="only dc sweeps"):
+        kc.load_scene(changed(analysis=analysis))
+
+
+@pytest.mark.parametrize("text", ["1 1 mm", "2 1 1 mm", "1 mm 1", "3 1 V"])
+def test_a_number_in_a_unit_is_not_a_unit(text):
+    with pytest.raises(UsageError):
+        quantity(text, "V" if "V" in text else "m")
+    assert quantity("5 1/s", "Hz") == 5.0
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"analysis": {"stop": 1e30}},
+        {"analysis": None, "solver": {"max_step": 1e-5, "stop": 1e30}},
+        {"solver": {"max_step": 1e-30}},
+        {"solver": {"max_step": 0.9e-10}},
+    ],
+)
+def test_more_than_ten_million_points_are_told_before_the_run(keys):
+    with pytest.raises(UsageError, match="more time points") as caught:
+        kc.load_scene(changed(**keys))
+    assert "1e+07" in str(caught.value)
+    assert kc.load_scene(changed(solver={"max_step": 1.1e-10}))
+
+
+def test_a_stiffness_that_no_simulator_follows_is_out_of_range():
+    with pytest.raises(UsageError, match="out of range"):
+        kc.load_scene("impact", ["contact.penalty=1e20"])
+    assert kc.load_scene("impact", ["contact.penalty=1e12"])
+
+
+def test_a_run_that_is_too_long_for_its_disk_limit_is_told_before(monkeypatch):
+    monkeypatch.setattr(ngspice, "LARGEST_RAW", 2000.0)
+    with pytest.raises(UsageError, match="more than its limit") as caught:
+        kc.run(RC)
+    assert "100 points" in str(caught.value) or "1e+02 points" in str(caught.value)
+
+
+def test_a_raw_file_that_grows_beyond_its_limit_ends_the_run(monkeypatch, tmp_path):
+    """Its steps are shorter than the largest: nobody could know."""
+    monkeypatch.setattr(ngspice, "LARGEST_RAW", 400_000.0)
+    drive = {"part": "source", "pulse": {"high": 1.0, "width": 5e-7, "edge": 1e-8, "period": 1e-6}}
+    with pytest.raises(SimulationError, match="grows beyond its limit"):
+        kc.run(changed(drive=drive, analysis={"stop": 20e-3}, solver={"max_step": 2e-5}))
+
+
+@pytest.mark.parametrize("command", ["run", "export", "sweep", "bench", "reduce"])
+def test_a_directory_without_a_name_is_bad_usage(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, [command, "harvester", "-o", ""])
+    assert done.exit_code == 2
+    assert "names no directory" in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_range_from_zero_is_linear_unless_it_says_otherwise():
+    drive = {"part": "source", "ac": 1.0}
+    scene = changed(drive=drive, analysis={"type": "ac", "stop": 1e4, "points": 5})
+    found = kc.run(scene)
+    assert found.waves["frequency"].real.tolist() == [0.0, 2500.0, 5000.0, 7500.0, 10000.0]
+    scene["analysis"] |= {"scale": "log"}
+    with pytest.raises(UsageError, match="logarithmic"):
+        kc.load_scene(scene)

@@ -1,0 +1,107 @@
+"""What is certified is the model of the given matrices, to all their digits, though they be such
+that 16 digits of a solution keep few: against elimination with 19 digits."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh, eigvals
+
+from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.reduce import reduce
+
+
+def clamped_beam(elements):
+    """Hermite beam of steel, 1 m by 10 mm by 5 mm, force and displacement at its free end."""
+    bending, line, h = 210e9 * 1e-2 * 5e-3**3 / 12, 7850 * 1e-2 * 5e-3, 1 / elements
+    k = bending / h**3 * np.array([
+        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+    ])  # fmt: skip
+    m = line * h / 420 * np.array([
+        [156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+        [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+    ])  # fmt: skip
+    K, M = np.zeros((2, 2 * elements + 2, 2 * elements + 2))
+    for i in range(elements):
+        s = slice(2 * i, 2 * i + 4)
+        K[s, s] += k
+        M[s, s] += m
+    B = np.zeros((2 * elements, 1))
+    B[-2] = 1.0
+    return M[2:, 2:], K[2:, 2:], B
+
+
+def eliminated(matrices, frequency):
+    """(frequencies,) response by elimination with pivots in extended precision."""
+    found = []
+    for f in frequency:
+        s = np.clongdouble(2j) * np.pi * np.longdouble(f)
+        M, E, K, B, C = matrices
+        A = s * s * M.astype(np.longdouble) + s * E.astype(np.longdouble) + K
+        A, b = A.astype(np.clongdouble), B.astype(np.clongdouble)
+        for k in range(len(A)):
+            p = k + int(np.argmax(np.abs(A[k:, k])))
+            A[[k, p]], b[[k, p]] = A[[p, k]], b[[p, k]]
+            share = (A[k + 1 :, k] / A[k, k])[:, None]
+            A[k + 1 :, k:] -= share * A[k, k:]
+            b[k + 1 :] -= share * b[k]
+        for k in range(len(A) - 1, -1, -1):
+            b[k] = (b[k] - A[k, k + 1 :] @ b[k + 1 :]) / A[k, k]
+        found.append(C @ b)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(0.0, 1e-5), (2.0, 2e-6)])
+def test_an_ill_conditioned_beam_is_reduced_as_it_was_given(alpha, beta):
+    """100 elements, condition 1e10: two solutions with 16 digits differ by 2e-5 of the response."""
+    M, K, B = clamped_beam(100)
+    E = alpha * M + beta * K
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=1e-5, band=(1.0, 800.0))
+    stated = rom.certificate.error_estimate
+    assert stated <= 1e-5
+    poles = np.sqrt(eigh(K, M, eigvals_only=True)[:4]) / (2 * np.pi)
+    frequency = np.r_[poles, 1.02 * poles, 300.0, 800.0]
+    exact = eliminated((M, E, K, B, B.T), frequency)
+    found = eliminated((rom.M, rom.E, rom.K, rom.B, rom.C), frequency)
+    largest = np.abs(exact).max()
+    error = (np.abs(found - exact) / np.maximum(np.abs(exact), 1e-6 * largest)).max()
+    assert error <= stated
+    assert rom.order <= 12
+    assert "its own response is uncertain to" in rom.certificate.method
+    if alpha == 0:  # its lowest resonance is a hundred times sharper
+        assert any("uncertain to" in str(each.message) for each in said)
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 1e-5])
+def test_a_gyroscopic_model_is_as_good_on_its_sharp_resonances_as_it_says(ratio):
+    """16 digits of the matrices leave some ten at a damping ratio of 1e-6."""
+    rng = np.random.default_rng(8)
+    n = 40
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    w = np.sort(np.exp(rng.uniform(0, 4, n)))
+    G = 0.1 * rng.standard_normal((n, n))
+    K, E = Q @ np.diag(w**2) @ Q.T, G - G.T + 2 * ratio * Q @ np.diag(w) @ Q.T
+    M, K, B = np.eye(n), 0.5 * (K + K.T), rng.standard_normal((n, 2))
+    band = 0.0, w[n // 3] * 1.03 / (2 * np.pi)
+    rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=1.8e-7, band=band)
+    poles = eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -E]])) / (2 * np.pi)
+    poles = poles[(poles.imag > 0) & (poles.imag < band[1])]
+    frequency = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-1, 0, 1]).ravel()
+    exact = eliminated((M, E, K, B, B.T), frequency)
+    found = eliminated((rom.M, rom.E, rom.K, rom.B, rom.C), frequency)
+    error = np.abs(found - exact) / np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
+    assert error.max() <= rom.certificate.error_estimate <= 1.8e-7
+
+
+def test_what_is_judged_beside_its_resonances_is_said():
+    """Without damping there is no error on a resonance."""
+    K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    said = {}
+    for loss in (0.0, 1e-3):
+        model = LinearModel(M=np.eye(20), E=loss * K, K=K, B=np.eye(20)[:, [3]])
+        method = reduce(model, tolerance=1e-3, band=(0.0, 0.1)).certificate.method
+        said[loss] = "beside resonances" in method
+    assert said == {0.0: True, 1e-3: False}

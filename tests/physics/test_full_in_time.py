@@ -1,0 +1,139 @@
+"""Full models at their ports: closed forms, matrices solved by hand, the usual code of contact."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.interpolate import CubicSpline
+
+from kc2spice.core import laws
+from kc2spice.core.progress import Clock, silent
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.parts.piezo_stack import chip_of
+from kc2spice.reference.assemble import assemble
+from kc2spice.reference.equilibrium import operating_point
+from kc2spice.reference.linear import ac
+from kc2spice.reference.steps import seconds, steps
+from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.verify import full as module
+from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.full import full_build, full_solution
+from laboratory.fullmodel import as_waveforms, limit
+from laboratory.usual.contact import contact_surface
+from laboratory.usual.transient import Ball, transient
+
+M, K, ZETA = 2e-6, 8e4, 0.02
+W = np.sqrt(K / M)
+RAMP = 20e-6  # s, of the load
+KICK = (laws.Port("tip", "displacement"), laws.Port("anode", "electrical", "ret"))
+
+
+def oscillator() -> LinearModel:
+    """A mass on a spring with an electrode: 0.3 N/V, 1 nF clamped."""
+    one = sparse.csc_array([[1.0]])
+    return LinearModel(
+        M=M * one, K=K * one, E=2 * ZETA * np.sqrt(M * K) * one, B=np.array([[1.0, 0.3]]),
+        D=np.diag([0.0, 1e-9]),
+        ports=(Port("tip", "mechanical"), Port("anode", "electrical", pins=("anode", "ret"))),
+    )  # fmt: skip
+
+
+def risen(t: np.ndarray) -> np.ndarray:
+    """Response of a damped oscillator to a load that rises by 1 N/s, by Laplace transform."""
+    d, w = ZETA * W, W * np.sqrt(1 - ZETA**2)
+    wave = np.exp(-d * t) * (2 * ZETA / W * np.cos(w * t) + (2 * ZETA**2 - 1) / w * np.sin(w * t))
+    return np.where(t > 0, (t - 2 * ZETA / W + wave) / K, 0.0)
+
+
+def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
+    force = laws.Source("f", "force", laws.Line(((0.0, 0.0), (RAMP, 1.0))))
+    still = laws.Source("v", "voltage", laws.Line.constant(0.0))
+    body = laws.PortBody("x", oscillator(), KICK)
+    joins = {"a": ("x.tip", "f.out"), "b": ("x.anode", "v.out")}
+    system, errors = assemble((body, force, still), joins), []
+    for count in (400, 800):
+        step = 200e-6 / count
+        run = steps(system, seconds(system, step)[1], 0.0, step, count)
+        exact = (risen(run.time) - risen(run.time - RAMP)) / RAMP
+        errors.append(np.abs(run.waves["x.tip"] - exact).max() * K)
+        # the charge of a short circuit is 0.3 C/m times the displacement, the current its rate
+        current = 0.3 * np.gradient(exact, run.time)
+        assert np.abs(run.waves["x.anode.through"] - current).max() < 0.02 * np.ptp(current)
+    assert errors[1] < 1e-3
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
+    """At rest and at a frequency, on a floating electrode with a capacitor and a spring."""
+    full = oscillator()
+    K_, E, M_ = full.pencil.dense().coefficients
+    states = laws.LinearBody("x", M_, E, K_, full.B, full.C, full.D, KICK)
+    found = []
+    for body in (states, laws.PortBody("x", full, KICK)):
+        parts = (
+            body, laws.TwoTerminal("c", 1, 2e-9), laws.TwoTerminal("k", -1, 3e4, "displacement"),
+            laws.Mass("lifted", 1e-3, gravity=-30.0),
+            laws.Source("f", "force", laws.Line.constant(0.1), 1.0),
+        )  # fmt: skip
+        joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
+        system = assemble(parts, joins)
+        point, waves = operating_point(system).values, ac(system, np.array([1e3, 2.9e4]))
+        found.append((point["x.tip"], point["x.anode"], *waves["x.tip"], *waves["x.anode"]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+    # by hand: 3 nF share the charge 0.3 u; 30 mN lift
+    stiff = K + 3e4 + 0.3**2 / 3e-9
+    assert found[1][0] == pytest.approx((0.1 + 0.03) / stiff, rel=1e-9)
+    assert found[1][1] == pytest.approx(-0.3 * found[1][0] / 3e-9, rel=1e-9)
+
+
+COARSE = ["kick.layers=3"] + [
+    f"kick.mesh.{key}" for key in ("sectors=4", "rings=2", "ring_spacing=50 um", "outer_rings=3")
+]
+
+
+def followed(*change: str, stop: float, **limits: float) -> tuple[Waveforms, Waveforms]:
+    """Full and reduced solution of an impact at the times of the reduced one."""
+    scene = load_scene("impact", [*COARSE, "impact.gap=0.2 um", f"solver.stop={stop}", *change])
+    build = build_models(scene, Clock(silent))
+    points = Waveforms({"time": np.linspace(0.0, stop, 601)}, {})
+    exact, full = solve(build, points), full_build(build, Clock(silent))
+    found = full_solution(build, full, points, exact, {}, Clock(silent), False)
+    return found.waves, exact.results
+
+
+@pytest.mark.parametrize("electrical", ["open", "short"])
+def test_an_impact_is_that_of_the_usual_code(electrical: str) -> None:
+    """Average acceleration on the full matrices, contact by its own search, steps to their limit:
+    nothing in common but the matrices. Eight states are off by several times as much."""
+    found, reduced = followed(f"kick.electrical={electrical}", "rom.order=8", stop=3e-6)
+    scene = load_scene("impact", COARSE)
+    chip = chip_of(scene.parts["kick"].keys)
+    system, surface = assemble_kick(chip), contact_surface(chip, 1e8, 1e-3)
+    ball = Ball(scene.parts["sphere"].keys.mass / 4, 0.2e-6, -1.0)
+    voltage = None if electrical == "open" else lambda t: 0.0
+    coarse, fine = (
+        as_waveforms(transient(system, surface, ball, step=h, stop=3e-6, voltage=voltage), 1e-3, 4)
+        for h in (10e-9, 5e-9)
+    )
+    exact = limit(coarse, fine, "contact.force")
+    curve, travel = CubicSpline(exact["time"], exact["sphere.y"]), np.ptp(exact["sphere.y"])
+
+    def off(waves: Waveforms) -> float:
+        return float(np.abs(waves["sphere.y"] - curve(waves["time"])).max() / travel)
+
+    assert off(found) < 5e-6  # 3e-6, as much as the limit of the usual steps is off by itself
+    assert off(reduced) > 1.5e-5
+
+
+def test_only_as_many_steps_as_are_affordable_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long scene is followed for a while: from the first touch, no loads before it."""
+    monkeypatch.setattr(module, "MOST", 100)
+    found, reduced = followed(stop=20e-6)
+    assert found["time"][0] == 0.0
+    assert 2e-6 < found["time"][-1] < 4e-6
+    before = found["time"] < 0.19e-6
+    assert before.sum() > 3
+    exact = reduced["sphere.y"][: found["time"].size][before]
+    np.testing.assert_array_equal(found["sphere.y"][before], exact)

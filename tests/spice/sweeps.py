@@ -1,0 +1,55 @@
+"""What tests of sweeps share: a circuit of milliseconds, the command line, tables."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+# A capacitor charged over a resistor: after the time t it has 1 - exp(-t / RC) of the voltage.
+CIRCUIT = """
+name = "charge"
+[supply]
+part = "source"
+pulse = { high = "10 V", width = "1 s", edge = "1 ns", start = "1 us" }
+pins = { out = "wire.a" }
+[wire]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { b = "store.a" }
+[store]
+part = "capacitor"
+capacitance = "1 uF"
+[solver]
+stop = "1.001 ms"
+max_step = "2 us"
+[probes]
+charged = { of = "store.v", take = "final" }
+largest = { of = "supply.i", take = "max" }
+"""
+
+
+def circuit(folder):
+    path = Path(folder) / "charge.toml"
+    path.write_text(CIRCUIT)
+    return str(path)
+
+
+def command(scene, *sets, out, more=()):
+    pairs = [word for text in sets for word in ("--set", text)]
+    return [sys.executable, "-m", "kc2spice", "sweep", str(scene), *pairs, "-o", str(out), *more]
+
+
+def sweep(scene, *sets, out, more=(), code=0, **options):
+    """The summary of the command, or what it says where it is to fail."""
+    words = command(scene, *sets, out=out, more=("--json", "--quiet", *more))
+    done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return json.loads(done.stdout) if code == 0 else done.stderr
+
+
+def rows(summary):
+    table = Path(summary["table"] if isinstance(summary, dict) else summary)
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

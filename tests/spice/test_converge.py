@@ -1,0 +1,84 @@
+"""Error budgets: refined runs estimate the error of each metric, and what does not hold says so."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+
+LAYERS = [{"material": "PZT-5A", "thickness": "0.3 mm"}] * 2
+BIMORPH = {
+    "name": "bender",
+    "beam": {"part": "bimorph", "length": "30 mm", "width": "5 mm", "layers": LAYERS,
+             "wiring": "parallel", "damping": {"quality": 50}, "pins": {"anode": "drive.out"}},
+    "drive": {"part": "source",
+              "pulse": {"high": "50 V", "start": "0.1 ms", "width": "2 ms", "edge": "50 us"}},
+    "analysis": {"type": "transient", "stop": "3 ms"},
+    "probes": {"stroke_m": {"of": "beam.u.tip", "take": "max"}},
+}  # fmt: skip
+# an RC low-pass
+LOWPASS = {
+    "name": "lowpass",
+    "drive": {"part": "source", "pulse": {"high": "5 V", "width": "0.1 ms", "edge": "1 us"}},
+    "r": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out"}},
+    "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "r.b"}},
+    "analysis": {"type": "transient", "stop": "0.2 ms"},
+    "probes": {"late_v": {"of": "c.v", "take": "final"}},
+}
+
+
+def judged(tables, overrides, budget, name, exact):
+    """True error, the record's convergence, and the warnings of a run with a budget."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        scene = kc.load_scene(tables, {**overrides, "error_budget": budget})
+        result = kc.run(scene)
+    error = abs(result.metrics[name] / exact - 1)
+    return error, result.record["convergence"], [str(each.message) for each in said]
+
+
+def test_a_budget_that_the_scene_keeps_anyway_costs_one_refined_run():
+    exact = 5 * (1 - np.exp(-99e-6 / 20e-6)) * np.exp(-1e-4 / 20e-6)  # edges of 1 us: 1e-3 of it
+    error, found, said = judged(LOWPASS, {}, 0.05, "late_v", exact)
+    assert found["held"]
+    assert error < 0.05
+    assert len(found["tried"]) == 1
+    assert not any("error_budget" in each for each in said)
+
+
+def test_a_coarse_scene_is_refined_until_its_budget_holds():
+    """The axis with the largest share goes first: here the steps, as nothing else is there."""
+    coarse = {"solver.reltol": 0.3, "solver.chgtol": 1e-5, "solver.trtol": 10}
+    fine = kc.run(kc.load_scene(LOWPASS, {"solver.reltol": 1e-6, "solver.max_step": "20 ns"}))
+    plain = kc.run(kc.load_scene(LOWPASS, {**coarse, "solver.max_step": "20 us"}))
+    exact = fine.metrics["late_v"]
+    before = abs(plain.metrics["late_v"] / exact - 1)
+    error, found, said = judged(
+        LOWPASS, {**coarse, "solver.max_step": "20 us"}, before / 5, "late_v", exact
+    )
+    assert "convergence" not in plain.record
+    assert found["held"] is (found["errors"]["late_v"] <= before / 5)
+    assert error <= before / 5 or any("error of late_v" in each for each in said)
+    assert len(found["tried"]) > 1
+    assert any("finer time steps" in each for each in said)
+
+
+def test_a_budget_out_of_reach_is_told():
+    _, found, said = judged(LOWPASS, {"solver.reltol": 0.01}, 1e-13, "late_v", 1.0)
+    assert not found["held"]
+    assert any("limit 1e-13" in each for each in said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("budget", [3e-2, 3e-3, 3e-4])
+def test_budgets_of_a_bimorph_step_are_never_missed_in_silence(budget):
+    exact = kc.run(
+        kc.load_scene(BIMORPH, {
+            "solver.reltol": 1e-6, "solver.max_step": "0.2 us", "rom.tolerance": 1e-6,
+            "rom.band": ["0 Hz", "200 kHz"],
+        })
+    ).metrics["stroke_m"]  # fmt: skip
+    error, found, _ = judged(BIMORPH, {}, budget, "stroke_m", exact)
+    print(f"BUDGET bimorph {budget:g}: error {error:.2g}, {found['errors']}, held {found['held']}")
+    assert error <= budget or not found["held"]

@@ -1,0 +1,166 @@
+"""What a user's netlist may not say to the rest of a deck, and what it may."""
+
+import re
+from pathlib import Path
+
+import pytest
+from device import built
+
+from kc2spice.core.errors import UsageError
+from kc2spice.scene.load import load_scene
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.spice.deckwide import FUNCTIONS
+from kc2spice.spice.lint import lint
+from kc2spice.workflow.decks import edited_deck, make_deck
+
+FOLLOWER = ".subckt half in out ref\nRa in out 1k\nRb out ref 1k\n.ends half\n"
+
+
+def scene(folder, *texts):
+    """1 V into one divider after another; ``texts`` follow their subcircuits."""
+    tables = {
+        "name": "divided", "analysis": {"stop": 1e-4}, "solver": {"max_step": 1e-5},
+        "supply": {"part": "source", "dc": 1.0},
+        "load": {"part": "resistor", "resistance": 1e6, "pins": {"a": "box0.out"}},
+    }  # fmt: skip
+    for k, text in enumerate(texts):
+        name = f"half{k}"
+        (folder / f"{name}.lib").write_text(FOLLOWER.replace("half", name) + text)
+        tables[f"box{k}"] = {
+            "part": "netlist", "file": f"{name}.lib", "subckt": name,
+            "pins": {"in": "supply.out", **({"out": "box0.out"} if k else {})},
+        }  # fmt: skip
+    return tables
+
+
+REFUSED = {
+    "function": (".func max(a,b) {a}", "built-in name"),
+    "function in upper case": (".FUNC Min (a,b) {a}", "built-in name"),
+    "function as a parameter": (".param max(a,b)={a}", "built-in name"),
+    "constant": (".param time=3", "built-in name"),
+    "tolerance": (".options reltol=0.5", "option reltol"),
+    "absolute tolerance": (".option post abstol=1", "option abstol"),
+    "truncation": (".opt trtol=70", "option trtol"),
+    "method": (".options method=gear", "option method"),
+    "interpolation": (".options interp", "option interp"),
+    "shunt": (".options rshunt=1e6", "option rshunt"),
+    "temperature as an option": (".options temp=125", "option temp"),
+    "temperature": (".temp 125", "temperature"),
+    "transient": (".tran 1u 1m", "analysis"),
+    "small signals": (".ac dec 10 1 1k", "analysis"),
+    "sweep": (".dc V1 0 1 0.1", "analysis"),
+    "point": (".op", "analysis"),
+    "noise": (".noise v(out) V1 dec 10 1 1k", "analysis"),
+    "output": (".print tran v(out)", "output"),
+    "global": (".global supply_out", "global"),
+    "initial condition": (".ic v(supply_out)=3", "outside of every subcircuit"),
+    "guess": (".nodeset v(supply_out)=3", "outside of every subcircuit"),
+    "element": ("R1 supply_out 0 1", "outside of every subcircuit"),
+    "continued": (".options\n+ reltol=0.5", "option reltol"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_acts_on_the_whole_deck_is_refused_by_name(text, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=said) as caught:
+        load_scene(scene(tmp_path, f"* after it\n{text}\n"))
+    assert "half0.lib:6" in str(caught.value)
+
+
+def test_the_line_of_an_inner_include_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "inner.lib").write_text("* a\n* b\n.global vdd\n")
+    with pytest.raises(UsageError, match=re.escape("inner.lib:3")):
+        load_scene(scene(tmp_path, '.include "inner.lib"\n'))
+
+
+OWN = {
+    "function of its own": ".func sq(x) {x*x}\n.param four={sq(2)}\n",
+    "model": ".model DX D(IS=1e-14)\n",
+    "printing": ".options acct post\n",
+    "built-in name in its own scope": (
+        ".subckt other a\n.func max(x,y) {x}\n.param time=2\n.ic v(a)=0\nB1 a 0 V={max(1,2)}\n"
+        "R1 a 0 1\n.ends\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("text", OWN.values(), ids=OWN)
+def test_what_a_netlist_says_to_itself_runs(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    deck = make_deck(built(load_scene(scene(tmp_path, text))))
+    lint(deck)
+    waves = run_deck(deck, tmp_path)
+    assert waves["load.v"][-1] == pytest.approx(0.5, rel=1e-3)  # 500 Ohm into 1 MOhm
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "said"),
+    [
+        (".param gain=2", ".param gain=3", "parameter gain"),
+        (".func f(x) {x}", ".FUNC F(x) {2*x}", "function f"),
+        (".model DX D(IS=1e-14)", ".model dx D(IS=1e-9)", "two models"),
+    ],
+)
+def test_two_files_that_define_one_name_are_refused(one, other, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=said) as caught:
+        lint(make_deck(built(load_scene(scene(tmp_path, one + "\n", other + "\n")))))
+    assert "half0.lib:5" in str(caught.value)
+    assert "half1.lib:5" in str(caught.value)
+    lint(make_deck(built(load_scene(scene(tmp_path, one + "\n", one + "\n")))))
+
+
+def test_every_function_that_our_cards_call_is_known():
+    netlists = Path(__file__).parents[2] / "netlists"
+    used = set()
+    for path in netlists.rglob("*.lib"):
+        text = path.read_text().replace("\n+", " ")
+        for card in re.findall(r"(?im)^(?:B|\.param|\.subckt).*$", text):
+            used |= {each.lower() for each in re.findall(r"(?<![\w.])([a-zA-Z]\w*)\(", card)}
+    assert {"max", "min", "sqrt", "v"} <= used  # the search finds what it looks for
+    assert used <= FUNCTIONS
+
+
+def edit(deck, folder, change):
+    folder.mkdir()
+    for name, text in deck.files.items():
+        (folder / name).write_text(change(text))
+
+
+EDITED = {
+    "function": (".func max(a,b) {a}", "built-in name"),
+    "global": (".global supply_out", "global"),
+    "interpolation": (".options interp", "interp"),
+    "second analysis": (".noise v(load_a) Vsupply dec 10 1 1k", "analysis"),
+}
+
+
+@pytest.mark.parametrize(("line", "said"), EDITED.values(), ids=EDITED)
+def test_an_edited_deck_that_changes_what_others_mean_is_refused(line, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    build = built(load_scene(scene(tmp_path, "")))
+    deck = make_deck(build)
+    edit(deck, tmp_path / "edited", lambda text: text.replace(".tran", f"{line}\n.tran"))
+    with pytest.raises(UsageError, match=said):
+        edited_deck(build, tmp_path / "edited" / deck.main)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda text: text.replace(".tran", ".options reltol=0.5\n.tran"), "reltol = 0.5"),
+        (lambda text: text.replace(".options method", "*"), "method = default"),
+        (lambda text: text.replace(".tran", ".temp 125\n.tran"), "temp = 125"),
+        (lambda text: text, ""),
+    ],
+)
+def test_options_of_an_edited_deck_are_told(change, told, tmp_path, monkeypatch, recwarn):
+    monkeypatch.chdir(tmp_path)
+    build = built(load_scene(scene(tmp_path, "")))
+    deck = make_deck(build)
+    edit(deck, tmp_path / "edited", change)
+    edited_deck(build, tmp_path / "edited" / deck.main)
+    said = [str(each.message) for each in recwarn]
+    assert [told in each for each in said] == ([True] if told else [])

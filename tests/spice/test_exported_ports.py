@@ -1,0 +1,81 @@
+"""An export keeps every port that the author of a body declares; a run has those that it needs."""
+
+import re
+import subprocess
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kc2spice.cli.main import app
+
+NODES = 4
+K = 1e4 * (2 * np.eye(NODES) - np.eye(NODES, k=1) - np.eye(NODES, k=-1))  # N/m
+PORTS = ("left", "middle", "right")
+SCENE = """
+name = "pushed"
+analysis = { type = "transient", stop = "5 ms" }
+[chain]
+part = "matrices"
+file = "chain.npz"
+[push]
+part = "source"
+kind = "force"
+sine = { amplitude = "1 N", frequency = "300 Hz" }
+pins = { out = "chain.left" }
+"""
+FORCE = 2.0  # N
+
+
+@pytest.fixture
+def chain(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    B = np.eye(NODES)[:, : len(PORTS)]
+    np.savez(tmp_path / "chain.npz", K=K, M=1e-3 * np.eye(NODES), E=1e-6 * K, B=B)
+    tables = [f'[[ports]]\nname = "{p}"\nkind = "mechanical"\ncolumn = {k}\n'
+              for k, p in enumerate(PORTS, 1)]  # fmt: skip
+    (tmp_path / "chain.toml").write_text("band = [0, 2e3]\n" + "".join(tables))
+    (tmp_path / "pushed.toml").write_text(SCENE)
+
+    def command(*words):
+        done = CliRunner().invoke(app, [*words])
+        assert done.exit_code == 0, done.stderr
+        return " ".join(done.stdout.split())
+
+    return command
+
+
+def pins(library):
+    return re.search(r"(?im)^\.subckt chain (.*) base", library.read_text())[1].split()
+
+
+def test_ports_that_nothing_joins_are_in_the_export_and_work(chain, tmp_path):
+    chain("export", "pushed.toml", "-o", "out", "-q")
+    assert pins(tmp_path / "out" / "chain.lib") == list(PORTS)
+    (tmp_path / "out" / "own.cir").write_text(
+        "force on the port that the scene joins nothing to\n.include chain.lib\n"
+        f"Xchain left middle right 0 chain\nIpush 0 right DC {FORCE}\n"
+        ".op\n.print op v(left) v(middle) v(right)\n.end\n"
+    )
+    done = subprocess.run(
+        ["ngspice", "-b", "own.cir"], cwd=tmp_path / "out", capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    # 1 V = 1 um; the reduction's static answers are exact, ngspice prints seven digits
+    expected = 1e6 * np.linalg.solve(K, FORCE * np.eye(NODES)[2])[: len(PORTS)]
+    row = re.search(r"(?m)^0\s+(\S+)\s+(\S+)\s+(\S+)\s*$", done.stdout)
+    assert np.array(row.groups(), dtype=float) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_run_leaves_them_out_and_explain_says_so(chain, tmp_path):
+    chain("run", "pushed.toml", "-o", "out", "-q")
+    assert pins(tmp_path / "out" / "chain.lib") == ["left"]
+    said = chain("explain", "pushed.toml")
+    assert "chain: ports middle, right" in said
+    assert "export keeps them" in said
+
+
+def test_the_exported_deck_runs_as_an_edited_one(chain, tmp_path):
+    chain("export", "pushed.toml", "-o", "deck", "-q")
+    chain("run", "pushed.toml", "--deck", "deck/pushed.cir", "-o", "out", "-q")
+    assert pins(tmp_path / "deck" / "chain.lib") == list(PORTS)

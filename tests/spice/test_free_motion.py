@@ -1,0 +1,205 @@
+"""Masses and bodies that nothing holds, or something soft: closed forms, and what has none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts import matrices
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.verify.circuit import solve
+
+MASS, G = 1e-6, 9.81
+BOX = {"part": "mass", "mass": MASS}
+SEEN = {"part": "sensor", "pins": {"of": "box.a"}}
+STEPS = {"solver": {"stop": 0.1, "max_step": 1e-3}}
+
+
+def both(tables, directory):
+    """Waveforms of ngspice and of the independent integrator at the same points."""
+    scene = load_scene({"name": "free", **tables})
+    build = Build(scene, {}, libraries(scene))
+    waves = run_deck(make_deck(build), directory)
+    if "time" in waves:
+        assert not [check for check in verdict(waves, build).checks if not check.passed]
+    return waves, solve(build, waves).results
+
+
+def push(**keys):
+    return {"part": "source", "kind": "force", "pins": {"out": "box.a"}, **keys}
+
+
+def test_a_mass_flies_on_as_fast_as_it_began(tmp_path):
+    """A hidden spring of 1e-3 N/m would have turned it back within 50 ms."""
+    for found in both({"box": BOX | {"velocity": 1.0}, "seen": SEEN, **STEPS}, tmp_path):
+        np.testing.assert_allclose(found["box.x"], found["time"], rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(found["box.v"], 1.0, rtol=1e-9)
+
+
+def test_a_weight_falls_from_where_it_began(tmp_path):
+    box = BOX | {"weight": True, "position": 2e-3, "velocity": 0.5}
+    for found in both({"box": box, "seen": SEEN, **STEPS}, tmp_path):
+        t = found["time"]
+        np.testing.assert_allclose(found["box.x"], 2e-3 + 0.5 * t - G / 2 * t**2, atol=1e-8)
+
+
+def test_a_constant_force_moves_a_free_mass_by_newton(tmp_path):
+    for found in both({"box": BOX, "push": push(dc=10e-3), **STEPS}, tmp_path):
+        assert found["box.x"][0] == 0.0
+        assert found["box.x"][-1] == pytest.approx(10e-3 / MASS * 0.1**2 / 2, rel=1e-8)
+
+
+@pytest.mark.parametrize("analysis", [{"type": "op"}, {"type": "transient", "stop": 0.1}])
+def test_a_weight_rests_on_a_soft_spring_as_hooke_says(analysis, tmp_path):
+    box = {"part": "mass", "mass": 1e-3, "weight": True}
+    hold = {"part": "spring", "stiffness": 0.02, "pins": {"a": "box.a"}}
+    steps = {"solver": {"max_step": 1e-3}} if analysis["type"] == "transient" else {}
+    for found in both({"box": box, "hold": hold, "analysis": analysis, **steps}, tmp_path):
+        np.testing.assert_allclose(found["box.x"], -1e-3 * G / 0.02, rtol=1e-9)
+
+
+def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):
+    """Their centre flies on; about it they swing with ``sqrt(k (1 / m1 + 1 / m2))``."""
+    other = {"part": "mass", "mass": 2 * MASS}
+    join = {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a", "b": "other.a"}}
+    tables = {"box": BOX | {"velocity": 1.0}, "other": other, "join": join,
+              "solver": {"stop": 20e-3, "max_step": 5e-6, "reltol": 1e-6}}  # fmt: skip
+    w = np.sqrt(1.0 / MASS * 1.5)
+    for found, error in zip(both(tables, tmp_path), (1e-3, 1e-8), strict=True):
+        t = found["time"]
+        momentum = MASS * found["box.v"] + 2 * MASS * found["other.v"]
+        np.testing.assert_allclose(momentum, MASS, rtol=1e-9)
+        # the trapezoid is late by (w h)^2 / 12 of the phase: 4e-4 after four periods
+        apart = found["box.x"] - found["other.x"]
+        np.testing.assert_allclose(apart, np.sin(w * t) / w, atol=error / w)
+
+
+def test_masses_that_a_pin_joins_move_as_one(tmp_path):
+    other = {"part": "mass", "mass": 2 * MASS, "pins": {"a": "box.a"}}
+    for found in both({"box": BOX, "other": other, "push": push(dc=0.01), **STEPS}, tmp_path):
+        assert found["other.x"][-1] == pytest.approx(0.01 / (3 * MASS) * 0.1**2 / 2, rel=1e-8)
+
+
+def test_a_falling_weight_in_oil_ends_at_its_weight_over_the_damping(tmp_path):
+    box = {"part": "mass", "mass": 1e-3, "weight": True}
+    oil = {"part": "damper", "damping": 0.02, "pins": {"a": "box.a"}}
+    steps = {"solver": {"stop": 1.0, "max_step": 1e-3}}
+    for found in both({"box": box, "oil": oil, **steps}, tmp_path):
+        assert found["box.v"][-1] == pytest.approx(-1e-3 * G / 0.02, rel=1e-6)
+
+
+def test_the_response_of_a_free_mass_is_that_of_its_inertia(tmp_path):
+    """From 1 mHz, where a hidden spring of 1e-3 N/m would have held 1 mg, to 1 MHz."""
+    sweep = {"type": "ac", "start": 1e-3, "stop": 1e6, "points": 30}
+    coil = {"part": "inductor", "inductance": 1.0, "pins": {"a": "drop.out"}}
+    tables = {"box": BOX, "push": push(ac=1.0), "analysis": sweep,
+              "box_a_held": coil, "drop": {"part": "source"}}  # fmt: skip
+    for found in both(tables, tmp_path):
+        w = 2 * np.pi * found["frequency"].real
+        np.testing.assert_allclose(found["box.x"], -1 / (MASS * w**2), rtol=1e-9)
+
+
+SPRING = {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a", "b": "other.a"}}
+NO_REST = {
+    "op": ({"box": BOX, "push": push(dc=1e-2), "analysis": {"type": "op"}}, "box"),
+    "dc": ({"box": BOX, "push": push(), "analysis": {
+        "type": "dc", "sweep": "push.dc", "to": 1.0}}, "box"),
+    "ac": ({"box": BOX, "push": push(dc=1e-2, ac=1.0), "analysis": {
+        "type": "ac", "start": 1.0, "stop": 1e3}}, "box"),
+    "weight": ({"box": BOX | {"weight": True}, "push": push(ac=1.0), "analysis": {
+        "type": "ac", "start": 1.0, "stop": 1e3}}, "box"),
+    "held by another that is free": (
+        {"box": BOX, "other": BOX, "join": SPRING, "push": push(dc=1.0),
+         "analysis": {"type": "op"}}, "box"),
+    "a damper": ({"box": BOX | {"weight": True}, "analysis": {"type": "op"}, "oil": {
+        "part": "damper", "damping": 1.0, "pins": {"a": "box.a"}}}, "box"),
+    "an open contact": ({"box": BOX | {"weight": True}, "analysis": {"type": "op"}, "floor": {
+        "part": "contact", "a": "gnd", "b": "box", "gap": 1e-6}}, "box"),
+    "a sphere": ({"ball": {"part": "sphere"}, "analysis": {"type": "op"}}, "ball"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", NO_REST)
+def test_what_has_no_equilibrium_is_told_before_a_run(case):
+    tables, name = NO_REST[case]
+    with pytest.raises(UsageError, match=f"nothing holds {name}") as caught:
+        load_scene({"name": "free", **tables})
+    assert "spring" in caught.value.expected
+
+
+def test_what_touches_the_ground_rests_on_it(tmp_path):
+    floor = {"part": "contact", "a": "gnd", "b": "box", "penalty": 1e5}
+    tables = {"box": BOX | {"weight": True}, "floor": floor, "analysis": {"type": "op"}}
+    for found in both(tables, tmp_path):
+        assert found["floor.force"][-1] == pytest.approx(MASS * G, rel=1e-9)
+
+
+@pytest.mark.parametrize("other", ["mass", "shaker"])
+def test_what_is_fixed_to_something_has_no_start_of_its_own(other):
+    tables = {
+        "mass": {"other": BOX | {"pins": {"a": "box.a"}}},
+        "shaker": {"other": push(kind="displacement")},
+    }[other]
+    scene = load_scene({"name": "free", "box": BOX | {"velocity": 1.0}, **tables})
+    with pytest.raises(UsageError, match="what it is fixed to") as caught:
+        make_deck(Build(scene, {}, libraries(scene)))
+    assert caught.value.where == "box"
+    with pytest.raises(UsageError, match="begins a transient"):
+        load_scene({"name": "free", "box": BOX | {"position": 1.0}, "seen": SEEN,
+                    "analysis": {"type": "ac", "start": 1.0, "stop": 1e3}})  # fmt: skip
+
+
+@pytest.fixture
+def dumbbell(monkeypatch):
+    """A scene with the part ``bar``: two masses of 1 g on a spring, free or clamped."""
+
+    def made(clamped=0.0, **tables):
+        K = 1e4 * np.array([[1.0, -1.0], [-1.0, 1.0 + clamped]])
+        ports = tuple(kc.Port(n, "mechanical", "um", "N") for n in ("tip", "foot"))
+        model = kc.LinearModel(M=1e-3 * np.eye(2), E=0 * K, K=K, B=np.eye(2), ports=ports)
+        monkeypatch.setattr(matrices, "_read", lambda *_: model)
+        monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("bar.mtx",))
+        scene = load_scene({"name": "free", "bar": {"part": "matrices", "file": "bar.mtx"},
+                            **tables})  # fmt: skip
+        return Build(scene, {"bar": model.select(["tip"])}, libraries(scene))
+
+    return made
+
+
+def test_a_free_body_is_not_pushed_at_rest(dumbbell, tmp_path):
+    def at_tip(**keys):
+        return push(**keys) | {"pins": {"out": "bar.tip"}}
+
+    stop = {"solver": {"stop": 1e-3, "max_step": 1e-6}}
+    for more in (stop, {"analysis": {"type": "op"}}):
+        with pytest.raises(UsageError, match="nothing holds bar"):
+            make_deck(dumbbell(push=at_tip(dc=1.0), **more))
+        make_deck(dumbbell(clamped=1.0, push=at_tip(dc=1.0), **more))
+    pulse = {"high": 1.0, "width": 1.0, "edge": 1e-9}
+    build = dumbbell(push=at_tip(pulse=pulse), **stop)
+    found = run_deck(make_deck(build), tmp_path)
+    w, t = np.sqrt(2e4 / 1e-3), 1e-3  # half of the force moves the centre, half the mode
+    exact = t**2 / 4e-3 + (1 - np.cos(w * t)) / (2e-3 * w**2)
+    assert found["bar.u.tip"][-1] == pytest.approx(exact, rel=1e-3)
+
+
+def test_a_small_capacitance_that_would_lose_its_charge_is_told(monkeypatch):
+    """1 pF under the netlist's leak of 1e-12 S forgets a tenth of its charge in 0.1 s."""
+    port = kc.Port("anode", "electrical", "V", "A", ("anode", "cathode"))
+    model = kc.LinearModel(M=np.eye(1), E=np.eye(1), K=np.eye(1), B=np.zeros((1, 1)),
+                           D=np.full((1, 1), 1e-12), ports=(port,))  # fmt: skip
+    monkeypatch.setattr(matrices, "_read", lambda *_: model)
+    monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("bar.mtx",))
+    scene = load_scene({"name": "leak", "bar": {"part": "matrices", "file": "bar.mtx"}, **STEPS})
+    waves = Waveforms({"time": np.array([0.0, 0.1])}, {})
+    build = Build(scene, {"bar": model}, libraries(scene))
+    (check,) = scene.parts["bar"].type.checks(scene.parts["bar"], build, waves)
+    assert check.value == pytest.approx(1 - np.exp(-0.1), rel=1e-12)
+    assert not check.passed

@@ -1,0 +1,105 @@
+"""The documentation names what exists: files behind links, modules, functions, classes."""
+
+import ast
+import re
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+PAGES = [page for page in PAGES if page.name != "CHANGELOG.md"]  # tells of what was
+SOURCES = [*(ROOT / "kc2spice").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+
+
+def prose(page):
+    """Without blocks of code."""
+    return re.sub(r"(?ms)^ *```.*?^ *```", "", page.read_text(encoding="utf-8"))
+
+
+@cache
+def anchors(page):
+    heads = re.findall(r"(?m)^#+ +(.*)$", prose(page))
+    return {re.sub(r"[^\w -]", "", head.lower()).strip().replace(" ", "-") for head in heads}
+
+
+def dead_links(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        path, _, anchor = target.partition("#")
+        if re.match(r"[a-z]+:", target):
+            continue
+        file = (page.parent / path).resolve() if path else page
+        if (
+            not file.exists()
+            or ROOT not in file.parents
+            or (anchor and file.suffix == ".md" and anchor not in anchors(file))
+        ):
+            yield target
+
+
+@cache
+def members():
+    """Names that each class, and each module by its last word, has at its top level."""
+    found = {}
+    for source in SOURCES:
+        tree = ast.parse(source.read_text(encoding="utf-8"))
+        found.setdefault(source.stem, set()).update(_names(tree))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, set()).update(_names(node))
+    return found
+
+
+def _names(node):
+    for item in node.body:
+        if isinstance(item, (ast.FunctionDef, ast.ClassDef)):
+            yield item.name
+        targets = [item.target] if isinstance(item, ast.AnnAssign) else getattr(item, "targets", [])
+        yield from (t.id for t in targets if isinstance(t, ast.Name))
+
+
+def stale_names(page):
+    """Paths of Python files, `Class.member` and dotted `kc2spice.…` in backticks that are none."""
+    for name in re.findall(r"`([^`\n]+)`", prose(page)):
+        if re.fullmatch(r"[\w/.]+\.py", name):
+            if not any(str(path).endswith(f"/{name}") for path in ROOT.rglob(Path(name).name)):
+                yield name
+        elif re.fullmatch(r"kc2spice(/\w+)+", name):
+            if not (ROOT / name).exists():
+                yield name
+        elif re.fullmatch(r"kc2spice(\.\w+)+", name):
+            *module, last = name.split(".")
+            if last not in members().get(module[-1], ()) and not _module(name):
+                yield name
+        elif dotted := re.fullmatch(r"([A-Z][a-z]\w*)\.(\w+)(\(\))?", name):
+            yield from [] if dotted[2] in members().get(dotted[1], ()) else [name]
+
+
+def _module(name):
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere_and_names_exist(page):
+    assert list(dead_links(page)) == []
+    assert list(stale_names(page)) == []
+
+
+def test_dead_links_and_stale_names_are_noticed(monkeypatch):
+    page = ROOT / "docs" / "results.md"
+    text = (
+        "[a](nowhere.md) [b](results.md#no-such-heading) [c](results.md) `rom/compress.py` "
+        "`ReducedModel.to_statespace()` `LinearModel.gone()` `LinearModel.to_statespace()` "
+        "`kc2spice.rom.gone` `kc2spice.rom.linear` `kc2spice/rom/linear.py`\n"
+    )
+    monkeypatch.setitem(globals(), "prose", lambda p: text if p == page else Path.read_text(p))
+    assert list(dead_links(page)) == ["nowhere.md", "results.md#no-such-heading"]
+    assert list(stale_names(page)) == [
+        "rom/compress.py", "ReducedModel.to_statespace()", "LinearModel.gone()",
+        "kc2spice.rom.gone",
+    ]  # fmt: skip

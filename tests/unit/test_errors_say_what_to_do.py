@@ -1,0 +1,146 @@
+"""Mistakes that new users make: each error names what was found and what to write instead."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from typer.testing import CliRunner
+
+import kc2spice as kc
+from kc2spice.cli.main import app
+
+LANGEVIN = """
+name = "own"
+analysis = { type = "ac", stop = "50 kHz" }
+[horn]
+part = "langevin"
+"""
+BIMORPH = """
+name = "own"
+analysis = { type = "ac", stop = "50 kHz" }
+[beam]
+part = "bimorph"
+length = "20 mm"
+width = "4 mm"
+"""
+CIRCUIT = """
+name = "own"
+analysis = { type = "transient", stop = "1 ms" }
+[drive]
+part = "source"
+sine = { amplitude = "1 V", frequency = "1 kHz" }
+pins = { out = "amp.in" }
+[amp]
+part = "netlist"
+file = "amp.lib"
+subckt = "amp"
+pins = { out = "load.a" }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+"""
+AMPLIFIER = """* filter
+.subckt amp in out ref
+R1 in mid 1k
+L1 mid out 1u {more}
+R2 out ref 1k
+.ends
+"""
+CHAIN = {"M": np.eye(2), "K": 1e6 * np.array([[2.0, -1.0], [-1.0, 2.0]])}
+
+
+@pytest.fixture
+def said(tmp_path, monkeypatch):
+    """Runs a scene on the command line; its exit code and the message as one line."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(text):
+        (tmp_path / "own.toml").write_text(text)
+        done = CliRunner().invoke(app, ["run", "own.toml"])
+        return done.exit_code, " ".join(done.stderr.split())
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (LANGEVIN + 'front = { length = "20 mm" }', "expected: a list, front = [{ length = … }]"),
+        (LANGEVIN + "front = [3]", "expected: a table, { KEY = VALUE, … }"),
+        (BIMORPH + "layers = []", "too few entries got: [] expected: a list of at least 1 entry"),
+        (BIMORPH + "rom = { band = [1, 2, 3] }", "expected: a list of at most 2 entries"),
+        (BIMORPH + "rom = { band = 3 }", "expected: a list, band = [ … ]"),
+    ],
+)
+def test_lists_of_a_scene(said, text, words):
+    code, message = said(text)
+    assert code == 2
+    assert words in message
+    assert "tuple" not in message.lower()
+
+
+def test_parasitics_of_ltspice_are_named_with_the_line(said, tmp_path):
+    (tmp_path / "amp.lib").write_text(AMPLIFIER.format(more="rser=0.5"))
+    code, message = said(CIRCUIT)
+    assert code == 2
+    assert "amp.lib:4" in message
+    assert "got: rser=0.5 of L1" in message
+    assert "write the R in series as a card of its own and leave rser out" in message
+
+
+def test_a_card_that_ngspice_cannot_read_is_quoted(said, tmp_path):
+    (tmp_path / "amp.lib").write_text(AMPLIFIER.format(more="flavour=3"))
+    code, message = said(CIRCUIT)
+    assert code == 5
+    assert "amp_out 1u flavour=3: unknown parameter (flavour)" in message
+    assert "pages" not in message
+
+
+def refused(call, *words):
+    with pytest.raises(kc.errors.UsageError) as found:
+        call()
+    for word in words:
+        assert word in str(found.value)
+
+
+def test_sparse_matrices_saved_whole(tmp_path):
+    np.savez(tmp_path / "chain.npz", **{k: sparse.csr_array(v) for k, v in CHAIN.items()})
+    refused(
+        lambda: kc.read_model(tmp_path / "chain.npz"),
+        "chain.npz", "Python object", "K.data, K.indices, K.indptr", "scipy.io.mmwrite",
+    )  # fmt: skip
+
+
+def test_damping_called_d(tmp_path):
+    np.savez(tmp_path / "chain.npz", **CHAIN, B=np.ones((2, 1)), D=1e-3 * np.eye(2))
+    refused(lambda: kc.read_model(tmp_path / "chain.npz"), "matrix D", "damping matrix is called E")
+
+
+def model(**more):
+    port = kc.Port("tip", "mechanical")
+    return kc.LinearModel(**CHAIN, B=np.ones((2, 1)), ports=(port,), **more)
+
+
+def test_one_number_for_rayleigh_damping():
+    call = lambda: kc.reduce(model(rayleigh=0.01), order=1)  # noqa: E731
+    refused(call, "got:      0.01", "(alpha, beta)", "(0, z / (pi f))")
+
+
+def test_frequencies_of_a_band_may_have_units():
+    found = kc.reduce(model(), tolerance=1e-3, band=(0, "20 kHz"))
+    assert found.certificate.band_hz == (0.0, 20e3)
+    refused(lambda: kc.reduce(model(), tolerance=1e-3, band=(0, "20 mm")), "band", "wrong unit")
+    refused(lambda: kc.reduce(model(), tolerance=1e-3, band=20e3), "such as (0, 20e3)")
+
+
+def test_overrides_of_a_run():
+    divider = {
+        "name": "divider",
+        "drive": {"part": "source", "dc": "1 V"},
+        "upper": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out"}},
+        "lower": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "upper.b"}},
+        "analysis": {"type": "op"},
+        "probes": {"middle": {"of": "lower.v"}},
+    }
+    change = {"upper.resistance": "3 kOhm"}
+    assert kc.run(divider, overrides=change).metrics["middle"] == pytest.approx(0.25, rel=1e-6)
+    refused(lambda: kc.run(divider, change), "out", "overrides={")

@@ -1,0 +1,164 @@
+"""Write netlists/ anew, or pack its symbols and libraries for a release.
+
+    python tools/netlists.py                               # all that is committed
+    python tools/netlists.py build/kc2spice_symbols.zip    # a package for KiCad
+
+Committed are the ngspice deck and the libraries of every scene, one KiCad symbol library for all of
+them, and as examples the files for KiCad, LTspice, Xyce and Verilog-A of two scenes in
+docs/examples/dialects; ``kc2spice export`` writes these of any scene. KiCad finds the models by a
+path variable of the user's, ``KC2SPICE_NETLISTS`` (Preferences, Configure Paths): the folder
+``libraries`` of the package, or ``netlists`` of a checkout.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import kc2spice
+from kc2spice.scene.load import gallery, load_scene
+from kc2spice.spice import read_lib
+from kc2spice.spice.box import layout
+from kc2spice.spice.kicad import Symbol, element_symbols, library, part_symbol
+from kc2spice.spice.statements import statements
+from kc2spice.workflow.run import export
+
+ROOT = Path(__file__).parents[1]
+NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"
+SYMBOLS, PAGE = NETLISTS / "kc2spice.kicad_sym", NETLISTS / "README.md"
+SHOWN = ("impact", "buzzer_7bb_20_6")  # the scenes that stand in every dialect
+FOLDER = "${KC2SPICE_NETLISTS}"
+METADATA = {
+    "$schema": "https://go.kicad.org/pcm/schemas/v1",
+    "name": "kc2spice actuators",
+    "description": "Piezoelectric and electromagnetic actuators with their drivers, for simulation",
+    "description_full": "Reduced finite-element models with certified errors, contacts, drivers.",
+    "identifier": "org.kc2spice.symbols",
+    "type": "library",
+    "author": {"name": "kc2spice contributors", "contact": {}},
+    "license": "GPL-3.0",
+    "resources": {},
+    "versions": [
+        {"version": kc2spice.__version__, "status": "testing", "kicad_version": "8.0"}
+    ],
+}  # fmt: skip
+TABLE = re.compile(r"(?s)(<!-- parts -->\n).*(<!-- end of parts -->)")
+TABLE_HEAD = """| library | part | pins (1 V is, 1 A is) | signs | rating |
+|---|---|---|---|---|
+"""
+
+
+def scene_files(scene: str, out: Path) -> list[Path]:
+    """Deck and libraries of a scene, written into ``out``: what ngspice needs of an export."""
+    written = export(load_scene(scene), out)
+    kept = [p for p in written if p.suffix == ".cir" or _is_library(p)]
+    for path in set(written) - set(kept):
+        path.unlink()
+    return kept
+
+
+def example_files(scene: str, out: Path) -> None:
+    """A scene in every other dialect: KiCad's project and LTspice's libraries stand alone, too."""
+    for dialect in ("ltspice", "xyce", "verilog-a"):
+        export(load_scene(scene), out / dialect, dialect)
+    with TemporaryDirectory() as place:
+        (out / "kicad").mkdir()
+        for path in export(load_scene(scene), Path(place)):
+            if "kicad" in path.name or path.suffix in (".wbk", "") or _is_library(path):
+                shutil.copy(path, out / "kicad")
+
+
+def libraries() -> list[Path]:
+    """The library files of all scenes."""
+    return sorted(NETLISTS.glob("*/*.lib"))
+
+
+def _is_library(path: Path) -> bool:
+    return path.suffix == ".lib" and not path.name.endswith(".ltspice.lib")
+
+
+def symbols() -> Iterator[Symbol]:
+    """One symbol for each design: under its part's name, or with the scene's where two differ."""
+    designs: dict[str, dict[tuple[str, ...], Path]] = {}
+    for path in libraries():
+        for part in read_lib(path):
+            cards = tuple(s.text for s in statements(part.text, path.name) if s.text)
+            designs.setdefault(part.name, {}).setdefault(cards, path)
+    for name, found in designs.items():
+        for path in found.values():
+            (part,) = (each for each in read_lib(path) if each.name == name)
+            drawn = part_symbol(layout(part))
+            own = {"Sim.Library": f"{FOLDER}/{path.parent.name}/{path.name}"}
+            own["Description"] = f"{drawn.fields['Description']} ({path.parent.name})"
+            unique = name if len(found) == 1 else f"{name}_{path.parent.name}"
+            yield replace(drawn, name=unique, fields=drawn.fields | own)
+
+
+def symbol_library() -> str:
+    """All designs and what stands on a sheet besides."""
+    plain = {symbol.name: symbol for symbol in element_symbols().values()}
+    return library([*symbols(), *plain.values()])
+
+
+def page() -> str:
+    """netlists/README.md with the table of parts, from the heads of the libraries."""
+    ours = (path for path in reversed(libraries()) if "* tool:" in path.read_text("utf-8"))
+    kinds = {_kind(path): _row(path) for path in ours}
+    rows = TABLE_HEAD + "".join(kinds[kind] for kind in sorted(kinds))
+    return TABLE.sub(lambda match: match[1] + rows + match[2], PAGE.read_text(encoding="utf-8"))
+
+
+def _kind(path: Path) -> str:
+    """``sphere.lib`` for ``sphere3.lib``."""
+    return re.sub(r"\d*\.lib$", ".lib", path.name)
+
+
+def _row(path: Path) -> str:
+    """One library: its name without numbers, and what its head says."""
+    text = path.read_text(encoding="utf-8")
+    head = dict(re.findall(r"(?m)^\* (\w[\w-]*): (.+)$", text.partition(".subckt")[0]))
+    title = text.partition("\n")[0].partition(": ")[2]
+    cells = (f"`{_kind(path)}`", title, _pins(text), head["sign"], head["rating"])
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def _pins(text: str) -> str:
+    """Each pin with what one volt and one ampere are there; rings and ports of a kind once."""
+    found = re.findall(r"(?m)^\* @pin \d+ (\S+) unit=(\S+) flow=(\S+)", text)
+    rows = {re.sub(r"\d+$", "*", name): (unit, flow) for name, unit, flow in found}
+    return ", ".join(f"`{name}` ({unit}, {flow})" for name, (unit, flow) in rows.items())
+
+
+def write() -> None:
+    """Everything that is committed."""
+    for old in [path for path in NETLISTS.iterdir() if path.is_dir()]:
+        shutil.rmtree(old)
+    for scene in sorted(gallery()):
+        print(f"{scene}: {len(scene_files(scene, NETLISTS / scene))} files", flush=True)
+    SYMBOLS.write_text(symbol_library(), encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")
+    shutil.rmtree(EXAMPLES, ignore_errors=True)
+    for scene in SHOWN:
+        (EXAMPLES / scene).mkdir(parents=True)
+        example_files(scene, EXAMPLES / scene)
+
+
+def package(target: Path) -> None:
+    """The symbols and what they simulate, for KiCad's Plugin and Content Manager."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("metadata.json", json.dumps(METADATA, indent=2) + "\n")
+        archive.write(SYMBOLS, "symbols/kc2spice.kicad_sym")
+        for path in libraries():
+            archive.write(path, f"libraries/{path.parent.name}/{path.name}")
+
+
+if __name__ == "__main__":
+    package(Path(sys.argv[1])) if len(sys.argv) > 1 else write()
