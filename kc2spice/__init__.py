@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     )
     from kc2spice.core import errors
     from kc2spice.core.quantities import Section
+    from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+    from kc2spice.netlist.deck import Deck
     from kc2spice.rom.linear import Certificate, LinearModel, Port
     from kc2spice.scene.model import Scene, Terminal
     from kc2spice.scene.parttype import PartType
-    from kc2spice.spice.circuit import Param, Pin, Subcircuit
-    from kc2spice.spice.deck import Deck
 
 _API = (
     "load_scene", "run", "build", "read_model", "reduce", "subcircuit", "read_lib", "deck",
@@ -42,9 +42,9 @@ _API = (
 _HOMES = {
     **dict.fromkeys(_API, "kc2spice.api"),
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "kc2spice.rom.linear"),
-    **dict.fromkeys(("Subcircuit", "Pin", "Param"), "kc2spice.spice.circuit"),
+    **dict.fromkeys(("Subcircuit", "Pin", "Param"), "kc2spice.netlist.circuit"),
     **dict.fromkeys(("Scene", "Terminal"), "kc2spice.scene.model"),
-    "Deck": "kc2spice.spice.deck",
+    "Deck": "kc2spice.netlist.deck",
     "PartType": "kc2spice.scene.parttype",
     "Section": "kc2spice.core.quantities",
 }

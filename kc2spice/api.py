@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     from kc2spice.core.figure import Figure
     from kc2spice.core.waveforms import Waveforms
+    from kc2spice.netlist.circuit import Subcircuit
+    from kc2spice.netlist.deck import Deck
     from kc2spice.rom.linear import LinearModel
     from kc2spice.scene.judge import Check
     from kc2spice.scene.model import Scene
     from kc2spice.scene.parttype import PartType
-    from kc2spice.spice.circuit import Subcircuit
-    from kc2spice.spice.deck import Deck
     from kc2spice.workflow.run import Completed
 
 Function = Callable[[float, Mapping[str, float]], float]
@@ -177,7 +177,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     ------
     UsageError : no such file, no subcircuit in it, or a head that does not fit its card.
     """
-    from kc2spice.spice import read
+    from kc2spice.netlist import read
 
     return read.read_lib(path)
 
@@ -196,7 +196,7 @@ def deck(scene: Scene | str | Path | Mapping[str, Any], *, trust: bool = False) 
     UsageError : as :func:`load_scene`, or a circuit that is wired wrongly.
     """
     from kc2spice.core.progress import Clock
-    from kc2spice.spice.lint import lint
+    from kc2spice.netlist.lint import lint
     from kc2spice.workflow.decks import make_deck
     from kc2spice.workflow.models import build_models
 
@@ -273,8 +273,8 @@ def simulate(
     MissingToolError : no ngspice.
     SimulationError : ngspice failed or stopped early; the message says where.
     """
+    from kc2spice.netlist.deck import Deck
     from kc2spice.sim.retries import run_with_retries
-    from kc2spice.spice.deck import Deck
 
     if not isinstance(deck, Deck):
         if timeout is not None:

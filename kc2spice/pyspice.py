@@ -11,7 +11,7 @@ import logging
 from typing import Any, Literal
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.spice.circuit import Subcircuit
+from kc2spice.netlist.circuit import Subcircuit
 
 Package = Literal["PySpice", "InSpice"]
 

@@ -23,11 +23,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import kc2spice
+from kc2spice.netlist import read_lib
+from kc2spice.netlist.box import layout
+from kc2spice.netlist.kicad import Symbol, element_symbols, library, part_symbol
+from kc2spice.netlist.statements import statements
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.spice import read_lib
-from kc2spice.spice.box import layout
-from kc2spice.spice.kicad import Symbol, element_symbols, library, part_symbol
-from kc2spice.spice.statements import statements
 from kc2spice.workflow.run import export
 
 ROOT = Path(__file__).parents[1]

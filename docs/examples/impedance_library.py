@@ -5,8 +5,8 @@ from importlib import import_module
 
 import numpy as np
 
+from kc2spice.netlist import read_lib
 from kc2spice.pyspice import subcircuit
-from kc2spice.spice import read_lib
 
 client, library, *picture = sys.argv[1:]
 (chip,) = read_lib(library)

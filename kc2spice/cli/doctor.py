@@ -17,8 +17,8 @@ from pathlib import Path
 
 from kc2spice.core.cache import cache_dir
 from kc2spice.core.errors import Kc2spiceError
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 
 _PYTHON = (
     "numpy", "scipy", "scikit-fem", "gmsh", "PySpice", "matplotlib", "typer", "rich", "pydantic",

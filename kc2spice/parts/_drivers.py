@@ -12,14 +12,14 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable, inductances
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.naming import self_contained
+from kc2spice.netlist.render import render
 from kc2spice.parts._opamp import Level, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.naming import self_contained
-from kc2spice.spice.render import render
 
 VALIDITY = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
 LIMITED = (

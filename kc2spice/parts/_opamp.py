@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.render import render
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.render import render
 
 GAIN = 1e7  # V/V at rest
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier

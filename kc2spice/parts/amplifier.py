@@ -16,6 +16,7 @@ from kc2spice.core.quantities import (
     Slew,
     Voltage,
 )
+from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts._driver_checks import Stage
 from kc2spice.parts._drivers import (
     AMPLIFIER,
@@ -25,7 +26,6 @@ from kc2spice.parts._drivers import (
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.header import Header
 
 FEEDBACK = 20e3  # Ohm, of what returns the output

@@ -26,6 +26,9 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import distinct
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.render import render
 from kc2spice.parts.sphere import integral, made_of
 from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance, Check
@@ -43,10 +46,7 @@ from kc2spice.scene.parttype import (
     Vector,
     register,
 )
-from kc2spice.spice.cards import distinct
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.render import render
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import Dented, Hats

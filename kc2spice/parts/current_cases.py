@@ -11,11 +11,11 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import number
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.cards import number
 
 FINER = 4  # field solutions per interval of the table that the lookup is compared with
 HEIGHTS = 2001  # at which the lookup is read: five per segment

@@ -16,11 +16,11 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.render import render
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import parameter_list, part_header
-from kc2spice.spice.render import render
 
 _PINS = (Pin("anode", "V", "A"), Pin("cathode", "V", "A"))
 

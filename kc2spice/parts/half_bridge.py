@@ -15,6 +15,7 @@ from kc2spice.core.quantities import (
     Section,
     Voltage,
 )
+from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import (
     Driver,
@@ -23,7 +24,6 @@ from kc2spice.parts._drivers import (
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.circuit import Subcircuit
 from kc2spice.spice.header import Header
 
 GATE, THRESHOLD, GATES = 12.0, 3.0, 5.2e-10  # V, V, F: of each transistor

@@ -15,6 +15,7 @@ from kc2spice.core.quantities import (
     Slew,
     Voltage,
 )
+from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts._driver_checks import Stage, relaxed
 from kc2spice.parts._drivers import (
     CoilDriver,
@@ -26,7 +27,6 @@ from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.circuit import Subcircuit, positive
 from kc2spice.spice.header import Header
 
 

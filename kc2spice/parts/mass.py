@@ -12,13 +12,13 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.render import render
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rest import free, rigid
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import parameter_list, part_header
-from kc2spice.spice.render import render
 
 _PINS = (Pin("a", "um", "N"), Pin("base", "um", "N"))
 

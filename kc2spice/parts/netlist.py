@@ -15,16 +15,16 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.core.words import did_you_mean
+from kc2spice.netlist.cards import name as checked
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.elements import Scope, circuit, has_vector
+from kc2spice.netlist.included import included_netlists
+from kc2spice.netlist.statements import statements
 from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import potentials
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.cards import name as checked
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.elements import Scope, circuit, has_vector
-from kc2spice.spice.included import included_netlists
-from kc2spice.spice.statements import statements
 
 KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
 

@@ -13,15 +13,15 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.naming import self_contained
+from kc2spice.netlist.render import render
 from kc2spice.parts import sphere
 from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.naming import self_contained
-from kc2spice.spice.render import render
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A

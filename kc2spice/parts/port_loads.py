@@ -15,10 +15,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import number
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.cards import number
 
 SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 

@@ -16,6 +16,7 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
+from kc2spice.netlist.circuit import Subcircuit, positive
 from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import (
     CARRIER,
@@ -27,7 +28,6 @@ from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, TimeScale, register
-from kc2spice.spice.circuit import Subcircuit, positive
 from kc2spice.spice.header import Header
 
 SHUNT = 1.0  # Ohm, in the return

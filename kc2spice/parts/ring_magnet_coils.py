@@ -31,6 +31,9 @@ from kc2spice.fem.magnetics.table import (
     force,
     inductances,
 )
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.render import render
 from kc2spice.parts import sphere as spheres
 from kc2spice.parts.contact import fall, landing, moved_by
 from kc2spice.parts.netlist import first_netlist
@@ -47,10 +50,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.render import render
 
 MU_0 = 4e-7 * np.pi  # H/m
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1

@@ -9,11 +9,11 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Frequency, Length, Section
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.render import render
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.render import render
 
 _PINS = (Pin("of", "um", "-"), Pin("out", "um", "-"), Pin("ref", "V", "A"))
 

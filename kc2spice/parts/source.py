@@ -19,10 +19,10 @@ from kc2spice.core.quantities import Section
 from kc2spice.core.units import quantity
 from kc2spice.core.waveform import PulseKeys, SineKeys, Waveform
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, TimeScale, Vector, register
-from kc2spice.spice.cards import number
 
 # SI unit, unit and flow of the pins, netlist units per SI unit, letter of the card
 KINDS = {

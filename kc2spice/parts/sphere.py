@@ -16,6 +16,8 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import Material, material
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.render import render
 from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
@@ -29,9 +31,7 @@ from kc2spice.scene.parttype import (
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.spice.header import Header, parameter_list, part_header
-from kc2spice.spice.render import render
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s

@@ -17,9 +17,9 @@ from pydantic import Field, create_model
 from kc2spice.core import laws
 from kc2spice.core.quantities import Section, si
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import number
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.cards import number
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.elements import Scope, circuit
 from kc2spice.sim.log import Kind, LogReport
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.elements import Scope, circuit
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ import numpy as np
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck, terms
+from kc2spice.netlist.expression import literal
 from kc2spice.sim.failure import FailedRunError, diagnose
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
 from kc2spice.sim.settings import own_reltol
-from kc2spice.spice.deck import Deck, terms
-from kc2spice.spice.expression import literal
 
 ANSWERS = 20.0  # s that ngspice may take to tell its version
 STALLED = 60.0  # s without processor time after which a run hangs

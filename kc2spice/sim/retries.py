@@ -11,6 +11,7 @@ from typing import Any
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check, Verdict, require
 from kc2spice.sim.failure import FailedRunError, Failure
 from kc2spice.sim.ngspice import run_deck
@@ -22,7 +23,6 @@ from kc2spice.sim.settings import (
     next_setting,
     with_settings,
 )
-from kc2spice.spice.deck import Deck
 
 _ADVICE = {
     "timestep": "a larger kick.damping.ratio, a smaller contact.penalty or solver.max_step",

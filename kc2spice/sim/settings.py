@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.log import Kind
-from kc2spice.spice.cards import number
-from kc2spice.spice.deck import Deck
 
 # "coarse": ngspice finished, but the energy balances of the result do not close.
 Cause = Kind | Literal["coarse"]

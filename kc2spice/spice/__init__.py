@@ -1,3 +1,1 @@
-"""Decks, libraries, dialects, symbols."""
-
-from kc2spice.spice.read import read_lib as read_lib
+"""Linear models as subcircuits, and the head that every library has."""

@@ -7,10 +7,10 @@ import textwrap
 from dataclasses import dataclass
 
 from kc2spice.core.version import __version__
+from kc2spice.netlist.cards import comment, name, number, word
+from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.plan import Plan
-from kc2spice.spice.cards import comment, name, number, word
-from kc2spice.spice.circuit import Param, Pin
 
 SIGN = "um, m/s and N count upwards, out of the chip; 1 A into a pin pushes the part up with 1 N"
 FLOW = "1 V counts from the reference, 1 A into the pin"

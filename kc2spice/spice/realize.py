@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.cards import distinct
+from kc2spice.netlist.cards import name as checked_name
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.render import render
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
-from kc2spice.spice.cards import distinct
-from kc2spice.spice.cards import name as checked_name
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
 from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
-from kc2spice.spice.render import render
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel

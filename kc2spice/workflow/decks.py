@@ -11,6 +11,15 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
 from kc2spice.core.words import did_you_mean
+from kc2spice.netlist.cards import comment, number
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.deckwide import ANALYSES, HARMLESS, accuracy, refuse_in_deck
+from kc2spice.netlist.elements import circuit, has_vector
+from kc2spice.netlist.expression import Number, parse
+from kc2spice.netlist.scan import cards as deck_cards
+from kc2spice.netlist.scan import checked_lines, text_of_lines
+from kc2spice.netlist.statements import Statement
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import model_keys
@@ -19,16 +28,7 @@ from kc2spice.scene.parttype import Build, Vector
 from kc2spice.scene.plan import plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, without_equilibrium
-from kc2spice.spice.cards import comment, number
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Block, Command, Deck, Option, ac, dc, transient
-from kc2spice.spice.deckwide import ANALYSES, HARMLESS, accuracy, refuse_in_deck
-from kc2spice.spice.elements import circuit, has_vector
-from kc2spice.spice.expression import Number, parse
 from kc2spice.spice.header import Header, plan_lines
-from kc2spice.spice.scan import cards as deck_cards
-from kc2spice.spice.scan import checked_lines, text_of_lines
-from kc2spice.spice.statements import Statement
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 

@@ -13,6 +13,11 @@ from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.linalg.factor import Solver
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.netlist.dialect import DIALECTS, dialect_files
+from kc2spice.netlist.plotscript import plot_script
+from kc2spice.netlist.symbol import symbol_files
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel, Norm
@@ -20,13 +25,8 @@ from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Block, Deck, ac
-from kc2spice.spice.dialect import DIALECTS, dialect_files
 from kc2spice.spice.header import Header
-from kc2spice.spice.plotscript import plot_script
 from kc2spice.spice.realize import subcircuit
-from kc2spice.spice.symbol import symbol_files
 
 TOLERANCE = 1e-4
 

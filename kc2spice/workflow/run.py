@@ -16,6 +16,13 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.version import __version__
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.array import array_deck
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.dialect import DECKS, DIALECTS, dialect_files
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.plotscript import plot_script
+from kc2spice.netlist.statements import statements
+from kc2spice.netlist.symbol import symbol_files
 from kc2spice.report.figures import draw_all, require_matplotlib
 from kc2spice.report.probe_figures import probe_figures
 from kc2spice.report.run_page import write_run
@@ -27,13 +34,6 @@ from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
-from kc2spice.spice.array import array_deck
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.dialect import DECKS, DIALECTS, dialect_files
-from kc2spice.spice.lint import lint
-from kc2spice.spice.plotscript import plot_script
-from kc2spice.spice.statements import statements
-from kc2spice.spice.symbol import symbol_files
 from kc2spice.workflow.converge import Converged, converge
 from kc2spice.workflow.decks import edited_deck, make_deck
 from kc2spice.workflow.judge import metrics, probe_units

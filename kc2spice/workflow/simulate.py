@@ -13,10 +13,10 @@ from pathlib import Path
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome, RetriesFailedError, run_with_retries
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.results import save_arrays, write_record
 

@@ -9,8 +9,8 @@ import pytest
 
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from kc2spice.workflow.decks import make_deck

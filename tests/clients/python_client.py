@@ -3,8 +3,8 @@
 import runpy
 import sys
 
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.loop import run_shared
-from kc2spice.spice.deck import Deck
 
 RC = """* rc
 V1 a 0 PULSE(0 1 0 1n 1n 1 2)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kc2spice.netlist.symbol import symbol_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
-from kc2spice.spice.symbol import symbol_files
 
 # KiCad writes instances in an order of its own, in which sums are rounded otherwise. These scenes
 # have many switching instants that follow from their state; what rounding changes there, a step,

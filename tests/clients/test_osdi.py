@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
+from kc2spice.netlist.dialect import dialect_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
-from kc2spice.spice.dialect import dialect_files
 
 QUICK = ("buzzer_7bb_20_6", "sphere_on_beam")
 SCENES = [

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from kc2spice.netlist.dialect import translate
 from kc2spice.sim.ngspice import run_deck, write_deck
 from kc2spice.sim.rawfile import read_raw
-from kc2spice.spice.dialect import translate
 
 
 @pytest.mark.parametrize("name", ["impact", "kick_and_catch"])

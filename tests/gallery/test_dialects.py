@@ -5,8 +5,8 @@ import re
 import pytest
 
 import kc2spice as kc
+from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate
 from kc2spice.scene.load import gallery
-from kc2spice.spice.dialect import DIALECTS, dialect_files, translate
 
 
 @pytest.mark.parametrize("scene", sorted(gallery()))

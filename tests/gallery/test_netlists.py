@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.read import read_lib
 from kc2spice.scene.load import gallery
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.read import read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 TOOL = runpy.run_path(str(NETLISTS.parent / "tools" / "netlists.py"))

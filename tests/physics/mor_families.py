@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import sparse
 
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 
 
 def beam(elements=40, free=False):

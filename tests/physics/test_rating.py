@@ -64,7 +64,7 @@ def test_small_signals_and_bodies_without_a_rating_are_not_judged(monkeypatch):
 
 
 def test_the_head_states_the_rating():
-    from kc2spice.spice.read import read_lib
+    from kc2spice.netlist.read import read_lib
 
     (part,) = read_lib(ROOT / "netlists" / "impact" / "kick.lib")
     assert re.search(r"(?m)^\* rating: 121.2 V between electrodes", part.text)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import libraries, make_deck
 
 RADII = 50e-6 * np.arange(6)

@@ -7,11 +7,11 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.array import array_deck
+from kc2spice.netlist.deck import Block, Deck
+from kc2spice.netlist.dialect import translate
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.array import array_deck
-from kc2spice.spice.deck import Block, Deck
-from kc2spice.spice.dialect import translate
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])

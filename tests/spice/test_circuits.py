@@ -12,11 +12,11 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Resistance, Section
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.lint import lint
 from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, part_types, register
-from kc2spice.spice.lint import lint
 from kc2spice.workflow.decks import libraries, make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models

@@ -5,8 +5,8 @@ import subprocess
 
 import pytest
 
+from kc2spice.netlist.deck import dc
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.spice.deck import dc
 
 
 @pytest.mark.parametrize("seed", range(12))

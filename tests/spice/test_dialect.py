@@ -11,14 +11,14 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate, translate_text
+from kc2spice.netlist.lint import problems
+from kc2spice.netlist.veriloga import library
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.dialect import DIALECTS, dialect_files, translate, translate_text
 from kc2spice.spice.header import Header
-from kc2spice.spice.lint import problems
-from kc2spice.spice.veriloga import library
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.netlist.cards import comment, name, number
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rawfile import last_scale_value, read_raw
-from kc2spice.spice.cards import comment, name, number
-from kc2spice.spice.deck import Deck
 
 
 def raw_text(points, flags="real", names=("time", "v(a)")):

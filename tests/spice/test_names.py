@@ -8,12 +8,12 @@ import pytest
 from device import built
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.lint import lint
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.lint import lint
 from kc2spice.workflow.decks import make_deck
 
 WORDS = ("n", "c", "a", "b", "held", "metered", "meter", "out", "ret", "V", "N")

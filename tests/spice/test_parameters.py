@@ -10,10 +10,10 @@ from device import deck_of
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip, Damping
+from kc2spice.netlist.deck import Block, Command, Deck
+from kc2spice.netlist.lint import lint
 from kc2spice.rom.reduce import reduce
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Block, Command, Deck
-from kc2spice.spice.lint import lint
 from kc2spice.spice.realize import subcircuit
 
 STOP = 0.7e-3

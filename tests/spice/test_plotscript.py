@@ -6,9 +6,9 @@ import subprocess
 import pytest
 from device import deck_of
 
+from kc2spice.netlist.plotscript import plot_script
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.spice.plotscript import plot_script
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])

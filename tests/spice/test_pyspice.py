@@ -8,6 +8,7 @@ import pytest
 from device import built, deck_of
 
 from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.netlist.deck import Deck
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
@@ -17,7 +18,6 @@ from kc2spice.sim import loop as inprocess
 from kc2spice.sim import shared
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 
 

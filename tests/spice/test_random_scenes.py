@@ -18,6 +18,7 @@ import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
+from kc2spice.netlist.lint import lint
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.gates import Gate
 from kc2spice.scene.keys import scene_keys, submodel
@@ -26,7 +27,6 @@ from kc2spice.scene.model import Frame
 from kc2spice.scene.parttype import part_types
 from kc2spice.scene.short import SHORT
 from kc2spice.sim.retries import RetriesFailedError
-from kc2spice.spice.lint import lint
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models

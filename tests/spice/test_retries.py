@@ -9,11 +9,11 @@ from device import built, deck_of, edited
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock, silent
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.failure import Failure, belongs_to
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.retries import RetriesFailedError, _farther, run_with_retries
 from kc2spice.sim.settings import RETRIES, Settings, next_setting, with_settings
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models

@@ -5,8 +5,8 @@ import subprocess
 import pytest
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.scan import third_party
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.spice.scan import third_party
 
 PREFIXES = ["", " ", "\t", "+", "+ ", ";", "$ ", "$", "#", "//", "*", "* ", "*#", "\x0c", "\x0b",
             "\r", "\xa0", "R9 a 0 1\r", "* text\r", "R9 a 0 1 ; ", "R9 a 0 1 $ "]  # fmt: skip

@@ -14,9 +14,9 @@ import pytest
 from spicelib import RawRead
 
 from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.netlist.deck import Deck
 from kc2spice.scene.load import load_scene
 from kc2spice.sim import ngspice
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.run import run
 
 LONG = """name = "long"

@@ -11,9 +11,9 @@ import pytest
 from scipy.io import mmwrite
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.parameters import declared, with_parameters
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.parameters import declared, with_parameters
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.run import run as run_scene
 from kc2spice.workflow.sweep import point, run

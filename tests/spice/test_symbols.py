@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from device import deck_of
 
+from kc2spice.netlist import ltspice
+from kc2spice.netlist.box import layout
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.deck import Block
+from kc2spice.netlist.elements import circuit
+from kc2spice.netlist.symbol import symbol_files
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
 from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
-from kc2spice.spice import ltspice
-from kc2spice.spice.box import layout
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
-from kc2spice.spice.deck import Block
-from kc2spice.spice.elements import circuit
 from kc2spice.spice.realize import subcircuit
-from kc2spice.spice.symbol import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")

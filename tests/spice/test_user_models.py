@@ -6,10 +6,10 @@ every transistor switches, in ngspice, through the same gates as a user's own fi
 
 import pytest
 
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.scan import third_party
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.lint import lint
-from kc2spice.spice.scan import third_party
 
 # Pins: inp inn vcc vee out.
 OPAMPS = {

@@ -11,9 +11,9 @@ from kicked import kicked as write_kicked
 
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.read import read_deck, subcircuits
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck, write_deck
-from kc2spice.spice.read import read_deck, subcircuits
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.bodies import verify_body

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from kc2spice.core.progress import Clock, silent
+from kc2spice.netlist.read import subcircuits
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.response import relative_error
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.read import subcircuits
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import bodies

@@ -7,15 +7,15 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.dialect import dialect_files
+from kc2spice.netlist.veriloga import library
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
-from kc2spice.spice.dialect import dialect_files
 from kc2spice.spice.realize import subcircuit
-from kc2spice.spice.veriloga import library
 
 openvaf = pytest.importorskip("openvaf_py")
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from kc2spice.spice.box import inputs, layout
-from kc2spice.spice.circuit import Pin, Subcircuit
+from kc2spice.netlist.box import inputs, layout
+from kc2spice.netlist.circuit import Pin, Subcircuit
 
 
 def part(cards, *pins, more=""):

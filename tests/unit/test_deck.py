@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
+from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, terms, transient
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
 from kc2spice.scene.plan import Plan
-from kc2spice.spice.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.spice.deck import Command, Deck, Option, ac, dc, terms, transient
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
 
 TEXT = """title

@@ -3,8 +3,8 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.elements import behaviour, circuit, element
-from kc2spice.spice.statements import statements
+from kc2spice.netlist.elements import behaviour, circuit, element
+from kc2spice.netlist.statements import statements
 
 
 def one(card):

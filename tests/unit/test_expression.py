@@ -5,7 +5,7 @@ import operator
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.expression import (
+from kc2spice.netlist.expression import (
     Binary,
     Call,
     Choice,

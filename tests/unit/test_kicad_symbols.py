@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from kc2spice.spice.box import layout
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.kicad import GRID, Word, element_symbols, library, part_symbol, write
+from kc2spice.netlist.box import layout
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.kicad import GRID, Word, element_symbols, library, part_symbol, write
 
 SYMBOLS = element_symbols()
 

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.scan import third_party
 from kc2spice.scene.load import gallery
 from kc2spice.sim.rawfile import read_raw
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.lint import lint
-from kc2spice.spice.scan import third_party
 
 # Per sort of input: how many by default, how many in all. All together are 2 000.
 FAST = {"scene": 100, "matrix": 20, "archive": 20, "raw": 60, "include": 60}

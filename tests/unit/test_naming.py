@@ -2,11 +2,11 @@
 
 import pytest
 
+from kc2spice.netlist.elements import circuit
+from kc2spice.netlist.naming import renamed
 from kc2spice.parts.amplifier import AmplifierKeys, amplifier_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.spice.elements import circuit
 from kc2spice.spice.header import Header
-from kc2spice.spice.naming import renamed
 
 HERE = Header("one", "aaaa")
 

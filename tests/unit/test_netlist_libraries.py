@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.dialect import translate
-from kc2spice.spice.elements import circuit
-from kc2spice.spice.lint import lint
-from kc2spice.spice.read import read_deck, read_lib
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.dialect import translate
+from kc2spice.netlist.elements import circuit
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.read import read_deck, read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

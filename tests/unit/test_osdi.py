@@ -1,8 +1,8 @@
 """The testbench of compiled modules, line by line."""
 
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.osdi import testbench as bench_of
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.osdi import testbench as bench_of
 
 MAIN = """.save is the title, whatever it says
 * Run it with:  ngspice -b -r one.raw one.cir

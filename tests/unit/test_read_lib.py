@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist import read_lib
+from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.read import read_deck, subcircuits
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
-from kc2spice.spice import read_lib
-from kc2spice.spice.circuit import Param, Pin
 from kc2spice.spice.header import Header
-from kc2spice.spice.read import read_deck, subcircuits
 
 HEADER = Header("test", "0")
 RADII = np.array([0.0, 5e-5])

@@ -7,15 +7,15 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.parameters import with_parameters
+from kc2spice.netlist.read import subcircuits
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.scene.judge import Verdict
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Attempt, Outcome, RetriesFailedError
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
-from kc2spice.spice.parameters import with_parameters
-from kc2spice.spice.read import subcircuits
 from kc2spice.workflow import run
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}

@@ -7,14 +7,14 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
+from kc2spice.netlist import flat
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.flat import flatten
+from kc2spice.netlist.included import included_netlists, included_sources
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.read import read_deck
+from kc2spice.netlist.scan import third_party
 from kc2spice.scene.load import load_scene
-from kc2spice.spice import flat
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.flat import flatten
-from kc2spice.spice.included import included_netlists, included_sources
-from kc2spice.spice.lint import lint
-from kc2spice.spice.read import read_deck
-from kc2spice.spice.scan import third_party
 from kc2spice.workflow.verify.verify import verify
 
 AMPLIFIER = """* a vendor's amplifier

@@ -17,11 +17,11 @@ from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
+from kc2spice.netlist.circuit import Pin
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
-from kc2spice.spice.circuit import Pin
 from kc2spice.spice.header import Header, part_header
 from kc2spice.workflow.sweep.point import scene_text
 from kc2spice.workflow.sweep.run import make_sweep

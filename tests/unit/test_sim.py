@@ -13,6 +13,8 @@ import pytest
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.deck import Command, Deck, Option
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim import loop, ngspice, shared
@@ -22,8 +24,6 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.rawfile import last_scale_value, read_header, read_partial, read_raw
 from kc2spice.sim.retries import RetriesFailedError, run_with_retries
 from kc2spice.sim.settings import RETRIES, Settings, next_setting, own_reltol, with_settings
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.deck import Command, Deck, Option
 
 # ----------------------------------------------------------------------------------------- log
 

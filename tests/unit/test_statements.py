@@ -3,8 +3,8 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.cards import comment, distinct, name, number, word
-from kc2spice.spice.statements import beside, split_comment, statements, words
+from kc2spice.netlist.cards import comment, distinct, name, number, word
+from kc2spice.netlist.statements import beside, split_comment, statements, words
 
 TEXT = """R0 the title
 * above

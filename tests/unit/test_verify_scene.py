@@ -18,10 +18,10 @@ from kc2spice.core.laws import (
 )
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Pin, Subcircuit
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
-from kc2spice.spice.circuit import Pin, Subcircuit
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.realize import LEAK
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify import bodies, circuit

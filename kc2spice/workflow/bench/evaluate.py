@@ -14,9 +14,9 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.words import did_you_mean
+from kc2spice.netlist.deck import Deck
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models

@@ -24,13 +24,13 @@ from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.toml import MAX_BYTES
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.included import included_sources
+from kc2spice.netlist.parameters import Parameters, cards, declared, library_of, with_parameters
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome as Simulated
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.included import included_sources
-from kc2spice.spice.parameters import Parameters, cards, declared, library_of, with_parameters
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts

@@ -26,10 +26,10 @@ from kc2spice.core.progress import Progress, silent
 from kc2spice.core.toml import MAX_BYTES, parse_toml
 from kc2spice.core.version import __version__
 from kc2spice.core.words import did_you_mean
+from kc2spice.netlist.parameters import with_parameters
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.model import Scene
-from kc2spice.spice.parameters import with_parameters
 from kc2spice.workflow.sweep.plan import (
     PARAMETER,
     Plan,

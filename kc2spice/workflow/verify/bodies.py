@@ -13,6 +13,8 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, relative_error, telling
@@ -21,8 +23,6 @@ from kc2spice.scene.gates import Limit
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Block, Deck, ac
 from kc2spice.spice.realize import LEAK
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole

@@ -12,6 +12,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.read import subcircuits
+from kc2spice.netlist.scan import third_party
 from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import write_verify
@@ -19,10 +23,6 @@ from kc2spice.scene.gates import Gate, Limit
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.read import subcircuits
-from kc2spice.spice.scan import third_party
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models

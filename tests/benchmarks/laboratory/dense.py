@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from laboratory.forms import FORMS, synthetic, with_form

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import Certificate, Port
 from kc2spice.rom.modal import Resonators
-from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
 
 STATE = 1e-6  # farad of every state
 FORMS = ("resonators", "second order", "first order")

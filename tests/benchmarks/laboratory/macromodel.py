@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from laboratory.points import Outcome, Plane, Point, Ratio, timed

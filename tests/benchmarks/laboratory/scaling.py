@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
+from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from kc2spice.workflow.decks import make_deck

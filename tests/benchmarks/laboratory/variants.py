@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.deck import Deck
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.parttype import Build
-from kc2spice.spice.cards import number
-from kc2spice.spice.deck import Deck
 from kc2spice.workflow.decks import make_deck
 from laboratory.forms import with_form, with_text
 from laboratory.setup import Setup, changed

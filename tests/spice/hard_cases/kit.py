@@ -18,6 +18,7 @@ from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.netlist.deck import Deck
 from kc2spice.parts.contact import separation
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.judge import require
@@ -25,7 +26,6 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.deck import Deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics, verdict

@@ -17,11 +17,11 @@ from textwrap import shorten
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.box import layout
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.elements import Element, Scope, circuit
-from kc2spice.spice.kicad import (
+from kc2spice.netlist.box import layout
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.elements import Element, Scope, circuit
+from kc2spice.netlist.kicad import (
     GRID,
     HEAD,
     LIBRARY,
@@ -37,8 +37,8 @@ from kc2spice.spice.kicad import (
     spice,
     write,
 )
-from kc2spice.spice.lint import GROUND
-from kc2spice.spice.read import subcircuits
+from kc2spice.netlist.lint import GROUND
+from kc2spice.netlist.read import subcircuits
 
 # grid units at which rows break, and the papers on which the sheet then has a good shape
 _ENOUGH = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}

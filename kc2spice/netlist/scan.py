@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kc2spice.core.foreign import plain_name
-from kc2spice.spice.flat import Line, flatten, refusal
-from kc2spice.spice.statements import Statement, split_comment, statements
+from kc2spice.netlist.flat import Line, flatten, refusal
+from kc2spice.netlist.statements import Statement, split_comment, statements
 
 # fmt: off
 COMMANDS = frozenset((

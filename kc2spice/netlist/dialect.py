@@ -12,14 +12,14 @@ from dataclasses import replace
 from functools import reduce
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck, terms
-from kc2spice.spice.elements import circuit
-from kc2spice.spice.lint import GROUND
-from kc2spice.spice.osdi import testbench
-from kc2spice.spice.spelling import ANALYSES, Dialect, LTspice, Setup, Xyce
-from kc2spice.spice.statements import Statement, statements
-from kc2spice.spice.veriloga import library
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck, terms
+from kc2spice.netlist.elements import circuit
+from kc2spice.netlist.lint import GROUND
+from kc2spice.netlist.osdi import testbench
+from kc2spice.netlist.spelling import ANALYSES, Dialect, LTspice, Setup, Xyce
+from kc2spice.netlist.statements import Statement, statements
+from kc2spice.netlist.veriloga import library
 
 SPEAKERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": LTspice}
 DECKS = ("ngspice", *SPEAKERS)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from kc2spice.spice.circuit import Subcircuit
+from kc2spice.netlist.circuit import Subcircuit
 
 _ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|sign:|validity:|rating:|@)")
 _CARD = re.compile(r"(?im)^(?:x|\.subckt\b|\.ends\b).*(?:\n\+.*)*")

@@ -15,8 +15,8 @@ from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, read_bounded
-from kc2spice.spice.cards import comment
-from kc2spice.spice.statements import split_comment
+from kc2spice.netlist.cards import comment
+from kc2spice.netlist.statements import split_comment
 
 LARGEST = 4_000_000  # bytes of one file, and characters of the whole text
 MOST = 64  # files of one circuit

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.cards import number
-from kc2spice.spice.elements import Element, Scope, behaviour
-from kc2spice.spice.expression import Binary, Tree, Writer, literal, parse, walk
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.elements import Element, Scope, behaviour
+from kc2spice.netlist.expression import Binary, Tree, Writer, literal, parse, walk
 
 # Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
 _WORDS = (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import ceil
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
-from kc2spice.spice.elements import Element, behaviour, circuit
-from kc2spice.spice.expression import Probe, parse, walk
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.elements import Element, behaviour, circuit
+from kc2spice.netlist.expression import Probe, parse, walk
 
 REFERENCES = frozenset({"base", "ref"})
 OPAMP = frozenset({"inp", "inn", "out", "vcc", "vee"})

@@ -11,11 +11,11 @@ import re
 from collections.abc import Iterable, Mapping
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.contributions import Module, Names, law
-from kc2spice.spice.elements import Element, Scope, circuit
-from kc2spice.spice.statements import statements
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.contributions import Module, Names, law
+from kc2spice.netlist.elements import Element, Scope, circuit
+from kc2spice.netlist.statements import statements
 
 
 def library(

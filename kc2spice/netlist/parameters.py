@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.words import did_you_mean
-from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import LEAST, Param, Subcircuit
-from kc2spice.spice.deck import Deck
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import LEAST, Param, Subcircuit
+from kc2spice.netlist.deck import Deck
 
 _CARD = re.compile(r"^\.subckt\s+(\S+)(.*)$", re.MULTILINE | re.IGNORECASE)
 _DEFAULT = re.compile(r"(\w+)=(\S+)")

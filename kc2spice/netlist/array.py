@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.deck import Block, Deck
+from kc2spice.netlist.deck import Block, Deck
 
 MOST = 10_000
 _PROBE = re.compile(r"(?i)([vi])\(([^()]+)\)|@(\w)\.([\w.]+\[\w+\])")

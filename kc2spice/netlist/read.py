@@ -7,10 +7,10 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.spice.circuit import Param, Pin, Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.expression import literal
-from kc2spice.spice.statements import Statement, beside, statements
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.expression import literal
+from kc2spice.netlist.statements import Statement, beside, statements
 
 LARGEST = 100_000_000  # bytes of one file
 _PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")

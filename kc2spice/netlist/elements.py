@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.statements import Statement, beside, statements
+from kc2spice.netlist.statements import Statement, beside, statements
 
 # Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
 NODES = {

@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from kc2spice.spice.cards import number
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.render import render
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.render import render
 
 _ANALYSIS = re.compile(r"(?im)^\s*\.(tran|ac|dc|op)\b.*$")
 

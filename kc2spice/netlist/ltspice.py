@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from kc2spice.spice.box import Box, Place
-from kc2spice.spice.cards import number
+from kc2spice.netlist.box import Box, Place
+from kc2spice.netlist.cards import number
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
 _SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}

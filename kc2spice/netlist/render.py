@@ -8,7 +8,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.spice.cards import comment, name, number
+from kc2spice.netlist.cards import comment, name, number
 
 
 def template_directory() -> Path:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 
-from kc2spice.spice.circuit import Subcircuit
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.statements import Statement, statements
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.statements import Statement, statements
 
 _OWN = re.compile(r"(?i)v\(\w+\)|i\(v\w+\)")  # vectors that exist without subcircuits
 _RUN = re.compile(r"\* Run it with:|\*.*\bngspice (-\w|\w+_plot)")

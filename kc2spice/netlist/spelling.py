@@ -12,10 +12,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.cards import number
-from kc2spice.spice.elements import behaviour, element
-from kc2spice.spice.expression import Binary, Name, Number, Tree, Writer, literal, parse, walk
-from kc2spice.spice.statements import Statement
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.elements import behaviour, element
+from kc2spice.netlist.expression import Binary, Name, Number, Tree, Writer, literal, parse, walk
+from kc2spice.netlist.statements import Statement
 
 STEP = 1e-6  # s, largest of Xyce where a controller closes a loop
 TIGHT = 1e-5  # largest reltol of Xyce, and a tenth of the given one: contacts within 1e-5

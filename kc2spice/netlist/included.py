@@ -7,8 +7,8 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name
-from kc2spice.spice.deckwide import refuse_in_part
-from kc2spice.spice.scan import cards, checked_lines, text_of_lines
+from kc2spice.netlist.deckwide import refuse_in_part
+from kc2spice.netlist.scan import cards, checked_lines, text_of_lines
 
 
 def included_netlists(names: Sequence[str], home: Path, *, trust: bool = False) -> dict[str, str]:

@@ -9,10 +9,10 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.deck import Deck
-from kc2spice.spice.elements import Element, Scope, behaviour, circuit
-from kc2spice.spice.expression import Binary, Call, Name, Number, Probe, parse, walk
-from kc2spice.spice.statements import Statement
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.elements import Element, Scope, behaviour, circuit
+from kc2spice.netlist.expression import Binary, Call, Name, Number, Probe, parse, walk
+from kc2spice.netlist.statements import Statement
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 BUILT_IN = frozenset({"time", "temper", "temp", "hertz", "pi", "e", "boltz", "gmin", "vt"})

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping
 
 from kc2spice.core.errors import UsageError
-from kc2spice.spice.statements import Statement
+from kc2spice.netlist.statements import Statement
 
 # fmt: off
 FUNCTIONS = frozenset((
