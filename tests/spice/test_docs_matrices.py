@@ -22,5 +22,5 @@ def test_python_blocks_run_in_order(tmp_path):
 
 def test_every_key_is_on_the_page():
     table = PAGE[PAGE.index("## The TOML file") :]
-    for key in sidecar._TOP | sidecar._PORT:
+    for key in (*sidecar.Sidecar.model_fields, *sidecar.PortEntry.model_fields):
         assert f"`{key}" in table or f"{key} }}`" in table or f"[[{key}]]" in table, key

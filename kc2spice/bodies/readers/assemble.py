@@ -9,7 +9,7 @@ from scipy import sparse
 
 from kc2spice.bodies.readers.mesh import Mesh, read_mesh
 from kc2spice.bodies.readers.raw import DOFS, ROTATIONS, TRANSLATIONS, VOLT, Dofs
-from kc2spice.bodies.readers.sidecar import Place, PortEntry
+from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, Place, PortEntry
 from kc2spice.bodies.readers.source import Source
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port, half_stored, with_potentials
@@ -32,7 +32,7 @@ def assemble(source: Source) -> LinearModel:
     square = rows.in_si(_halves(source, square))
     _not_zero(source, square)
     entries = source.sidecar.ports
-    if any(entry.kind == "electrical" and entry.place for entry in entries):
+    if any(entry.kind == "electrical" and entry.placed for entry in entries):
         return _with_electrodes(source, square, rows)
     keep = rows.free()
     B, C, D, ports = _ports(source, square, rows)
@@ -150,7 +150,7 @@ def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
 
 
 def _damped(source: Source, cut: dict[str, Matrix]) -> dict[str, Matrix]:
-    alpha, beta = source.sidecar.alpha, source.sidecar.beta
+    alpha, beta = source.sidecar.damping.rayleigh
     if not (alpha or beta):
         return cut
     if "A" in cut:
@@ -195,7 +195,7 @@ class _Rows:
             return self.mesh(where).nodeset(place.nodeset, where)
         if place.at is not None:
             return np.array([self.mesh(where).nearest(place.at, place.within, where)])
-        return np.unique(np.array(place.nodes, dtype=np.int64))
+        return np.unique(np.array(place.numbers, dtype=np.int64))
 
     def find(self, place: Place, kinds: tuple[int, ...], where: str) -> list[np.ndarray]:
         """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind."""
@@ -220,7 +220,8 @@ class _Rows:
 
     def in_si(self, found: dict[str, Matrix]) -> dict[str, Matrix]:
         """Matrices in metres and newtons: virtual work is what both unit systems agree on."""
-        length, force = self.source.sidecar.length, self.source.sidecar.force
+        said = self.source.sidecar
+        length, force = LENGTHS[said.length], FORCES[said.force]
         if length == force == 1:
             return found
         where = f"{self.source.sidecar.where}: length"
@@ -238,15 +239,16 @@ class _Rows:
         """Rows that the tool or the sidecar holds at zero."""
         held = [np.asarray(self.source.raw.held, dtype=np.int64)]
         for fixed in self.source.sidecar.fixed:
-            dofs, nodes = self.dofs(fixed.where), self.nodes(fixed.place, fixed.where)
+            where = self.source.sidecar.of(fixed)
+            dofs, nodes = self.dofs(where), self.nodes(fixed, where)
             missing = np.setdiff1d(nodes, dofs.node)
             if missing.size:
                 raise UsageError(
-                    "no such node in the matrices", where=fixed.where, got=f"node {missing[0]}",
+                    "no such node in the matrices", where=where, got=f"node {missing[0]}",
                     expected="nodes that the tool has not constrained itself",
                 )  # fmt: skip
-            if fixed.dofs:
-                held += self.find(fixed.place, fixed.dofs, fixed.where)
+            if fixed.dof:
+                held += self.find(fixed, fixed.dof, where)
             else:
                 held.append(np.flatnonzero(np.isin(dofs.node, nodes)))
         return np.unique(np.concatenate(held))
@@ -260,7 +262,7 @@ class _Rows:
 
     def column(self, entry: PortEntry) -> np.ndarray:
         """Unit load of a port: mean displacement along its direction is its product with x."""
-        load = np.zeros(self.size)
+        load, where = np.zeros(self.size), self.source.sidecar.of(entry)
         if entry.dof is not None:
             used = [(entry.dof, 1.0)]
         else:
@@ -269,27 +271,27 @@ class _Rows:
             used = [(k, w) for k, w in zip(group, entry.axis, strict=True) if w]
         kinds, weights = tuple(k for k, _ in used), tuple(w for _, w in used)
         self._fits(entry, kinds)
-        for rows, weight in zip(self.find(entry.place, kinds, entry.where), weights, strict=True):
+        for rows, weight in zip(self.find(entry, kinds, where), weights, strict=True):
             load[rows] += weight / len(rows)
         lost = np.intersect1d(np.flatnonzero(load), self.held())
         if lost.size == np.count_nonzero(load):
-            raise UsageError("the port is on fixed freedoms", where=entry.where,
+            raise UsageError("the port is on fixed freedoms", where=where,
                              expected="a free node")  # fmt: skip
         return load
 
-    @staticmethod
-    def _fits(entry: PortEntry, kinds: tuple[int, ...]) -> None:
+    def _fits(self, entry: PortEntry, kinds: tuple[int, ...]) -> None:
         allowed = {"mechanical": TRANSLATIONS, "rotational": ROTATIONS}.get(entry.kind)
         if allowed is not None and not set(kinds) <= set(allowed):
             raise UsageError(
-                f"is no freedom of a {entry.kind} port", where=f"{entry.where}: dof",
+                f"is no freedom of a {entry.kind} port",
+                where=f"{self.source.sidecar.of(entry)}.dof",
                 got=", ".join(DOFS[k] for k in kinds), expected=", ".join(DOFS[k] for k in allowed),
             )  # fmt: skip
 
     def frame(self, entry: PortEntry, M: Matrix) -> np.ndarray:
         """``-M r`` for a frame that accelerates along the port's axis."""
         assert entry.axis is not None  # checked by the sidecar
-        kind = self.dofs(entry.where).kind
+        kind = self.dofs(self.source.sidecar.of(entry)).kind
         r = np.zeros(self.size)
         for k, weight in zip(TRANSLATIONS, entry.axis, strict=True):
             r[kind == k] = weight
@@ -333,13 +335,15 @@ def _load(source: Source, found: dict[str, Matrix], rows: _Rows, entry: PortEntr
         assert place is not None
         if table is None or place > count:
             what = "columns of B" if letter == "B" else "rows of C"
-            raise UsageError("does not exist", where=entry.where, got=place,
+            raise UsageError("does not exist", where=source.sidecar.of(entry), got=place,
                              expected=f"1 to {count} ({what})")  # fmt: skip
         return np.asarray(table[:, place - 1] if letter == "B" else table[place - 1])
     if entry.kind == "acceleration":
         if "M" not in found:
             raise UsageError(
-                "needs a mass matrix", where=entry.where, expected="a second-order model"
+                "needs a mass matrix",
+                where=source.sidecar.of(entry),
+                expected="a second-order model",
             )
         return rows.frame(entry, found["M"])
     return rows.column(entry)
@@ -354,7 +358,8 @@ def _row(
     C = found["C"]
     if entry.column > C.shape[0] or not np.allclose(C[entry.column - 1], load, rtol=1e-9, atol=0):
         raise UsageError(
-            "is not conservative: its row of C is not its column of B", where=entry.where,
+            "is not conservative: its row of C is not its column of B",
+            where=source.sidecar.of(entry),
             got=f"column {entry.column}", expected="C = B'", hint="make it an input and an output",
         )  # fmt: skip
     return load
@@ -392,9 +397,11 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
     owned: list[np.ndarray] = []
     columns = []
     for entry in (e for e in entries if e.kind == "electrical"):
-        (place,) = rows.find(entry.place, (VOLT,), entry.where)
+        (place,) = rows.find(entry, (VOLT,), source.sidecar.of(entry))
         if np.isin(place, np.concatenate([held, *owned])).any():
-            raise UsageError("an electrode is fixed or another port's", where=entry.where)
+            raise UsageError(
+                "an electrode is fixed or another port's", where=source.sidecar.of(entry)
+            )
         owned.append(place)
         column = np.zeros(rows.size)
         column[place] = 1.0
@@ -416,7 +423,7 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
     B = [_load(source, found, rows, e)[u] for e in others]
     ports = [Port(e.name, e.kind, across=e.unit, pins=e.pins) for e in entries]
     E = _cut(found["E"], u) if "E" in found else None
-    alpha, beta = source.sidecar.alpha, source.sidecar.beta
+    alpha, beta = source.sidecar.damping.rayleigh
     if E is not None and (alpha or beta):
         raise UsageError("damping is given twice", where=source.sidecar.where,
                          expected="matrix E or 'damping'")  # fmt: skip

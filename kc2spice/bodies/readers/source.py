@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +39,18 @@ from kc2spice.rom.operators import Matrix
 # What may stand behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-_PUNCH = (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig")
+# One file with all matrices, by its suffix.
+READERS: Mapping[str, Callable[[Path, Sidecar], Raw]] = {
+    ".npz": lambda path, said: read_archive(path),
+    ".mat": lambda path, said: read_mat(path),
+    ".full": lambda path, said: read_full(path),
+    ".op4": lambda path, said: read_op4(path, said.matrices),
+    **{suffix: lambda path, said: read_calculix(path) for suffix in SUFFIXES},
+    **{
+        suffix: lambda path, said: read_dmig(path, said.matrices)
+        for suffix in (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig")
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -142,18 +154,8 @@ def _read(path: Path, files: dict[str, Path], said: Sidecar) -> Raw:
             expected=f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, "
             ".sti or .full; or a TOML file with 'files'",
         )  # fmt: skip
-    if suffix == ".npz":
-        return read_archive(path)
-    if suffix == ".mat":
-        return read_mat(path)
-    if suffix == ".full":
-        return read_full(path)
-    if suffix == ".op4":
-        return read_op4(path, said.matrices)
-    if suffix in SUFFIXES:
-        return read_calculix(path)
-    if suffix in _PUNCH:
-        return read_dmig(path, said.matrices)
+    if suffix in READERS:
+        return READERS[suffix](path, said)
     raise refused(
         path, "one file that is not called after its matrix", "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
         hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
