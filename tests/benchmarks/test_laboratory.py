@@ -35,17 +35,12 @@ def run(*words):
 
 
 RATIOS = {
-    "loop_cpu_s", "loop_budget_cpu_s", "actuators_power", "actuators_load_growth",
-    "actuators_factor_growth", "actuators_fill_growth", "actuators_memory_bytes",
-    "macromodel_vs_scikit_rf",
-    "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
+    "loop_cpu_s", "loop_vs_scipy", "loop_vs_scipy_specialised", "loop_vs_floor", "harmonic",
     "imprint_refactor", "imprint_low_rank", "impact_refactor", "impact_low_rank",
     "em_superposition", "em_table_s", "dense_vs_resonator_30", "dense_vs_resonator_348",
     "start_help_s", "start_import_s", "start_rerun_s", "start_first_s", "reference_loop_s",
-    "fronts_beaten",
 }  # fmt: skip
-PLANES = {"loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel"}
-SCALINGS = {"modes", "ports", "actuators", "simulated time", "unknowns", "chip"}
+PLANES = {"loop", "impact", "imprint", "harmonic", "em", "dense"}
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +59,6 @@ def test_record_has_the_contracts_shape(bench):
     record, out = bench
     assert set(record["planes"]) == PLANES
     assert set(record["ratios"]) == RATIOS
-    assert set(record["scaling"]) - {"actuators, KLU"} == SCALINGS
     assert {"cpu", "cores", "os", "python", "numpy", "scipy", "ngspice"} <= set(record["machine"])
     for name, found in record["planes"].items():
         assert found, name
@@ -77,7 +71,7 @@ def test_record_has_the_contracts_shape(bench):
         assert {"value", "error", "target", "met", "what"} <= set(ratio)
     stored = json.loads((out / "bench.json").read_text())
     assert stored["planes"] == record["planes"]
-    for file in ("bench.md", "bench.html", "bench_loop.png", "bench_scaling.png"):
+    for file in ("bench.md", "bench_loop.png"):
         assert (out / file).stat().st_size > 500
 
 
@@ -106,37 +100,12 @@ def test_methods_that_must_agree_do(bench):
     assert impact["full model, low rank"]["error"] == impact["full model, refactorising"]["error"]
 
 
-def test_scalings_have_a_power(bench):
-    record, _ = bench
-    for name, item in record["scaling"].items():
-        assert len(item["sizes"]) == len(item["time_s"]) >= 2, name
-        assert list(item["sizes"]) == sorted(item["sizes"])
-        assert math.isfinite(item["exponent"])
-
-
-def test_naive_poles_are_drawn_and_unstable(bench):
-    record, out = bench
-    naive, shipped = record["poles"].values()
-    assert max(naive["real"]) > 1e6
-    assert max(shipped["real"]) < 0
-    assert (out / "bench_poles.png").stat().st_size > 5_000
-
-
 def test_the_table_of_sizes_is_made_by_the_documented_command():
     done = run("laboratory.reduction_scaling", "--sizes", "300", "900")
     assert done.returncode == 0, done.stderr
     rows = [line.split("|")[1:4] for line in done.stdout.splitlines() if "| plate |" in line]
     assert [int(unknowns) for _, _, unknowns in rows] == [300, 867]
     assert "CPU time as n^" in done.stdout
-
-
-def test_fronts_are_of_scenes(bench):
-    record, out = bench
-    assert len(record["fronts"]) == 2
-    for name, front in record["fronts"].items():
-        assert front["error"] > 0 < front["time_s"], name
-        assert front["tried"] >= len(front["rivals"]) >= 1
-        assert f"| {name} |" in (out / "bench.md").read_text()
 
 
 def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):

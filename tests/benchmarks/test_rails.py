@@ -37,5 +37,5 @@ def test_braking_work_is_force_times_way(uniform, scene, rail, current):
 
 def test_figure_is_drawn(uniform, scene, tmp_path):
     launches = [Launch(15.0, 0.3, 2.5e-3, True), Launch(48.0, 1.5, 9e-3, False)]
-    picture = rails_figure(tmp_path / "rails.png", launches, scene, uniform)
-    assert picture.path.read_bytes().startswith(b"\x89PNG")
+    rails_figure(tmp_path / "rails.png", launches, scene, uniform)
+    assert (tmp_path / "rails.png").read_bytes().startswith(b"\x89PNG")

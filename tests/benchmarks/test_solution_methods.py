@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,13 +13,12 @@ from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
 from kc2spice.workflow.decks import make_deck
 from laboratory.distance import compare
-from laboratory.forms import FORMS, state_space, with_form
+from laboratory.forms import FORMS, with_form
 from laboratory.fullmodel import factorisations
 from laboratory.law import law
 from laboratory.located import located
 from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
-from laboratory.points import Point, Timing, fastest, pareto
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint, imprint_refactorised
 
@@ -47,17 +44,6 @@ def test_lower_bound_flies_the_loop_exactly(loop, exact):
     assert error["trajectory_m"] < 2e-8
 
 
-def test_lower_bound_without_located_events_is_worse(loop, exact, monkeypatch):
-    """Rings that toggle at samples only: the test above can fail."""
-
-    def unlocated(self, values, times, first, wrong, closed):
-        return float(times[first]), wrong
-
-    monkeypatch.setattr(LowerBound, "_locate", unlocated)
-    error = compare(LowerBound(law(loop)).run(loop.scene), exact)
-    assert error["velocity_relative"] > 1e-5
-
-
 def test_lower_bound_bounces_exactly_on_an_open_anode(bounce):
     equations = law(bounce)
     waves = LowerBound(equations).run(bounce.scene)
@@ -71,26 +57,6 @@ def test_peers_converge_to_the_reference(loop, exact):
     coarse, fine = (compare(integrate(equations, scene, "Radau", r), exact) for r in (1e-3, 1e-5))
     assert fine["velocity_relative"] < 1e-4
     assert fine["trajectory_m"] < coarse["trajectory_m"]
-
-
-def test_peer_jacobian_is_the_derivative(loop):
-    from laboratory.peers import Peer, _linear
-    from laboratory.segments import Segment
-
-    equations = law(loop)
-    top = 2 * equations.q
-    x = np.zeros(top + 4)
-    # as in flight near the set point: the current is not at its limit
-    for p, closed in ((-1e-8, True), (1.5e-3 - 1e-8, False)):
-        x[top] = p
-        peer = Peer(equations, Segment(0.0, 1.0, 10.0, 3.0, not closed), _linear(equations))
-        J = peer.jacobian(0.0, x)
-        for k, step in ((0, 1e-12), (top, 1e-12), (top + 2, 1e-9)):
-            h = np.zeros_like(x)
-            h[k] = step
-            slope = (peer.rhs(0.0, x + h) - peer.rhs(0.0, x - h)) / (2 * step)
-            # central differences of nearly linear rates: rounding of the difference remains
-            assert np.allclose(J[:, k], slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
 
 
 def ac_deck(model):
@@ -119,24 +85,11 @@ def test_every_form_is_the_same_device(model, form, behavioural, limit, tmp_path
         assert np.abs(other[name] - ours[name]).max() <= limit * np.abs(ours[name]).max()
 
 
-def test_dense_forms_are_dense(model):
-    q = model.order
-    assert np.count_nonzero(state_space(model, "resonators").A) == 3 * q
-    assert np.count_nonzero(state_space(model, "second order").A) == 2 * q * q + q
-    assert np.count_nonzero(state_space(model, "first order").A) == 4 * q * q
-
-
 def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):
     """The netlist comes from the parts, the exact solution from the laboratory's own equations."""
     error = compare(run_deck(make_deck(loop), tmp_path), exact)
     assert error["velocity_relative"] < 1e-4
     assert error["trajectory_m"] < 1e-6
-
-
-def test_factorisations_of_the_usual_code_are_counted():
-    """Sets of closed springs: none, one, one, two, none."""
-    force = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 0.0]])
-    assert factorisations(force) == 5 + 3
 
 
 def test_count_of_factorisations_is_that_of_the_code():
@@ -145,14 +98,3 @@ def test_count_of_factorisations_is_that_of_the_code():
     depth = np.linspace(0.0, 60e-6, 7)
     counted = factorisations(imprint(system, surface, depth).ring_force)
     assert counted == imprint_refactorised(system, surface, depth).iterations.sum()
-
-
-def test_pareto_front_and_fastest():
-    def point(error, time, same=True):
-        return Point("f", "l", error, Timing(time, time, time, 1), {"e": error}, same_model=same)
-
-    points = [point(1e-3, 1.0), point(1e-4, 2.0), point(1e-4, 3.0), point(1e-5, 2.5)]
-    assert pareto(points) == (True, True, False, True)
-    assert fastest(points, {"e": 1e-4}) == points[1]
-    assert fastest(points, {"e": 1e-6}) is None
-    assert fastest([replace(points[0], same_model=False)], {"e": 1.0}) is None

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies import disc, langevin
-from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
+from kc2spice.bodies.axisymmetric import Block, Electrode, Face, turned
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
@@ -48,14 +48,6 @@ def static(K, load, rigid=0):
     return np.concatenate([np.zeros(rigid), np.linalg.solve(K[rigid:, rigid:], load[rigid:])])
 
 
-def mechanical(blocks, supports=(), **mesh):
-    """Natural frequencies [Hz] of a body without electrodes."""
-    whole = {"any": Face(blocks[0].r, blocks[0].z[1])}
-    model = turned(blocks, (), supports, whole, damping=UNDAMPED, **mesh).model
-    values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
-    return np.sqrt(np.abs(values)) / (2 * np.pi)
-
-
 def ceramic(radius, thickness, refine=1, size=None, electrode=None):
     faces = [Face((0, electrode or radius), z) for z in (0, thickness)]
     electrodes = (Electrode("cathode", faces[:1], "ground"), Electrode("anode", faces[1:]))
@@ -80,22 +72,6 @@ def moved(r, z):
 
 
 # -- patch tests ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("strain_r", "strain_z"), [(1e-3, 0), (0, 1e-3), (2e-3, -1e-3)])
-def test_uniform_strain_is_represented_exactly(strain_r, strain_z):
-    blocks = [Block((0, 2e-3), (0, 1e-3), STEEL), Block((0.5e-3, 3e-3), (1e-3, 1.7e-3), STEEL)]
-    o, (r, z) = free(blocks, 0.6e-3)
-    u = moved(strain_r * r, strain_z * z)
-    strain = np.array([strain_r, strain_r, strain_z, 0, 0, 0])
-    volume = np.pi * (4e-6 * 1e-3 + (9e-6 - 0.25e-6) * 0.7e-3)
-    assert u @ o.K_uu @ u == approx(strain @ STEEL.C @ strain * volume, rel=1e-12)
-    inside = (z > 1e-5) & (z < 0.99e-3) & (r < 1.99e-3)  # no surface, so no force
-    force = (o.K_uu @ u).reshape(-1, 2)
-    assert np.abs(force[inside]).max() < 1e-12 * np.abs(force).max()
-    axial = moved(0 * r, 1.0)
-    assert axial @ o.M @ axial == approx(7860 * volume, rel=1e-12)
-    assert np.abs(o.K_uu @ axial).max() < 1e-9 * np.abs(o.K_uu).max()
 
 
 def test_uniform_shear_and_fields_couple_as_the_tensors_say():
@@ -162,31 +138,17 @@ def plate_root(condition):
     return brentq(conditions[condition], *brackets[condition])
 
 
-@pytest.mark.parametrize("condition", ["clamped", "simply_supported", "free"])
-def test_thin_plates_bend_at_the_frequencies_of_plate_theory(condition):
-    radius, thickness = 20e-3, 0.4e-3
-    rim = (radius, radius)
-    supports = {
-        "clamped": [Fixed("r", rim, (0, thickness)), Fixed("z", rim, (0, thickness))],
-        "simply_supported": [Fixed("z", rim, (thickness / 2, thickness / 2))],
-        "free": [],
-    }[condition]
-    f = mechanical([Block((0, radius), (0, thickness), STEEL)], supports, size=0.5e-3)
-    first = f[1] if condition == "free" else f[0]
-    theory = bending(plate_root(condition), radius, thickness)
-    assert first == approx(theory, rel=1e-3)  # shear and rotation: (t/a)^2 = 4e-4
-
-
-def test_the_disc_part_holds_its_rim_as_its_key_says():
+@pytest.mark.parametrize("support", ["clamped", "simply_supported", "free"])
+def test_a_thin_disc_bends_at_the_frequency_of_plate_theory(support):
+    """Of steel with a speck of ceramic; shear and rotation are (t / a)^2 = 4e-4."""
     layers = [
         {"material": "steel", "diameter": "40 mm", "thickness": "0.4 mm"},
         {"material": "PZT-5A", "diameter": "1 mm", "thickness": "1 um"},
     ]
-    for support in ("clamped", "simply_supported"):
-        model = disc.device({"layers": layers, "support": support}, refine=2).model
-        values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
-        theory = bending(plate_root(support), 20e-3, 0.4e-3)
-        assert np.sqrt(values[0]) / (2 * np.pi) == approx(theory, rel=2e-3)
+    model = disc.device({"layers": layers, "support": support}, refine=2).model
+    values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
+    theory = bending(plate_root(support), 20e-3, 0.4e-3)
+    assert np.sqrt(values[int(support == "free")]) / (2 * np.pi) == approx(theory, rel=2e-3)
 
 
 # -- ceramics in closed form ----------------------------------------------------------------------
@@ -454,28 +416,3 @@ def test_impossible_sandwiches_are_refused_with_a_reason(change, says):
     with pytest.raises(UsageError) as caught:
         langevin.device(keys)
     assert says in str(caught.value)
-
-
-def test_electrodes_that_touch_or_touch_nothing_are_refused():
-    block = Block((0, 1e-3), (0, 1e-3), PZT)
-    bottom = Electrode("cathode", (Face((0, 1e-3), 0.0),), "ground")
-    both = Electrode("anode", (Face((0, 0.5e-3), 0.0),))
-    make = partial(turned, [block], size=1e-3, damping=UNDAMPED)
-    with pytest.raises(UsageError, match="electrodes touch each other"):
-        make([bottom, both])
-    off = Electrode("anode", (Face((0, 0.5e-3), 2e-3),))
-    with pytest.raises(UsageError, match="not piezoelectric") as caught:
-        make([bottom, off])
-    assert "electrodes.anode" in str(caught.value)
-    with pytest.raises(UsageError, match="port touches nothing"):
-        make([bottom], (), {"top": Face((0, 1e-3), 3e-3)})
-    with pytest.raises(UsageError, match="support touches nothing"):
-        make([bottom], [Fixed("z", (2e-3, 2e-3), (0, 0))])
-
-
-def test_a_ceramic_without_electrodes_has_no_potential():
-    lower, upper = (Block((0, 1e-3), z, PZT) for z in ((0, 1e-3), (2e-3, 3e-3)))
-    between = Block((0, 1e-3), (1e-3, 2e-3), STEEL)
-    bottom = Electrode("cathode", (Face((0, 1e-3), 0.0),), "ground")
-    with pytest.raises(UsageError, match="touches no electrode"):
-        turned([lower, between, upper], [bottom], size=1e-3, damping=UNDAMPED)

@@ -10,17 +10,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.sparse.linalg import eigsh
-from skfem.mesh import MeshTet
 
 from kc2spice.bodies.bimorph import Bimorph
 from kc2spice.bodies.bimorph import device as bimorph_device
-from kc2spice.bodies.body import Body, _Groups, device
+from kc2spice.bodies.body import Body, device
 from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import device as disc_device
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.fem.mesh_file import Group, GroupedMesh
 from kc2spice.rom.reduce import reduce
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "bracket"
@@ -233,14 +231,6 @@ def test_curved_cylinder_keeps_its_volume(tmp_path):
     assert found.facts["mass_kg"] == pytest.approx(material("steel").density * volume, rel=1e-3)
 
 
-def test_refining_moves_towards_one_answer(coarse):
-    once, twice = (
-        device(keys(), coarse, refine=n).model.facts["resonance_short_hz"] for n in (1, 2)
-    )
-    assert twice < once  # displacement elements are too stiff
-    assert twice == pytest.approx(once, rel=2e-2)
-
-
 @pytest.mark.parametrize(
     ("damping", "wanted"),
     [
@@ -312,13 +302,6 @@ def test_damping_of_each_material(coarse):
 def test_errors_name_the_group(coarse, changes, message):
     with pytest.raises(UsageError, match=message):
         device(keys(**changes), coarse)
-
-
-def test_empty_group_is_named():
-    found = GroupedMesh(MeshTet(), {"foot": Group(1, np.empty(0, int))})
-    with pytest.raises(UsageError, match="group is empty") as error:
-        _Groups(found, keys()).get("foot", "fixed")
-    assert (error.value.where, error.value.got) == ("fixed", "foot")
 
 
 def test_group_of_two_materials_is_named(tmp_path):

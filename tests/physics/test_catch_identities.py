@@ -29,21 +29,6 @@ def bore() -> magmesh.Bore:
     return magmesh.bore(catch, RADIUS, pitch, catch.y_min, catch.y_max)
 
 
-def test_meshes_fill_cylinder_and_sphere(bore: magmesh.Bore) -> None:
-    @Functional
-    def volume(w):
-        return 2 * np.pi * w.x[0]
-
-    stator = magmesh.stator_mesh(Catch(), bore)
-    whole = volume.assemble(Basis(stator, ElementTriP2()))
-    assert whole == pytest.approx(np.pi * 0.01**2 * 0.03, rel=1e-12)
-    mover, inside = magmesh.mover_mesh(bore)
-    ball = volume.assemble(Basis(mover, ElementTriP2(), elements=np.flatnonzero(inside)))
-    assert ball == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=1e-6)  # arcs, not chords
-    box = volume.assemble(Basis(mover, ElementTriP2()))
-    assert box == pytest.approx(np.pi * bore.wall**2 * 2 * bore.half, rel=1e-9)
-
-
 @pytest.mark.parametrize("polarity", ["parallel", "antiparallel"])
 def test_superposition_equals_brute_force(polarity: str) -> None:
     catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
@@ -97,23 +82,6 @@ def test_inductance_is_symmetric_positive_definite(table: EMTable) -> None:
     np.testing.assert_allclose(table.inductance, table.inductance.transpose(0, 2, 1), rtol=0)
 
 
-def test_force_does_not_depend_on_the_shell(bore: magmesh.Bore) -> None:
-    pieces = magsystem.assemble(Catch(), bore)
-    system = pieces.system(1e-3)
-    fields = system.solve(system.loads)
-    mesh, inside = magmesh.mover_mesh(bore)
-    # Another weight: falls along the way from the sphere to the outline, not harmonically.
-    r, y = pieces.mover.points
-    beyond = np.maximum(np.hypot(r, y) - RADIUS, 0)
-    short = np.maximum(np.minimum(bore.wall - r, bore.half - np.abs(y)), 0)
-    weight = np.where(beyond < 1e-9, 1.0, short**2 / (short**2 + beyond**2))
-    near = fields[system.mover]
-    other = -0.5 * near.T @ (magforms.force_form(mesh, inside, weight) @ near)
-    ampere = np.array([1.0, 1.0, -0.1, 0.1])
-    force = ampere @ system.force(fields) @ ampere
-    assert ampere @ other @ ampere == pytest.approx(force, rel=1e-4)
-
-
 def test_coil_is_pushed_back() -> None:
     """Lorentz force on the lower coil in the sphere's field, which the shell knows nothing of."""
     catch = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3)
@@ -137,29 +105,6 @@ def test_coil_is_pushed_back() -> None:
     c1 = 2 * system.force(fields)[magforms.SPHERE, magforms.LOWER]
     assert abs(c1) > 0.1
     assert on_coil == pytest.approx(-c1, rel=1e-4)
-
-
-def test_positions_off_the_lattice_get_lattices_of_their_own(table: EMTable) -> None:
-    # 0.0625 mm is half a cell: every second position is on a shifted lattice and another mesh.
-    fine = catch_table(Catch(y_min=1e-3, y_max=1.5e-3, positions=9), RADIUS)
-    from_nodes = table.splines(fine.y)
-    largest = np.max(np.abs(em_cases(table, current_pairs())))
-    for column, (name, scale) in enumerate({"c0": 1, "c1": 0.1, "c2": 0.1, "c11": 0.01}.items()):
-        miss = np.max(np.abs(getattr(fine, name) - from_nodes[:, column])) * scale
-        assert miss < 1e-4 * largest, name  # spline of 41 nodes: 7e-5
-
-
-def test_condensing_the_surrounding_changes_nothing(bore: magmesh.Bore) -> None:
-    pieces = magsystem.assemble(Catch(), bore)
-    small = magsystem.condense(pieces)
-    full, reduced = pieces.system(1e-3), small.system(1e-3)
-    assert small.eliminated + reduced.free.size == full.free.size
-    assert reduced.free.size < full.free.size / 3
-    a, b = full.solve(full.loads), reduced.solve(reduced.loads)
-    products = full.loads.T @ a
-    scale = np.max(np.abs(products), axis=0)
-    assert np.all(np.abs(small.energy + reduced.loads.T @ b - products) < 1e-11 * scale)
-    np.testing.assert_allclose(b[reduced.mover], a[full.mover], rtol=0, atol=1e-10 * np.max(a))
 
 
 def test_remanence_and_mounting_need_no_new_field():

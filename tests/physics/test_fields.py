@@ -142,14 +142,6 @@ def test_fields_of_merged_layers_are_refused():
         chip(mesh={"layers_per_element": 2})
 
 
-def test_a_stack_without_limits_has_those_of_soft_ceramic():
-    assumed, own = chip(), chip(material={"tensile_strength": 30e6, "depoling_field": 1e6})
-    assert assumed.solid.materials[0].tensile_strength == material("PZT-5H").tensile_strength
-    assert own.solid.materials[0].tensile_strength == 30e6
-    assert own.solid.materials[1].depoling_field == 1e6
-    assert own.solid.materials[1].breakdown_field == 2e6
-
-
 def test_motion_is_that_of_the_full_model():
     """Against modes of the dense matrices and scipy's integration of the state space."""
     device = pulled(plate(), Damping(ratio=0.05))

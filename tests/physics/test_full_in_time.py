@@ -17,7 +17,6 @@ from kc2spice.reference.steps import seconds, steps
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify import full as module
 from kc2spice.workflow.verify.circuit import solve
 from kc2spice.workflow.verify.full import full_build, full_solution
 from laboratory.fullmodel import as_waveforms, limit
@@ -125,15 +124,3 @@ def test_an_impact_is_that_of_the_usual_code(electrical: str) -> None:
 
     assert off(found) < 5e-6  # 3e-6, as much as the limit of the usual steps is off by itself
     assert off(reduced) > 1.5e-5
-
-
-def test_only_as_many_steps_as_are_affordable_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A long scene is followed for a while: from the first touch, no loads before it."""
-    monkeypatch.setattr(module, "MOST", 100)
-    found, reduced = followed(stop=20e-6)
-    assert found["time"][0] == 0.0
-    assert 2e-6 < found["time"][-1] < 4e-6
-    before = found["time"] < 0.19e-6
-    assert before.sum() > 3
-    exact = reduced["sphere.y"][: found["time"].size][before]
-    np.testing.assert_array_equal(found["sphere.y"][before], exact)

@@ -2,13 +2,9 @@
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
-from scipy.sparse import block_array
-from scipy.sparse.linalg import splu
 
 from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.bodies.pressure import contact_forces
@@ -20,8 +16,6 @@ from kc2spice.parts.sphere import SphereKeys
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.surrogate import surrogate
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint, imprint_refactorised
 from laboratory.usual.transient import Ball, transient
@@ -60,32 +54,6 @@ def test_contact_forces_satisfy_the_law_for_random_compliances():
         np.testing.assert_allclose(force, k * np.maximum(p - G @ force, 0), atol=1e-9 * force.max())
 
 
-@pytest.mark.parametrize("change", [{}, {"order": 2}])
-def test_harmonic_is_the_response_of_the_coupled_equations(change):
-    """Oracle: damping written as a second potential, driven by velocities (see the reduction)."""
-    system, _ = small(**change)
-    s, volt = 2j * np.pi * 2.3e5, 1e9
-    n, m, damped = system.M.shape[0], system.K_pp.shape[0], 1 + 2j * np.pi * 2.3e5 * system.beta
-    K_up, K_pp = system.K_up * volt, system.K_pp * volt**2
-    dynamic = s**2 * system.M + damped * system.K_uu
-    rhs = np.zeros((n + 2 * m, len(system.ports)), dtype=complex)
-    rhs[:n] = np.column_stack([system.B, -system.k_uV])
-    rhs[n : n + m, -1] = system.k_pV * volt
-    matrix = dynamic
-    if m:
-        matrix = block_array(
-            [[dynamic, K_up, damped * K_up], [None, -K_pp, None], [K_up.T, None, -K_pp]]
-        )
-    x = splu(matrix.tocsc()).solve(rhs)
-    p = volt * (x[n : n + m] + x[n + m :])
-    charge = system.k_pV @ p - system.k_uV @ x[:n]
-    charge[-1] += system.c_VV
-    expected = np.vstack([system.B.T @ x[:n], charge])
-    root = np.r_[np.full(len(system.ports) - 1, 0.5), 2.0]  # four sectors make the device
-    found = from_sector(system).transfer([2.3e5])[0]
-    np.testing.assert_allclose(found, expected * np.outer(root, root), rtol=1e-9)
-
-
 def test_surrogate_is_checked_against_direct_solutions():
     system, _ = small(order=2)
     full = from_sector(system)
@@ -96,16 +64,6 @@ def test_surrogate_is_checked_against_direct_solutions():
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="cannot replace"):
         surrogate(from_sector(system), (0.0, 500e3), blocks=6)  # 4e-8
-
-
-def test_a_launch_may_miss_the_full_model_by_what_is_certified():
-    """By two fifths of the certified error beyond the steps' share; by 1e-3 without one."""
-    scene = load_scene({"name": "launch", "kick": {}, "contact": {}, "sphere": {}})
-    contact = scene.parts["contact"]
-    certified = SimpleNamespace(certificate=SimpleNamespace(error_estimate=2e-2))
-    for models, more in (({}, 1e-3), ({"kick": certified}, 8e-3)):
-        (gate,) = contact.type.gates(contact, Build(scene, models))
-        assert gate.limits["rom_vs_fom"] - gate.limits["ngspice_vs_rom"] == pytest.approx(more)
 
 
 @pytest.mark.parametrize("electrical", ["open", "short"])
@@ -166,20 +124,6 @@ def test_both_roads_of_the_impact_agree(voltage, per_node, alpha):
     np.testing.assert_allclose(fast.height, slow.height, rtol=1e-8, atol=1e-16)
 
 
-def test_step_error_of_the_impact_falls_quadratically():
-    system, surface = small()
-    ball = Ball(MASS, 1e-7, -1.0)
-
-    def history(step: float) -> np.ndarray:
-        result = transient(system, surface, ball, step=step, stop=3e-6, voltage=None)
-        return np.interp(np.linspace(0, 3e-6, 151), result.time, result.height)
-
-    exact = history(1e-9)
-    error = [np.linalg.norm(history(h) - exact) for h in (20e-9, 10e-9, 5e-9)]
-    assert error[1] < 0.3 * error[0]
-    assert error[2] < 0.3 * error[1]
-
-
 def test_impact_energy_balances_and_the_sphere_keeps_98_percent(default):
     system, surface = default
     result = transient(
@@ -226,39 +170,3 @@ def test_mass_damping_reaches_the_response_and_its_reduction(mass_damped):
         row, column = found.outputs.index("ring0"), found.inputs.index("anode")
         H = found.transfer(frequency)[:, row, column]
         np.testing.assert_allclose(H, direct, rtol=2e-6)
-
-
-def test_mass_damping_reaches_a_projection(mass_damped):
-    _, system, (_, E, _, _) = mass_damped
-    V = np.linalg.qr(np.random.default_rng(1).standard_normal((len(E), 5)))[0]
-    found = from_sector(system).pencil.project(V).coefficients[1]
-    exact = 4 * V.T @ E @ V
-    np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-12 * np.abs(exact).max())
-
-
-def test_energy_of_steps_with_mass_damping_balances_to_rounding(mass_damped):
-    """Average acceleration keeps the discrete balance exactly, if its matrix has all of E."""
-    kick, system, _ = mass_damped
-    result = transient(
-        system, contact_surface(kick, 1e8, 1e-3), Ball(MASS, 1e-3, 0.0), step=50e-9, stop=4e-6,
-        voltage=lambda t: 100.0 * (t > 0),
-    )  # fmt: skip
-    assert result.energy["damped"][-1] > 0.1 * np.ptp(result.energy["supplied"])
-    assert energy_error(result) < 1e-10
-
-
-def test_mass_damping_reaches_the_steps(mass_damped):
-    """A voltage step against the matrix exponential of the same matrices."""
-    kick, system, (M, E, K, b) = mass_damped
-    surface = contact_surface(kick, 1e8, 1e-3)
-    stop, n = 6e-6, len(M)
-    rest = np.linalg.solve(K, b)
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, np.hstack([K, E]))]])
-    x = expm(stop * A) @ np.r_[-rest, np.zeros(n)]
-    exact = surface.shapes.T @ (100.0 * (rest + x[:n]))
-    result = transient(
-        system, surface, Ball(MASS, 1e-3, 0.0), step=5e-9, stop=stop,
-        voltage=lambda t: 100.0 * (t > 0),
-    )  # fmt: skip
-    # Half a step of the jump, and the mean acceleration rule, cost 2e-3 at this step.
-    np.testing.assert_allclose(result.spring_displacement[-1], exact, rtol=5e-3)

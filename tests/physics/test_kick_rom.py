@@ -11,7 +11,6 @@ from kc2spice.bodies.piezo_stack import from_sector
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.system import PiezoSystem
-from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
@@ -113,14 +112,6 @@ def test_default_model_follows_the_direct_solution_within_its_certificate(direct
     assert relative_error(full, full.transpose(0, 2, 1)) < 1e-9  # reciprocity of the full model
 
 
-def test_error_falls_as_the_paper_s_method_promises(default):
-    estimate = [
-        reduce(default, order=q, band=BAND).certificate.error_estimate for q in (21, 30, 35, 42)
-    ]
-    # Measured 1.3e-1, 1.1e-3, 2.0e-5, 3.8e-8.
-    assert np.all(np.array(estimate) < [0.3, 2e-3, 5e-5, 1e-7])
-
-
 def above_band_twice(system, rom):
     """Errors of the rings' own compliances above the band: said, and by direct solution."""
     frequency, said = zip(*rom.certificate.above, strict=True)
@@ -192,15 +183,6 @@ def test_resonators_are_the_same_model(default):
     np.testing.assert_allclose(model.damp, default.rayleigh[1] * model.omega**2, rtol=1e-9)
 
 
-def test_whole_device_is_four_sectors_moving_alike(direct, default):
-    device = resonators(reduce(default, order=63, band=BAND)).transfer([480e3])[0]
-    force, volts = np.array([1.0, 2, 3, 4, 5, 6]), 70.0
-    alone = direct @ np.r_[force / 4, volts]
-    together = device @ np.r_[force, volts]
-    np.testing.assert_allclose(together[:6], alone[:6], rtol=1e-8)
-    assert together[6] == pytest.approx(4 * alone[6], rel=1e-8)
-
-
 def test_facts_of_the_default_chip(default):
     facts = default.facts
     assert facts["unknowns"] == 16722
@@ -211,22 +193,3 @@ def test_facts_of_the_default_chip(default):
     assert facts["capacitance_clamped_f"] == pytest.approx(34.87e-9, rel=5e-4)
     assert facts["resonance_short_hz"] == pytest.approx(270.4e3, rel=5e-3)
     assert facts["resonance_open_hz"] == pytest.approx(365.7e3, rel=5e-3)
-
-
-def test_a_repeated_port_is_deflated():
-    model = from_sector(small_system())
-    K, solve = model.K, model.pencil.pencil_solver(0.0).solve
-    B = np.column_stack([model.B, model.B[:, 0], model.B[:, 1] + 1e-13 * model.B[:, 2]])
-    args = lambda x: K @ x, solve, lambda x: model.M @ x
-    V, same = block_arnoldi(*args, B, 16), block_arnoldi(*args, model.B, 16)
-    np.testing.assert_allclose(V.T @ K @ V, np.eye(16), atol=1e-12)
-    # One space: the cosines of all principal angles are one.
-    cosines = np.linalg.svd(V.T @ K @ same, compute_uv=False)
-    np.testing.assert_allclose(cosines, 1, atol=1e-6)
-
-
-def test_an_exhausted_krylov_space_ends_the_basis():
-    system = assemble_kick(Chip(layers=1, mesh={"sectors": 2, "rings": 1, "outer_rings": 1}))
-    rom = reduce(from_sector(system), order=200, band=BAND)
-    assert rom.order <= system.M.shape[0]
-    assert rom.certificate.error_estimate < 1e-9

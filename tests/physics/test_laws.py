@@ -151,55 +151,6 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
         assert x == pytest.approx(1 / (m * s * s + d * s + k - g * volts), rel=1e-9)
 
 
-def test_mass_joined_to_a_body_merges_with_it() -> None:
-    """Two stacks, each with a mass and a spring on top, on one source through a resistor."""
-    edge = L.Line(((0.0, 0.0), (1e-6, 0.0), (2e-6, 100.0), (2e-4, 100.0), (2.01e-4, 0.0)))
-    parts = [
-        piezo("p1"), piezo("p2", 1e7, 2e-3), L.Mass("m1", 1e-3), L.Mass("m2", 4e-3),
-        L.TwoTerminal("k1", -1, 1e6, "displacement"),
-        L.TwoTerminal("k2", -1, 3e6, "displacement"),
-        L.TwoTerminal("r", 0, 1 / 10.0),
-        L.Source("rail", "voltage", edge),
-    ]  # fmt: skip
-    joins = {
-        "rail": ["rail.out", "r.a"], "out": ["r.b", "p1.anode", "p2.anode"],
-        "t1": ["p1.top", "m1.a", "k1.a"], "t2": ["p2.top", "m2.a", "k2.a"],
-    }  # fmt: skip
-    system = assemble(parts, joins)
-    result = transient(system, 4e-4, 1e-6)
-    waves = result.waves
-    assert np.array_equal(waves["p1.top"], waves["m1.a"])
-    mid = np.searchsorted(result.time, 1.9e-4)
-    assert waves["p1.anode"][mid] > 90.0
-    assert balanced(result, 1e-5)
-    driven = ac(system, np.array([100.0]))
-    assert np.all(driven["p1.top"] == 0.0)  # no source has an ac amplitude
-    shifted = assemble(
-        [piezo("p"), L.Mass("m", 1e-3), L.TwoTerminal("k", -1, 1e6, "displacement"),
-         L.Source("v", "voltage",
-         L.Line.constant(0.0))],
-        {"e": ["p.anode", "v.out"], "t": ["p.top", "m.a", "k.a"]},
-    )  # fmt: skip
-    f = np.array([1e3, 1.5e4])
-    x = ac(shifted, f, "v")["p.top"]
-    w = 2 * np.pi * f
-    assert x == pytest.approx(0.4 / (2.1e7 + 2j * w - 2e-3 * w**2), rel=1e-10)
-
-
-def test_mass_on_a_spring_is_kicked_by_a_body() -> None:
-    body = piezo("p")
-    hit = L.Contact("hit", ("top",), np.array([1e8]), np.array([0.0]))
-    system = assemble(
-        [body, L.Mass("m", 1e-4, gravity=9.81), L.TwoTerminal("k", -1, 50.0, "displacement"), hit,
-         L.Source("v", "voltage", L.Line.pulse(100.0, 50e-6, 1e-6, 1e-5))],
-        {"e": ["p.anode", "v.out"], "t": ["p.top", "hit.top"], "y": ["m.a", "k.a", "hit.b"]},
-    )  # fmt: skip
-    result = transient(system, 1e-4, 1e-7)
-    assert result.waves["m.a"].max() > 1e-6
-    assert result.events[0].what == "top opens"
-    assert balanced(result, 1e-5)
-
-
 def test_coils_with_resistance_keep_energy() -> None:
     y = np.linspace(-5e-3, 5e-3, 21)
     columns = np.column_stack((0 * y, 0.3 * np.cos(200 * y), 0.02 * y))

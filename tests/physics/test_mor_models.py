@@ -201,43 +201,6 @@ def test_hard_models_work_and_say_what_they_are(name, tmp_path):
         assert max(largest) < 1e-9  # of a band of 0.6 rad/s
 
 
-@pytest.mark.parametrize("name", ["one dashpot", "gyroscopic, damped", "undamped"])
-def test_complex_pairs_are_two_by_two_and_dense_only_on_request(name):
-    """Proportional damping or any other; the dense form is one block of all states."""
-    make, *_ = HARD[name]
-    model = LinearModel(**families.as_files(make()), name=name)
-    rom = reduce(model, band=(0.0, 0.1), order=8)
-    decoupled, dense = block_model(rom), block_model(rom, dense=True)
-    assert max(len(block) for block in decoupled.blocks) <= 2
-    assert [len(block) for block in dense.blocks] == [decoupled.states]
-    frequency = np.linspace(0.001, 0.1, 20)
-    np.testing.assert_allclose(
-        decoupled.response(frequency), dense.response(frequency), rtol=1e-7, atol=1e-10
-    )
-
-
-def test_defective_pole_stays_in_one_block():
-    make, *_ = HARD["defective pole"]
-    model = LinearModel(**families.as_files(make()), name="jordan")
-    rom = reduce(model, band=(0.0, 0.1), order=6)
-    assert [len(block) for block in block_model(rom).blocks] == [6]
-
-
-def test_other_ports_and_facts_share_the_factor_of_the_stiffness():
-    matrices, _ = families.triple_chain(20)
-    full = LinearModel(**matrices)
-    for other in (
-        full.select([full.inputs[1], *full.outputs]),
-        full.with_facts({"unknowns": 61.0}),
-    ):
-        solve = other.pencil.pencil_solver(0.0)
-        assert solve is full.pencil.pencil_solver(0.0)
-        np.testing.assert_allclose(full.K @ solve.solve(other.B), other.B, atol=1e-12)
-    matrices["K"] *= 2.0  # in place: another model, whatever its array
-    twice = LinearModel(**matrices)
-    assert twice.pencil.pencil_solver(0.0) is not full.pencil.pencil_solver(0.0)
-
-
 def test_improper_models_are_refused_with_the_reason():
     n = 3
     E = np.diag([1.0, 0.0, 0.0])

@@ -8,9 +8,7 @@ from scipy.linalg import eigvals, eigvalsh
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.pencil import proportional
 from kc2spice.rom.response import Response
-from kc2spice.rom.subspace import is_definite
 
 STIFFNESS, MASS = 4e6, 1e-6
 
@@ -39,17 +37,6 @@ def test_a_model_without_stiffness_suggests_no_band():
     one = np.eye(2)
     with pytest.raises(UsageError, match="no natural frequency"):
         natural_band(LinearModel(M=one, K=np.zeros((2, 2)), B=one).pencil)
-
-
-def test_proportional_damping_is_found_with_its_factors():
-    n = 5
-    M, K = np.diag(np.arange(1.0, n + 1)) * MASS, links(n).toarray()
-    for alpha, beta in ((3.0, 0.0), (0.0, 2e-9), (3.0, 2e-9)):
-        model = LinearModel(M=M, E=alpha * M + beta * K, K=K, B=np.eye(n)[:, [0]])
-        found = proportional(model.pencil).rayleigh
-        assert found == pytest.approx((alpha, beta), rel=1e-9, abs=0.0)
-    other = LinearModel(M=M, E=3.0 * M + np.diag([1e-5, 0, 0, 0, 0]), K=K, B=np.eye(n)[:, [0]])
-    assert proportional(other.pencil).rayleigh is None
 
 
 @pytest.mark.parametrize("free", [False, True])
@@ -87,20 +74,3 @@ def test_a_response_at_a_pole_says_which():
     with pytest.raises(SimulationError) as caught:
         LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.solver(0.0)
     assert "at s = 0" in caught.value.got
-
-
-def test_what_is_free_is_not_taken_for_definite():
-    """Chains with and without a wall, of any stiffness; a factor of the free ones may exist."""
-    n = 40
-    for size in np.geomspace(1e-3, 1e9, 25):
-        held = size / STIFFNESS * links(n)
-        free = held - size * sparse.diags_array(np.eye(n)[0] + np.eye(n)[-1])
-        for K, definite in (
-            (held, True),
-            (free, False),
-            (held - 3 * size * sparse.eye_array(n), False),
-        ):
-            model = LinearModel(
-                M=sparse.eye_array(n, format="csc"), K=K.tocsc(), B=np.eye(n)[:, [0]]
-            )
-            assert is_definite(model.pencil, "scipy", undamped_too=True) is definite

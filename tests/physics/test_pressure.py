@@ -26,7 +26,7 @@ from kc2spice.bodies.pressure import (
 )
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.piezo.keys import Chip, Material
-from kc2spice.parts.contact import sides, spacing_error
+from kc2spice.parts.contact import sides
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from laboratory.usual.contact import sphere_gap
@@ -144,20 +144,6 @@ def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
     assert slope == pytest.approx(1.5, abs=error)
 
 
-def test_hats_close_one_by_one_and_their_law_does_not():
-    """The force of the hats themselves swings about the law by what the spacing says."""
-    shape, S, gap = graded(10e-6)
-    law, depth = dented(shape, S, gap), np.linspace(3e-6, 12e-6, 200)
-    each = pressing(S, gap, depth)
-    off = each.sum(axis=1) / force(law, depth) - 1
-    assert 2e-3 < np.abs(off).max() < 0.25 * (2 * SPACING / np.sqrt(R * depth[0])) ** 2
-    assert abs(off.mean()) < 5e-4
-    assert (np.diff(np.sign(off)) != 0).sum() > 6
-    for x, pressures in zip(depth, each, strict=True):
-        last = shape.nodes[np.flatnonzero(pressures)[-1]]
-        assert last == pytest.approx(np.sqrt(R * x), abs=2.5 * SPACING)
-
-
 def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)
@@ -172,19 +158,6 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     assert found.pressure == pytest.approx(p0, rel=1e-2)
     assert found.shear == pytest.approx(shear.max() * p0, rel=1e-2)
     assert found.depth == pytest.approx(z[shear.argmax()] * a, rel=0.1)  # of a flat maximum
-
-
-def test_hats_stand_where_they_should():
-    assert np.pi * SPACING**2 / 3 == pytest.approx(EVEN.areas[0])  # a cone
-    assert EVEN.areas[5] == pytest.approx(2 * np.pi * 5 * SPACING**2)  # Pappus
-    shape = hats(SPACING, PATCH)
-    assert (shape.nodes[0], shape.nodes[1], shape.nodes[-1]) == (0.0, SPACING, PATCH)
-    assert np.all(np.diff(np.diff(shape.nodes)[:-1]) > -1e-18)
-    whole = (shape.areas * shape.distances**2).sum()  # of a plateau with one falling edge
-    a, b = shape.nodes[-2:]
-    r = np.linspace(0, b, 200001)
-    height = np.interp(r, [a, b], [1.0, 0.0])
-    assert whole == pytest.approx(np.trapezoid(2 * np.pi * height * r**3, r), rel=1e-6)
 
 
 @pytest.mark.slow  # the potentials of 33 layers
@@ -213,15 +186,6 @@ def test_the_stated_error_of_the_mesh_holds():
 
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=2", "kick.mesh.outer_rings=2",
          "kick.mesh.ring_spacing=100 um", "contact.shape=pressure")  # fmt: skip
-
-
-def test_the_error_of_the_hats_falls_with_their_spacing():
-    """A dent of 50 um under hats of 20 and 10 um: a tenth, and less than a quarter of that."""
-    found = []
-    for spacing in ("20 um", "10 um"):
-        scene = load_scene("impact", [*SMALL, f"contact.spacing={spacing}"])
-        found.append(spacing_error(scene.parts["contact"], scene))
-    assert 0 < 4 * found[1] < found[0] < 0.2
 
 
 def test_a_contact_deeper_than_its_law_is_told():

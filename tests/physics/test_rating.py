@@ -6,15 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from skfem import MeshHex1
 
 import kc2spice as kc
-from kc2spice.bodies.device import Setup, _depoling_voltage
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid
-from kc2spice.parts.ring_magnet_coils import largest_current, rated_heating
+from kc2spice.parts.ring_magnet_coils import rated_heating
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
@@ -52,17 +47,6 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
 
 
-def test_small_signals_and_bodies_without_a_rating_are_not_judged(monkeypatch):
-    chip, scene = part_of("kick_and_catch", "kick")
-    build = Build(scene, {"kick": SimpleNamespace(certificate=None, facts={}, ports=())})
-    high = np.full(2, 1e4)
-    small = Waveforms({"frequency": high, "kick.voltage": high}, {})
-    assert not list(chip.type.checks(chip, build, small))
-    monkeypatch.setattr(type(chip.type), "limit", lambda *_: None)
-    large = Waveforms({"time": high, "kick.voltage": high}, {})
-    assert not list(chip.type.checks(chip, build, large))
-
-
 def test_the_head_states_the_rating():
     from kc2spice.netlist.read import read_lib
 
@@ -84,17 +68,6 @@ def test_a_mesh_gives_the_rating_of_its_layers(wiring):
     assert model.facts["depoling_voltage_v"] == pytest.approx(volts, rel=1e-9)
     beam = scene.parts["beam"]
     assert beam.type.rated(beam) == pytest.approx(volts)
-
-
-def test_rings_of_a_langevin_and_what_the_user_states():
-    scene = load_scene(langevin())
-    part = scene.parts["horn"]
-    assert part.type.rated(part) == pytest.approx(1.5e6 * 3e-3)  # PZT-8, TP-226
-    assert part.type.limit(part, Build(scene, {})) == pytest.approx(4500.0)
-    stated = load_scene(scene, {"horn.rated_voltage": 400.0})
-    part = stated.parts["horn"]
-    assert part.type.limit(part, Build(stated, {})) == 400.0
-    assert part.type.full_key(part, stated) == part.type.full_key(scene.parts["horn"], scene)
 
 
 def langevin():
@@ -122,37 +95,6 @@ def test_coils_are_rated_by_the_heat_in_their_copper():
     assert limit * resistance / capacity == pytest.approx(80.0, rel=1e-3)
 
 
-def test_the_largest_current_is_the_controllers_or_one_ampere():
-    alone = load_scene({"name": "alone", "em_force": {}, "catch": {}, "sphere": {}})
-    catch = {"part": "ring_magnet_coils",
-             "pins": {"up": "amp.out", "un": "gnd", "lp": "gnd", "ln": "gnd"}}  # fmt: skip
-    amp = {"part": "source", "kind": "voltage", "dc": 0.1}
-    driven = load_scene({"name": "driven", "catch": catch, "sphere": {}, "amp": amp})
-    for scene, expected in ((alone, 0.0), (driven, 1.0)):
-        assert largest_current(scene.parts["catch"], scene) == expected
-    catch, scene = part_of("kick_and_catch", "catch")
-    limited = load_scene(scene, {"control.current_limit": 0.3})
-    assert largest_current(limited.parts["catch"], limited) == 0.3
-
-
-@pytest.mark.parametrize(("share", "passed"), [(0.99, True), (1.01, False)])
-def test_a_run_that_overheats_the_coils_is_told(share, passed):
-    catch, scene = part_of("kick_and_catch", "catch")
-    y = np.linspace(-2.5e-3, 7.5e-3, 41)
-    level, pull = np.zeros(41), 1e-3 * (2.5e-3 - y)
-    table = EMTable(
-        y=y, c0=pull, c1=pull, c2=pull, c11=level, c12=level, c22=level, flux0=np.zeros((41, 2)),
-        inductance=np.tile(np.eye(2), (41, 1, 1)), resistance=np.ones(2), unknowns=0,
-    )  # fmt: skip
-    t = np.linspace(0.0, 2.0, 5)
-    current = np.full(5, np.sqrt(share * rated_heating(catch.keys) / 2.0))
-    data = {"time": t, "sphere.y": np.full(5, 2e-3), "coil.upper.current": current}
-    waves = Waveforms(data | {"coil.lower.current": -0.5 * current}, {})
-    checks = catch.type.checks(catch, Build(scene, {"catch": table}), waves)
-    found = [c for c in checks if "rating" in c.name]
-    assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "A2 s")]
-
-
 def test_a_foreign_model_says_that_nothing_is_known():
     ports = (
         kc.Port("anode", "electrical", pins=("anode", "cathode")),
@@ -178,17 +120,3 @@ def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
     checks = chip.type.checks(chip, Build(scene, {"kick": model}), waves)
     found = [c for c in checks if "band" in c.name]
     assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "Hz")]
-
-
-def test_the_nearest_points_of_two_electrodes_decide():
-    """A cube of 1 mm: top against bottom, and a rim that comes down to a quarter of it."""
-    mesh = MeshHex1.init_tensor(*(np.linspace(0, 1e-3, 5),) * 3)
-    solid = Solid(mesh, (material("PZT-4", "here"),), np.zeros(mesh.nelements, int))
-    x, _, z = solid.basis(1).doflocs
-    top, bottom = np.flatnonzero(z > 0.99e-3), np.flatnonzero(z < 1e-9)
-    rim = np.flatnonzero((x < 1e-9) & (z > 0.24e-3))
-    volts = []
-    for anode in (top, np.union1d(top, rim)):
-        setup = Setup(np.zeros(1), {"anode": anode, "cathode": bottom}, "cathode")
-        volts.append(_depoling_voltage(solid, setup))
-    assert volts == pytest.approx([1e6 * 1e-3, 1e6 * 0.25e-3])

@@ -106,73 +106,6 @@ def scaled_blocks(K, top=None, **more):
     return LinearModel(**parts, certificate=known).state_space()[0]
 
 
-def test_positions_are_scaled_by_their_own_frequency_or_the_band():
-    """Both states of a mode are velocities: ``w z`` and ``z'``; of a free mass ``2 pi f z``."""
-    np.testing.assert_allclose(scaled_blocks([[9.0]], 5.0), [[0, 3], [-3, 0]])
-    np.testing.assert_allclose(scaled_blocks([[0.0]], 5.0), [[0, 10 * np.pi], [0, 0]])
-    np.testing.assert_allclose(scaled_blocks([[0.0]]), [[0, 1], [0, 0]])
-    both = scaled_blocks(np.diag([0.0, 16.0]))
-    exact = np.zeros((4, 4))
-    exact[0, 1] = exact[2, 3] = 4.0  # the root of the largest stiffness over mass
-    exact[3, 2] = -4.0
-    np.testing.assert_allclose(both, exact, atol=1e-12)
-    growing = scaled_blocks([[-9.0]])
-    np.testing.assert_allclose(growing, [[0, 3], [3, 0]])
-    circulating = np.array([[4.0, 1.0], [0.0, 4.0]])
-    A = scaled_blocks(circulating, 0.5)
-    np.testing.assert_allclose(A[[0, 2], [1, 3]], np.pi)
-    np.testing.assert_allclose(A[np.ix_([1, 3], [0, 2])], -circulating / np.pi)
-    M = np.array([[1.0, 0.5], [0.0, 2.0]])
-    A = scaled_blocks(np.diag([4.0, 9.0]), 0.5, M=M, E=0.1 * np.eye(2))
-    np.testing.assert_allclose(A[:2], [[0, 0, np.pi, 0], [0, 0, 0, np.pi]])
-    np.testing.assert_allclose(M @ A[2:, :2], -np.diag([4.0, 9.0]) / np.pi)
-    np.testing.assert_allclose(M @ A[2:, 2:], -0.1 * np.eye(2))
-
-
-@pytest.mark.parametrize("share", [0.9e-13, 1.1e-13])
-def test_a_stiffness_that_is_rounding_at_the_end_of_the_band_is_none(share):
-    omega = 100 * np.pi
-    w = omega if share < 1e-13 else omega * np.sqrt(share)
-    exact = [[0, w], [0 if share < 1e-13 else -w, 0]]
-    np.testing.assert_allclose(scaled_blocks([[share * omega**2]], 50.0), exact)
-
-
-@pytest.mark.parametrize("unit", [1.0, 1e-3, 10.0])
-@pytest.mark.parametrize(("mass", "states"), [(0.9e-13, 5), (1.1e-13, 6)])
-def test_a_mass_that_is_rounding_of_another_is_none(mass, states, unit):
-    """A damped coordinate without mass is of first order."""
-    M, E, K = (unit * np.diag(P) for P in ([1, 0.5, mass], [0.1, 0.1, 0.5], [4, 9, 1.0]))
-    A = scaled_blocks(K, M=M, E=E)
-    assert len(A) == states
-    assert np.abs(np.linalg.eigvals(A) + 2.0).min() < (1e-6 if states == 5 else 1e-3)
-
-
-@pytest.mark.parametrize("unit", [1.0, 10.0])
-@pytest.mark.parametrize(("damp", "states"), [(0.9e-13, 2), (-0.9e-13, 2), (1.1e-13, 3)])
-def test_a_damping_that_is_rounding_of_another_is_none(damp, states, unit):
-    """Of a coordinate without mass, which then follows at once."""
-    M, E, K = (unit * np.diag(P) for P in ([1.0, 0.0], [5.0, 5 * damp], [4.0, 1.0]))
-    assert len(scaled_blocks(K, M=M, E=E)) == states
-
-
-@pytest.mark.parametrize("unit", [0.1, 10.0])
-@pytest.mark.parametrize(("share", "states"), [(0.9e-13, 2), (1.1e-13, 3)])
-def test_an_equation_whose_rate_is_rounding_of_another_is_algebraic(share, states, unit):
-    E = unit * np.diag([1.0, 0.5, share])
-    for each in (E, E[[1, 0, 2]]):  # symmetric or not
-        A = LinearModel(E=each, A=-unit * np.eye(3), B=np.eye(3)).state_space()[0]
-        assert len(A) == states
-
-
-@pytest.mark.parametrize("unit", [0.1, 10.0])
-@pytest.mark.parametrize(("apart", "equal"), [(1.8e-10, True), (2.2e-10, False)])
-def test_first_order_is_symmetric_but_for_rounding(apart, equal, unit):
-    one = np.eye(2)
-    A = -unit * np.array([[2.0, 1.0], [1.0 + apart, 2.0]])
-    found = LinearModel(E=4 * one, A=A, B=one).state_space()[0]
-    assert np.array_equal(found, found.T) is equal
-
-
 def test_low_modes_keep_their_digits_beside_stiff_ones():
     """Twelve decades of stiffness: the product of both eigenvalues is the determinant. The stiff
     one, far beyond any band, may lose what the low one keeps."""
@@ -181,10 +114,3 @@ def test_low_modes_keep_their_digits_beside_stiff_ones():
     poles = np.sort(np.linalg.eigvals(scaled_blocks([[a, b], [b, c]])).imag)[2:]
     assert poles[0] == pytest.approx(np.sqrt((a * c - b * b) / high), rel=1e-9)
     assert poles[1] == pytest.approx(np.sqrt(high), rel=1e-4)
-
-
-def test_coupling_that_is_rounding_is_left_out():
-    for between, whole in ((1e-11, False), (1e-9, True)):
-        E = np.array([[0.1, between], [between, 0.1]])
-        A = scaled_blocks(np.diag([1.0, 4.0]), E=E)
-        assert bool(A[1, 3]) is whole

@@ -40,7 +40,7 @@ def main(
 ) -> None:
     """Measure speed against error: ngspice, its peers and a lower bound.
 
-    Writes bench.json, bench.md, bench.html and a plot of each plane. A target that is missed is
+    Writes bench.json, bench.md and a plot of each plane. A target that is missed is
     a row of the table, not a failure of the command.
     """
     with reported_errors():
@@ -57,11 +57,11 @@ def main(
 
 def _show(record: dict[str, Any], out: Path) -> None:
     print(machine_line(record))
-    for section in bench_sections(record, []):
+    for section in bench_sections(record):
         print_table(section.title, section.rows, header=section.head)
         if section.note:
             print(f"  {section.note}\n")
-    print(f"all of it, with plots: {out / 'bench.html'}")
+    print(f"all of it, with plots: {out / 'bench.md'}")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,6 @@ from laboratory.points import (
     scaled,
     timed,
 )
-from laboratory.reductions import projected
 from laboratory.setup import Setup, keys_of
 
 ORDERS = (30, 21, 24, 35, 42)
@@ -107,7 +106,8 @@ def modal(model: LinearModel, order: int) -> LinearModel:
     solve = model.pencil.pencil_solver(0.0).solve
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     _, V = eigsh(stiffness, order, M=model.M, sigma=0.0, OPinv=inverse)
-    return projected(model, V)
+    K, E, M = (small := model.pencil.project(V)).coefficients
+    return LinearModel(M=M, E=E, K=K, B=small.B, D=small.D, ports=model.ports, name=model.name)
 
 
 def balanced(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from laboratory.points import Outcome, Plane, Point, Ratio, fastest
 from laboratory.setup import Setup
-from laboratory.transient import BUDGET, BUDGETED, Transient
+from laboratory.transient import Transient
 from laboratory.variants import NO_INERTIA
 
 LIMITS = {"launch": 1e-4, "position_m": 1e-7}
-TARGET = BUDGET_TARGET = 0.05  # s of CPU
+TARGET = 0.05  # s of CPU
 
 
 def loop(setup: Setup) -> Outcome:
@@ -23,20 +23,12 @@ def loop(setup: Setup) -> Outcome:
     )
     special = fastest(_family(plane, "scipy, specialised"), LIMITS)
     bound = fastest(_family(plane, "lower bound"), LIMITS)
-    budgeted = next((p for p in plane.points if p.label == BUDGETED), None)
     at = "at launch error 1e-4 and position error 0.1 um"
     ratios = (
         Ratio(
             "loop_cpu_s", None if ours is None else ours.time.median,
             None if ours is None else ours.error, TARGET, f"ngspice, 5 ms, {at}: {_label(ours)}",
             at_least=False, unit="s", errors={} if ours is None else ours.errors,
-        ),
-        Ratio(
-            "loop_budget_cpu_s", None if budgeted is None else budgeted.time.median,
-            None if budgeted is None else budgeted.error, BUDGET_TARGET,
-            f"ngspice, 5 ms, at what error_budget = {BUDGET:g} chooses; error against a model "
-            "of 84 states", at_least=False, unit="s",
-            errors={} if budgeted is None else budgeted.errors,
         ),
         _ratio("loop_vs_scipy", scipy, same, 2.0,
                f"fastest general scipy integrator over ngspice {at}"),

@@ -8,9 +8,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
-
-import numpy as np
+from typing import Literal, TypeVar
 
 T = TypeVar("T")
 Who = Literal["self", "children"]
@@ -32,8 +30,8 @@ class Point:
     """One setting of one method: what it costs and how far it is from the exact result.
 
     ``error`` is the plane's, ``errors`` are more of them by name; ``note`` says what a reader must
-    know to compare. ``same_model`` is False where the error includes that of another reduced
-    model; such a point takes no part in the ratios.
+    know to compare. ``same_model`` is False where another model is solved; such a point takes no
+    part in the ratios.
     """
 
     family: str
@@ -157,29 +155,8 @@ def _keeps(point: Point, name: str, limit: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Scaling:
-    """CPU time over a size, with the exponent of the power law fitted to its larger half.
-
-    ``logs`` are the simulator's, for what else they tell.
-    """
-
-    name: str
-    what: str
-    sizes: tuple[float, ...]
-    times: tuple[Timing, ...]
-    exponent: float
-    memory_bytes: tuple[float, ...] = ()
-    logs: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Outcome:
-    """What one part of the laboratory found; ``poles`` [1/s] by the name of their projection,
-    ``fronts``, the places of shipped settings, by scene.
-    """
+    """What one part of the laboratory found."""
 
     planes: tuple[Plane, ...] = ()
     ratios: tuple[Ratio, ...] = ()
-    scalings: tuple[Scaling, ...] = ()
-    poles: Mapping[str, np.ndarray] = field(default_factory=dict)
-    fronts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -12,7 +12,6 @@ from scipy.integrate import cumulative_simpson
 from kc2spice.fem.magnetics.table import EMTable, force
 from kc2spice.report.plots import BLACK, BLUE, RED, legend_above, name_axes, sheet
 from kc2spice.scene.model import Scene
-from laboratory.figures import Picture
 from laboratory.setup import keys_of
 
 
@@ -43,7 +42,7 @@ def largest_speed(rail: float, scene: Scene, table: EMTable, resistance: float) 
 
 def rails_figure(
     path: Path, launches: Sequence[Launch], scene: Scene, table: EMTable, sense: float = 100.0
-) -> Picture:
+) -> None:
     """Caught and lost launches over the rail; the line is :func:`largest_speed`.
 
     ``sense`` [Ohm] is the resistor that the coils' current flows through besides their own.
@@ -67,10 +66,3 @@ def rails_figure(
         axes.set_ylim(0.0, 1.05 * max(p.speed for p in launches))
         name_axes(axes, "supply rails in V", "launch velocity in m/s")
         legend_above(axes, 3)
-    caption = (
-        "Which launches does the catch lose? The rail over the coils' resistance is the largest "
-        "current; braking with it from the first instant and everywhere stops the speeds below "
-        "the line. What lies between the line and the caught points goes to L/R, slew rate and "
-        "the controller, which pulls first and brakes later."
-    )
-    return Picture(path, "Catch range over supply rails", caption)

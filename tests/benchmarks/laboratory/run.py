@@ -16,16 +16,13 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.workflow.results import plain, write_record
 from laboratory.figures import bench_figures
 from laboratory.machine import machine
-from laboratory.page import bench_tables, write_bench
-from laboratory.points import Outcome, Plane, Ratio, Scaling, pareto
+from laboratory.page import bench_tables
+from laboratory.points import Outcome, Plane, Ratio, pareto
 from laboratory.setup import Setup
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
-PARTS = (
-    "start", "loop", "impact", "imprint", "harmonic", "em", "fem", "dense", "macromodel",
-    "scaling", "poles", "fronts",
-)  # fmt: skip
+PARTS = ("start", "loop", "impact", "imprint", "harmonic", "em", "dense")
 
 
 def bench(
@@ -37,8 +34,8 @@ def bench(
     repeats: int = 5,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Measure ``parts`` (all by default) and write ``bench.json``, ``bench.md``, plots and
-    ``bench.html`` into ``out``; return the record.
+    """Measure ``parts`` (all by default) and write ``bench.json``, ``bench.md`` and plots into
+    ``out``; return the record.
 
     ``quick`` takes coarse models and few points: the record has the same shape, its numbers mean
     nothing. ``full_sweep`` runs what is otherwise timed on a sample or left out for its length.
@@ -54,8 +51,7 @@ def bench(
     wanted = [part for part in PARTS if part in parts or not parts]
     record: dict[str, Any] = {
         "machine": machine(), "quick": quick, "full_sweep": full_sweep, "repeats": repeats,
-        "planes": {}, "titles": {}, "ratios": {}, "scaling": {}, "poles": {}, "fronts": {},
-        "seconds": {},
+        "planes": {}, "titles": {}, "ratios": {}, "seconds": {},
     }  # fmt: skip
     with staged(out) as directory, tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work:
         setup = Setup(quick, full_sweep, repeats, Path(work), Clock(progress))
@@ -67,8 +63,7 @@ def bench(
         record = plain(record)
         write_record(record, directory, "bench.json")
         (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
-        pictures = bench_figures(directory, record)
-        write_bench(directory / "bench.html", record, pictures)
+        bench_figures(directory, record)
     return record
 
 
@@ -86,12 +81,6 @@ def _enter(record: dict[str, Any], outcome: Outcome) -> None:
             "notes": list(plane.notes),
         }  # fmt: skip
     record["ratios"] |= {ratio.name: _ratio(ratio) for ratio in outcome.ratios}
-    record["scaling"] |= {item.name: _scaling(item) for item in outcome.scalings}
-    record["poles"] |= {
-        name: {"real": values.real.tolist(), "imag": values.imag.tolist()}
-        for name, values in outcome.poles.items()
-    }
-    record["fronts"] |= outcome.fronts
 
 
 def _points(plane: Plane) -> list[dict[str, Any]]:
@@ -114,10 +103,3 @@ def _points(plane: Plane) -> list[dict[str, Any]]:
 
 def _ratio(ratio: Ratio) -> Mapping[str, Any]:
     return {**asdict(ratio), "met": ratio.met}
-
-
-def _scaling(item: Scaling) -> Mapping[str, Any]:
-    return {
-        "what": item.what, "sizes": item.sizes, "exponent": item.exponent,
-        "time_s": [time.median for time in item.times], "memory_bytes": item.memory_bytes,
-    }  # fmt: skip

@@ -9,10 +9,8 @@ from functools import partial
 
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Rom
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -26,13 +24,6 @@ from laboratory.points import Plane, Point, Timing, rounds, timed, timing
 from laboratory.setup import Setup
 from laboratory.variants import SHORT, Variant, fixed_steps, launches, variants
 
-REDUCTIONS = (
-    Rom(tolerance=1e-4), Rom(tolerance=1e-5), Rom(tolerance=1e-6), Rom(tolerance=2e-7),
-    Rom(order=21), Rom(order=42),
-)  # fmt: skip
-BUDGET, BUDGETED = 1e-4, "error_budget 1e-4"
-FINEST = Rom(order=84)  # of the form without inertia
-EXACT = Rom(tolerance=1e-8)  # stands for the full model: its own error is far below all others
 Work = list[tuple[str, Callable[[], Point]]]
 
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
@@ -51,24 +42,18 @@ class Transient:
         self.build = setup.build(scene)
         self.decks: dict[str, Waveforms] = {}  # what ngspice gave, by label
         self.law: Law = law(self.build)
-        self.best: Waveforms | None = None
-        self.references: dict[str, Waveforms] = {}  # of the form without inertia, by reduction
+        self.massless: Waveforms | None = None  # exact solution of the form without inertia
         with setup.clock.stage(scene.name, "exact solution"):
             self.exact = located(self.law, scene)
 
     def plane(self) -> Plane:
-        """All methods on the scene's reduced model, and other reductions of the chip."""
-        points, notes = self._rounds(
-            [*self._ngspice(), *self._scipy(), *self._lower_bound(), *self._reductions()]
-        )
+        """All methods on the scene's reduced model."""
+        points, notes = self._rounds([*self._ngspice(), *self._scipy(), *self._lower_bound()])
         what = "rebound" if self.thrown else "launch"
-        notes.append(
-            f"errors against the same reduced model, integrated to 1e-9; those of other "
-            f"reductions against one of tolerance {EXACT.tolerance:g}"
-        )
+        notes.append("errors against the same reduced model, integrated to 1e-9")
         notes.append(
             "those without inertia at the contact against the product's reference integration of "
-            f"the same equations; {BUDGETED} against one of {FINEST.order} states"
+            "the same equations"
         )
         notes.append("time of ngspice is CPU of the whole process, start-up and files included")
         notes.append("pyMOR's time steppers take linear models only: contact is beyond them")
@@ -104,20 +89,15 @@ class Transient:
 
     def point(
         self, family: str, label: str, waves: Waveforms, time: Timing, note: str = "",
-        against: Waveforms | None = None, own: bool = False,
+        against: Waveforms | None = None,
     ) -> Point:  # fmt: skip
-        """A point from its waveforms; ``against`` another exact solution than the plane's.
-
-        ``own`` says that it solves the very equations of the netlist, as the plane's does.
-        """
+        """A point from its waveforms; ``against`` another exact solution than the plane's."""
         found = compare(waves, against or self.exact)
         errors = {name: found[key] for name, key in FIELDS.items()}
         if errors["launch"] is None:
             raise SimulationError("the sphere does not leave", where=label)
         facts = {name: waves.stats[name] for name in FACTS if name in waves.stats}
-        return Point(
-            family, label, errors["launch"], time, errors, facts, note, own or against is None
-        )  # fmt: skip
+        return Point(family, label, errors["launch"], time, errors, facts, note)
 
     def _ngspice(self) -> Work:
         found = [*variants(self.build, self.setup)]
@@ -127,27 +107,24 @@ class Transient:
         if not self.thrown:
             build = self.setup.build(self.setup.scene(self.scene.name, lumped=False))
             work += [
-                (v.label, partial(self._massless, v, build, "its own"))
-                for v in launches(build, self.setup)
+                (v.label, partial(self._massless, v, build)) for v in launches(build, self.setup)
             ]
         return [*work, ("shared engine", self._shared)]
 
-    def _massless(self, variant: Variant, build: Build, model: str) -> Point:
+    def _massless(self, variant: Variant, build: Build) -> Point:
         """A deck without inertia behind the contact, against the reference of ``build``.
 
         That is the product's own integration, located events included; no netlist in it.
         """
-        if model not in self.references:
+        if self.massless is None:
             fine = run_deck(make_deck(build), self.setup.work / "reference")
-            self.references[model] = solve(build, fine).results
-        return self._deck(variant, self.references[model], own=model == "its own")
+            self.massless = solve(build, fine).results
+        return self._deck(variant, self.massless)
 
-    def _deck(
-        self, variant: Variant, against: Waveforms | None = None, *, own: bool = False
-    ) -> Point:
+    def _deck(self, variant: Variant, against: Waveforms | None = None) -> Point:
         folder = self.setup.work / self.scene.name
         waves, time = timed(lambda: run_deck(variant.deck, folder), 1, "children")
-        point = self.point(variant.family, variant.label, waves, time, variant.note, against, own)
+        point = self.point(variant.family, variant.label, waves, time, variant.note, against)
         self.decks[variant.label] = waves
         log = (folder / variant.deck.main).with_suffix(".log").read_text(encoding="utf-8")
         return replace(point, facts={**point.facts, **profile(log)})
@@ -195,36 +172,6 @@ class Transient:
             return self.point("lower bound", "lower bound, eigenvectors kept", *run)
 
         return [("lower bound", whole), ("lower bound, eigenvectors kept", kept)]
-
-    def _reductions(self) -> Work:
-        work: Work = [
-            (f"{rom.order or rom.tolerance}", partial(self._reduced, rom)) for rom in self._roms()
-        ]
-        return work if self.thrown else [*work, (BUDGETED, self._budgeted)]
-
-    def _reduced(self, rom: Rom) -> Point:
-        build = self.setup.build(self.scene, rom)
-        order = law(build).q
-        target = f"order {order}" if rom.order else f"tolerance {rom.tolerance:g}, {order} modes"
-        variant = Variant("ngspice, reduction", target, make_deck(build))
-        return self._deck(variant, self._best())
-
-    def _budgeted(self) -> Point:
-        """The scene at the settings that an error budget chooses."""
-        shipped = self.setup.scene(self.scene.name, lumped=False)
-        asked = load_scene(shipped, {"error_budget": BUDGET})
-        ideal = load_scene(shipped, {"control.form": "ideal"})
-        variant = Variant("ngspice, error budget", BUDGETED, make_deck(self.setup.build(asked)))
-        return self._massless(variant, self.setup.build(ideal, FINEST), "84 states")
-
-    def _best(self) -> Waveforms:
-        """What stands for the full model, integrated exactly."""
-        if self.best is None:
-            self.best = located(law(self.setup.build(self.scene, EXACT)), self.scene)
-        return self.best
-
-    def _roms(self) -> tuple[Rom, ...]:
-        return REDUCTIONS[2:3] if self.setup.quick else REDUCTIONS
 
 
 def profile(log: str) -> dict[str, float]:
