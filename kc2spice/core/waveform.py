@@ -123,16 +123,6 @@ def linear(points: np.ndarray) -> Waveform:
     return Waveform("linear", tuple((float(t), float(v)) for t, v in points))
 
 
-def steps(times: list[tuple[float, float]], edge: float, first: float = 0.0) -> Waveform:
-    """Jumps to ``value`` at ``time`` for each pair, within ``edge`` [s] each."""
-    points, last = [(0.0, first)], first
-    for t, value in times:
-        points += [(t, last), (t + edge, value)]
-        last = value
-    unique = [p for k, p in enumerate(points) if k + 1 == len(points) or p[0] < points[k + 1][0]]
-    return linear(np.array(unique))
-
-
 def pulse(
     low: float, high: float, start: float, width: float, edge: float,
     period: float | None = None, count: int | None = None,

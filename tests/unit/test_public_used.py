@@ -1,4 +1,8 @@
-"""Nothing in the package is public for its tests alone."""
+"""Nothing in the package is public for its tests alone.
+
+A function or class is used where some module imports that very object, reaches it through its
+imported module, or mentions it beside its definition; a method where some attribute has its name.
+"""
 
 from __future__ import annotations
 
@@ -12,68 +16,109 @@ import pytest
 import kc2spice
 
 PACKAGE = Path(kc2spice.__file__).parent
-# What users call and the package itself may not: methods of the classes that it exports.
-API = frozenset(kc2spice.__all__)
-# A quantity of a material that belongs to the others beside it.
-ALSO = frozenset({"eps_T"})
 # Called by their names by somebody else: the interpreter, Jupyter, pydantic, ctypes, jinja.
 DECORATED = frozenset({"property", "cached_property", "staticmethod", "classmethod", "cache",
                        "lru_cache", "dataclass", "contextmanager", "overload"})  # fmt: skip
+# A quantity of a material that belongs to the others beside it.
+ALSO = frozenset({"eps_T"})
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+Object = tuple[str, str]  # a module and a name in it
 
 
-def definitions(tree: ast.Module) -> Iterator[tuple[str, bool]]:
-    """Public functions, classes and methods of a module, and whether somebody else registers them.
+def registered(node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) -> bool:
+    """Whether a decorator hands it to somebody else."""
+    targets = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+    names = {t.attr if isinstance(t, ast.Attribute) else getattr(t, "id", "") for t in targets}
+    return not names <= DECORATED
 
-    Methods of exported classes are the API itself and left out.
-    """
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+
+def public(tree: ast.Module) -> Iterator[tuple[str, list[str]]]:
+    """Functions and classes of a module, each with its public methods."""
     for node in tree.body:
-        if not isinstance(node, kinds) or node.name in API:
-            continue
-        inner = node.body if isinstance(node, ast.ClassDef) else []
-        for each in (node, *(item for item in inner if isinstance(item, kinds[:2]))):
-            if not each.name.startswith("_") and each.name not in ALSO:
-                yield each.name, any(_name(d) not in DECORATED for d in each.decorator_list)
+        if isinstance(node, (*FUNCTIONS, ast.ClassDef)) and not registered(node):
+            inner = node.body if isinstance(node, ast.ClassDef) else []
+            methods = [item for item in inner if isinstance(item, FUNCTIONS)]
+            own = [m.name for m in methods if m.name[0] != "_" and not registered(m)]
+            yield node.name, own
 
 
-def _name(decorator: ast.expr) -> str:
-    target = decorator.func if isinstance(decorator, ast.Call) else decorator
-    return target.attr if isinstance(target, ast.Attribute) else getattr(target, "id", "")
+def dots(node: ast.expr) -> str:
+    """``a.b`` as it is written; empty of anything that is no such path."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute) and (path := dots(node.value)):
+        return f"{path}.{node.attr}"
+    return ""
 
 
-def uses(tree: ast.Module) -> Iterator[str]:
-    """Names that a module mentions other than by defining or importing them, and plain strings."""
+def uses(module: str, tree: ast.Module, known: set[str]) -> Iterator[Object]:
+    """What a module imports, reaches through a module that it imported, and mentions itself."""
+    modules: dict[str, str] = {}
+    words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
     for node in ast.walk(tree):
-        if isinstance(node, ast.Name):
-            yield node.id
-        elif isinstance(node, ast.Attribute):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                modules[alias.asname or alias.name] = alias.name
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                if full in known:
+                    modules[alias.asname or alias.name] = full
+                else:
+                    yield node.module or "", alias.name
+    for statement in tree.body:
+        own = getattr(statement, "name", None)
+        for node in ast.walk(statement):
+            if isinstance(node, ast.Name) and node.id != own:
+                yield module, node.id
+            elif isinstance(node, ast.Attribute):
+                if path := dots(node.value):
+                    yield modules.get(path, path), node.attr
+            elif isinstance(node, ast.JoinedStr):  # "module:function", called in a child
+                home, _, entry = ast.unparse(node)[2:-1].partition(":")
+                home = home.replace("{__name__}", module)
+                yield from ((home, name) for name in (words if "{" in entry else [entry]))
+
+
+def attributes(tree: ast.Module) -> Iterator[str]:
+    """Names behind a dot, and those that ``getattr`` and its like are given."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
             yield node.attr
-        elif isinstance(node, ast.alias) and node.asname:
-            yield node.name
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield from re.findall(r"\w+", node.value) if len(node.value) < 80 else ()
+            yield node.value
 
 
-def unused(sources: dict[str, str], others: str) -> list[str]:
-    """``module: name`` of what neither ``sources`` nor the words of ``others`` mention."""
+def unused(sources: dict[str, str], others: str = "", api: frozenset[Object] = frozenset()):
+    """``module: name`` of what neither ``sources`` nor the words of ``others`` use.
+
+    ``api`` is used by users, with all methods.
+    """
     trees = {name: ast.parse(text) for name, text in sources.items()}
-    known = {word for tree in trees.values() for word in uses(tree)}
-    known |= set(re.findall(r"\w+", others))
-    return sorted(
-        f"{module}: {name}"
-        for module, tree in trees.items()
-        for name, registered in definitions(tree)
-        if not registered and name not in known
-    )
+    used = {one for name, tree in trees.items() for one in uses(name, tree, set(trees))} | api
+    called = {word for tree in trees.values() for word in attributes(tree)}
+    called |= set(re.findall(r"\w+", others))
+    for module, tree in trees.items():
+        for name, methods in public(tree):
+            if name[0] != "_" and (module, name) not in used and name not in others:
+                yield f"{module}: {name}"
+            if (module, name) not in api:
+                yield from (f"{module}: {name}.{m}" for m in methods if m not in called | ALSO)
+
+
+def dotted(path: Path, root: Path) -> str:
+    return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
 def test_everything_public_is_used_by_the_package_itself():
-    files = sorted(PACKAGE.rglob("*.py"))
-    sources = {str(path.relative_to(PACKAGE)): path.read_text(encoding="utf-8") for path in files}
     root = PACKAGE.parent
-    others = [*PACKAGE.rglob("*.j2"), *(root / "tools").glob("*.py"), root / "pyproject.toml"]
+    files = [*PACKAGE.rglob("*.py"), *(root / "tools").glob("*.py")]
+    sources = {dotted(path, root): path.read_text(encoding="utf-8") for path in files}
+    others = [*PACKAGE.rglob("*.j2"), root / "pyproject.toml"]
     words = " ".join(path.read_text(encoding="utf-8") for path in others)
-    assert unused(sources, words) == []
+    api = frozenset((home, name) for name, home in kc2spice._HOMES.items())
+    found = unused(sources, words, api)
+    assert sorted(line for line in found if line.startswith("kc2spice")) == []
 
 
 @pytest.mark.parametrize(
@@ -81,12 +126,29 @@ def test_everything_public_is_used_by_the_package_itself():
     [
         ("def f(): ...", ["m: f"]),
         ("def f(): ...\nf()", []),
+        ("def f(): f()", ["m: f"]),
         ("def _f(): ...", []),
-        ("class A:\n    def g(self): ...\nA()", ["m: g"]),
+        ("class A:\n    def g(self): ...\nA()", ["m: A.g"]),
+        ("class A:\n    def g(self): ...\nA().g()", []),
         ("import app\n@app.command()\ndef f(): ...", []),
         ("@cache\ndef f(): ...", ["m: f"]),
-        ("from n import f", []),
     ],
 )
 def test_what_the_check_sees(source, found):
-    assert unused({"m": source}, "") == found
+    assert sorted(unused({"m": source})) == found
+
+
+@pytest.mark.parametrize(
+    ("other", "found"),
+    [
+        ("from n import f", []),
+        ("import n as o\no.f()", []),
+        ("import n\nn.f", []),
+        ("from k import f", ["n: f"]),  # another of that name
+        ("def f(): ...\nf()", ["n: f"]),
+        ("x.f()", ["n: f"]),
+        ('f"n:f"', []),
+    ],
+)
+def test_an_object_is_known_by_its_module(other, found):
+    assert sorted(unused({"m": other, "n": "def f(): ..."})) == found
