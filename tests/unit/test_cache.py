@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-import types
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,15 +82,6 @@ def test_round_trip_is_bit_exact(outer):
     assert (second.count, second.nothing, second.table) == (7, None, {"x": 0.1})
 
 
-def test_scalars_and_lists():
-    value = [np.float64(0.1), np.int64(3), True, ("x", None), np.array(["a", "b"])]
-    cached("kind", {}, Builder(value))
-    found, hit = cached("kind", {}, Builder(None))
-    assert hit
-    assert found[:4] == [0.1, 3, True, ("x", None)]
-    assert list(found[4]) == ["a", "b"]
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -152,11 +142,6 @@ def test_a_failing_build_leaves_nothing(folder):
     assert not list(folder.rglob("*.*"))
 
 
-def test_unnamed_classes_are_refused(outer):
-    with pytest.raises(TypeError, match="Outer"):
-        cached("kind", {}, Builder(outer))
-
-
 def test_old_entries_make_room(folder, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -191,17 +176,6 @@ def test_the_cache_survives_a_kill(folder, delay):
         for n in range(2):
             found, _ = cached("kind", {"n": n}, Builder(big + n))
             np.testing.assert_array_equal(found, big + n)
-
-
-def test_what_a_killed_writer_left_goes_after_an_hour(folder):
-    cached("kind", {"n": 0}, Builder(1))
-    old, young = folder / "kind" / ".old.part", folder / "kind" / ".young.part"
-    for part in (old, young):
-        part.write_bytes(b"half")
-    os.utime(old, (0, 0))
-    cached("kind", {"n": 1}, Builder(1))
-    assert not old.exists()
-    assert young.exists()
 
 
 def test_a_full_disk_costs_time_only(folder):
@@ -325,10 +299,3 @@ def test_every_key_of_chip_and_field_is_part_of_the_key():
 @pytest.mark.parametrize("override", MATTERS_NOT)
 def test_a_key_beside_the_model_does_not(override):
     assert keys(override) == keys()
-
-
-def test_a_module_without_a_file_is_never_taken_from_the_cache(monkeypatch):
-    monkeypatch.setitem(sys.modules, "typed_in", types.ModuleType("typed_in"))
-    build = Builder(1)
-    cached("kind", {}, build, sources=("typed_in",))
-    assert not cached("kind", {}, build, sources=("typed_in",))[1]

@@ -41,14 +41,6 @@ def test_force_is_the_quadratic_form(table: EMTable) -> None:
     assert many.shape == (2,)
 
 
-def test_cases_are_exact_at_the_nodes(table: EMTable) -> None:
-    pairs = emtable.current_pairs(0.5)
-    assert pairs.shape == (9, 2)
-    cases = emtable.em_cases(table, pairs)
-    for (i1, i2), row in zip(pairs, cases, strict=True):
-        np.testing.assert_allclose(row, emtable.force(table, table.y, i1, i2), atol=1e-14)
-
-
 def flux_linkage(table: EMTable, y: np.ndarray, *currents: np.ndarray | float) -> np.ndarray:
     """What the coils of the subcircuit link: ``dF / di`` integrated, and ``L i``."""
     _, f1, f2, *_ = np.moveaxis(table.potentials(y), -1, 0)
@@ -105,10 +97,3 @@ def test_sphere_must_fit_and_stay_in_the_air() -> None:
         catch_table(Catch(y_max=17e-3), 1e-3)
     with pytest.raises(UsageError, match="lower than what stands in it"):
         catch_table(Catch(air_height=5e-3), 1e-3)
-
-
-def test_progress_counts_every_position() -> None:
-    seen: list[tuple[int, int]] = []
-    catch = Catch(y_min=0.0, y_max=3e-3, positions=4)
-    catch_table(catch, 1e-3, lambda done, total: seen.append((done, total)))
-    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]

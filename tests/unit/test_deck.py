@@ -5,22 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, terms, transient
+from kc2spice.netlist.circuit import Param, Pin, positive
+from kc2spice.netlist.deck import Command, ac, dc, transient
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
-
-TEXT = """title
-V1 a 0 1
-.OPTIONS reltol=1e-5 gmin=1e-13 method=gear
-.opt reltol = 2e-5
-.save v(a)
-.tran 1u 1m
-.ac dec 1 1 10
-.end
-"""
 
 
 def test_analyses_say_what_was_asked():
@@ -35,57 +25,6 @@ def test_analyses_say_what_was_asked():
     assert ac(1e3, 1e3, 100, "log").card.startswith(".ac dec ")  # a band that is one frequency
     assert dc("V1", 1.0, 3.0, 5).card == ".dc V1 1.0 3.125 0.5"
     assert Command("op", ()).card == ".op"
-
-
-def test_options_of_a_text_stand_before_its_first_analysis():
-    deck = Deck(name="one", text=TEXT)
-    assert deck.option("reltol") == "2e-5"
-    assert deck.option("gmin") == "1e-13"
-    assert deck.option("tol") is None
-    more = deck.with_options({"reltol": "1e-3", "noacct": ""}, "why")
-    assert more.option("reltol") == "1e-3"
-    expected = TEXT.replace(".tran", ".options reltol=1e-3\n.options noacct\n.tran")
-    assert more.files == {"one.cir": expected}
-
-
-def test_options_replace_each_other():
-    deck = Deck(name="one", options=(Option("reltol", "1e-3", ""), Option("trtol", "1", "")))
-    found = deck.with_options({"reltol": "1e-6"}, "exact").options
-    assert found == (Option("trtol", "1", ""), Option("reltol", "1e-6", "exact"))
-    assert deck.option("reltol") == "1e-3"
-    assert deck.option("abstol") is None
-    twice = replace(deck, options=(*deck.options, Option("reltol", "1e-4", "")))
-    assert twice.option("reltol") == "1e-4"
-    assert ".options reltol=1e-3" in deck.files["one.cir"]
-
-
-def test_results_are_saved_beside_those_of_a_text():
-    deck = Deck(name="one", text=TEXT, vectors={"a": ("v(a)", 1.0)})
-    more = deck.saving({"b": ("v(b)", 2.0), "c": ("v(c)", 3.0)})
-    assert more.vectors == {"a": ("v(a)", 1.0), "b": ("v(b)", 2.0), "c": ("v(c)", 3.0)}
-    assert more.files["one.cir"] == TEXT.replace(".tran", ".save v(b) v(c)\n.tran")
-    bare = Deck(name="one", text=TEXT.replace(".save v(a)\n", ""))  # saves all
-    assert bare.saving(more.vectors).text == bare.text
-    own = Deck(name="two").saving({"b": ("v(b)", 2.0)})
-    assert own.text is None
-    assert own.saved == ("v(b)",)
-
-
-def test_a_vector_is_saved_once():
-    vectors = {"sum": ("v(a)+v(b)", 1.0), "difference": ("v(b)-v(c)", 1.0)}
-    assert Deck(name="one", vectors=vectors).saved == ("v(a)", "v(b)", "v(c)")
-    assert terms("v(a)-v(b)+i(c)") == [(1.0, "v(a)"), (-1.0, "v(b)"), (1.0, "i(c)")]
-    assert terms("-v(a)") == [(-1.0, "v(a)")]
-
-
-def test_the_largest_step_of_a_transient_can_be_changed():
-    deck = Deck(name="one", command=transient(1.0, 1e-2, uic=True))
-    assert deck.with_steps(0.5).command.card == ".tran 0.001 1.0 0 0.005 uic"
-    settled = Deck(name="one", command=transient(1.0, 1e-2, uic=False))
-    assert settled.with_steps(2.0).command.card == ".tran 0.001 1.0 0 0.02"
-    for other in (Command("tran", ("1", "2", "0")), ac(1.0, 10.0, 3, "linear")):
-        same = Deck(name="one", command=other)
-        assert same.with_steps(0.5) is same
 
 
 # --------------------------------------------------------------------------------- libraries
@@ -150,11 +89,3 @@ def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
     long = plan_lines(Plan((), (), (LeftOut("xx" + 200 * " x", "", ""),), None, ())).splitlines()
     assert [len(line) for line in long[:-1]] == [98, 97, 97, 97]  # an even number, an odd one
     assert all(line.startswith("*   x x") for line in long[1:])
-
-
-def test_a_subcircuit_is_written_under_its_own_name_or_another(tmp_path):
-    part = Subcircuit("part", (Pin("a", "V", "A"),), (positive("k", 2.5, "-", ""),), "* text\n")
-    assert part.write(tmp_path) == tmp_path / "part.lib"
-    assert part.write(tmp_path / "other.lib") == tmp_path / "other.lib"
-    assert (tmp_path / "other.lib").read_text() == "* text\n"
-    assert repr(part) == "<Subcircuit part: pins a[V/A]; k=2.5>"

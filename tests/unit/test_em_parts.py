@@ -1,47 +1,15 @@
 """Parts of the electromagnetic scenes on a force in closed form, cubic in the height: the splines
 through a few heights are exact, and so must be what the parts make of them."""
 
-import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.magnetics.table import EMTable
-from kc2spice.parts.ring_magnet_coils import (
-    interpolation_error,
-)
 from kc2spice.scene.load import load_scene
 
 EM = {"name": "em", "em_force": {"currents": (-0.1, 0.3)}, "catch": {}, "sphere": {}}
 
 
 # --- the actuator ---------------------------------------------------------------------------------
-
-
-def test_the_error_between_heights_is_of_the_force_at_the_largest_current():
-    """A term that only a current brings counts with that current, its square twice."""
-    y = np.linspace(-1.0, 1.0, 9)
-    zero, rough = np.zeros(9), np.cos(8 * y)
-    base = dict.fromkeys(("c0", "c1", "c2", "c11", "c12", "c22"), zero)
-    rest = {"y": y, "flux0": np.zeros((9, 2)), "inductance": np.tile(np.eye(2), (9, 1, 1)),
-            "resistance": np.ones(2), "unknowns": 0}  # fmt: skip
-
-    def error(current, **named):
-        return interpolation_error(EMTable(**{**base, **named}, **rest), current)
-
-    # every second height is zero, and so is the spline through those, and 9 show no order
-    comb = np.where(np.arange(9) % 2, 1.0, 0.0)
-    assert error(0.0, c0=comb) == pytest.approx(1.0)
-    alone = error(0.0, c0=rough)
-    assert alone > 0.01
-    for name in ("c1", "c2", "c11", "c12", "c22"):
-        assert error(0.7, **{name: rough}) == pytest.approx(alone, rel=1e-9), name
-    steady = np.ones(9)
-    half = error(0.5, c0=steady, c2=rough) / error(1.0, c0=steady, c2=rough)
-    quarter = error(0.5, c0=steady, c22=rough) / error(1.0, c0=steady, c22=rough)
-    peak = np.abs(rough).max()
-    assert (half, quarter) == pytest.approx((0.5 * max(1, peak), 0.25), rel=1e-9)
-    # one current through both coils, the lower one reversed: equal pulls cancel
-    assert error(0.5, c0=steady, c1=rough, c2=rough) < 1e-12
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,10 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import (
     Binary,
-    Call,
     Choice,
-    Name,
     Number,
-    Probe,
     Unary,
     Writer,
-    literal,
     parse,
 )
 
@@ -92,26 +88,6 @@ def test_scale_factors_are_ngspices(text, value):
     assert isinstance(tree, Number)
     assert float(tree.text) == pytest.approx(value, rel=1e-15)
     assert parse(f"max({text}, 1)").arguments == (tree, Number("1"))
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("2", 2.0), ("+2k", 2e3), ("-.5m", -5e-4), ("{-(3)}", -3.0), ("1e-6", 1e-6),
-     ("!1", None), ("--1", None), ("1+1", None), ("k", None)],
-)  # fmt: skip
-def test_a_literal_is_a_number_with_its_sign(text, value):
-    assert literal(text) == value
-
-
-def test_names_probes_and_functions():
-    assert parse("V(a)") == Probe("v", ("a",))
-    assert parse("v( A , b )-I(Vx)") == Binary("-", Probe("v", ("A", "b")), Probe("i", ("Vx",)))
-    assert parse("Max(time, -2, - 3, 4k)") == Call(
-        "max", (Name("time"), Unary("-", Number("2")), Unary("-", Number("3")), Number("4000.0"))
-    )
-    assert parse("noise()") == Call("noise", ())
-    tree = parse("v(a,b)*i(V1)+sin(2*time)")
-    assert Writer().write(tree) == "V(a,b)*I(V1)+sin(2*time)"
 
 
 @pytest.mark.parametrize(

@@ -36,13 +36,6 @@ def test_ring_nodes_lie_on_their_circles_at_equal_angles(change):
             np.testing.assert_allclose(np.arctan2(y, x), np.linspace(0, np.pi / 2, len(ring)))
 
 
-def test_nodes_are_numbered_plane_by_plane_and_located_where_the_mesh_has_them():
-    mesh = kick_mesh(Chip(mesh={"order": 2, "sectors": 4}))
-    plane, in_plane = np.divmod(mesh.node, len(mesh.plane))
-    where = np.column_stack([mesh.plane[in_plane], mesh.heights[plane]])
-    np.testing.assert_allclose(mesh.layer.doflocs.T, where, atol=1e-15)
-
-
 def test_refined_lattice_contains_the_coarse_one():
     coarse, fine = (kick_mesh(Chip(mesh={"refine": n})) for n in (1, 2))
     distance = np.linalg.norm(coarse.plane[:, None] - fine.plane[None], axis=2).min(axis=1)

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import busy_until, separation
+from kc2spice.parts.contact import separation
 from kc2spice.parts.pid import settling_time
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics
-from laboratory.distance import compare
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 
@@ -85,13 +84,6 @@ def test_a_gap_under_a_body_that_draws_back_is_no_flight() -> None:
         assert found[1] == pytest.approx(speed, rel=1e-9)
     falling = separation(t, force, -np.abs(v) - 0.1, 5.25e-4)
     assert falling is not None
-
-
-def test_drive_is_busy_until_its_last_corner() -> None:
-    assert busy_until(load_scene("kick_and_catch")) == pytest.approx(525.1e-6)
-    sine = {"part": "source", "sine": {"frequency": 1e5}, "pins": {"out": "kick.anode"}}
-    scene = load_scene({"kick": {"electrical": "open"}, "contact": {}, "sphere": {}, "s": sine})
-    assert busy_until(scene) == np.inf
 
 
 def test_no_launch_without_separation() -> None:
@@ -172,18 +164,6 @@ def test_impact_on_a_spring() -> None:
     assert got["max_force_n"] == pytest.approx(k * speed / w / 4, rel=1e-4)
 
 
-def test_compare_sees_a_shift_and_nothing_else() -> None:
-    fine, coarse = throw(kick_times()), throw(np.union1d(kick_times(), uneven(5e-3, 1501)))
-    zero = compare(coarse, fine)
-    # One parabola on two grids: cubics reproduce it except across the launch corner.
-    assert zero["trajectory_m"] < 2e-8
-    shifted = Waveforms(coarse.data | {"sphere.y": coarse["sphere.y"] + 3e-6}, {})
-    assert compare(shifted, fine)["trajectory_m"] == pytest.approx(3e-6, abs=2e-8)
-    assert compare(shifted, fine)["final_m"] == pytest.approx(3e-6, rel=1e-9)
-    faster = Waveforms(coarse.data | {"sphere.v": coarse["sphere.v"] * 1.001}, {})
-    assert compare(faster, fine)["velocity_relative"] == pytest.approx(1e-3, rel=1e-6)
-
-
 def test_imprint_and_harmonic_give_lists_of_one_sector() -> None:
     depth, force = np.linspace(0, 5e-5, 5), np.linspace(0, 800.0, 5)
     waves = Waveforms({"imprint.depth": depth, "contact.force": force}, {})
@@ -194,12 +174,3 @@ def test_imprint_and_harmonic_give_lists_of_one_sector() -> None:
     got = of_scene(Waveforms(sweep, {}), "harmonic")
     assert got["amplitude"]["ring0"]["anode"] == [5.0, 0.0]
     json.dumps(got)
-
-
-def test_a_curved_force_ends_where_its_root_does() -> None:
-    t = np.arange(0.0, 60e-6, 20e-9)
-    end = 10.013e-6
-    force = np.maximum(0.0, end - t) ** 1.5
-    found = separation(t, force, np.ones(t.size), power=1.5)
-    assert found is not None
-    assert found[0] == pytest.approx(end, abs=1e-14)

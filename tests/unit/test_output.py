@@ -110,13 +110,6 @@ def test_out_has_a_zero_byte(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_out_is_a_file(tmp_path):
-    (tmp_path / "out").write_text("")
-    for path in (tmp_path / "out", tmp_path / "out" / "deeper"):
-        with pytest.raises(UsageError, match="is a file"), staged(path):
-            pass
-
-
 def refused(folder, name, mode):
     """0 where ``name`` below a directory of this mode is refused, for a user who is not root."""
     try:

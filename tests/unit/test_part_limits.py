@@ -4,35 +4,9 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.source import smooth_pieces
-from kc2spice.parts.sphere import SphereKeys, _air_drag
-from kc2spice.parts.throw import minimum
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import Build
-from kc2spice.workflow.verify.circuit import solve
-
-
-def part_of(scene, name, *keys, models=None):
-    """Its part of this name, its type, and a build."""
-    loaded = load_scene(scene, list(keys))
-    part = loaded.parts[name]
-    return part, part.type, Build(loaded, models or {})
-
 
 # --- throw and push -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("start", [0.0, 0.3])
-def test_the_lowest_point_of_a_parabola_is_between_its_samples(start):
-    """Uneven samples of a parabola with its vertex at 1.3: exact; at an end that end."""
-    t = np.array([start, 1.0, 1.25, 1.9, 2.0])
-    time, value = minimum(t, 5.0 + 2.0 * (t - 1.3) ** 2)
-    assert (time, value) == pytest.approx((1.3, 5.0), rel=1e-12)
-    assert minimum(t, -t) == (2.0, -2.0)
-    assert minimum(t, t) == (start, start)
-    assert minimum(np.arange(3.0), np.array([1.0, 1.0, 1.0]))[1] == 1.0
-    assert minimum(np.arange(4.0), np.array([2.0, 1.0, 1.0, 2.0])) == pytest.approx((1.5, 0.875))
 
 
 def test_a_push_needs_a_contact_and_stays_above_the_middle():
@@ -60,58 +34,10 @@ def test_where_a_sphere_begins_to_be_refused(fits, refused, word):
         load_scene({"name": "loose", "kick": {}, "sphere": {}})
 
 
-@pytest.mark.parametrize("radius", [0.1e-3, 0.2e-3, 0.35e-3, 0.5e-3, 1e-3, 2e-3, 5e-3])
-def test_the_drag_of_the_air_is_told_of_the_weight(radius):
-    """Schiller and Naumann: ``24 / Re (1 + 0.15 Re^0.687)``, air of 20 degC at 1 m/s."""
-    reynolds = 1.204 * 2 * radius / 1.825e-5
-    drag = 0.5 * 1.204 * np.pi * radius**2 * 24 / reynolds * (1 + 0.15 * reynolds**0.687)
-    weight = 4 / 3 * np.pi * radius**3 * 7850 * 9.81
-    found = _air_drag(SphereKeys(radius=radius))
-    assert found.error == f"{drag / weight:.2g} of the weight at 1 m/s"
-
-
 # --- electrical parts -----------------------------------------------------------------------------
 
 CELL = {"name": "cell", "cell": {"part": "source", "dc": 1.0, "pins": {"out": "load.a"}},
         "load": {"part": "resistor", "resistance": 5.0}}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("kind", "load", "key", "across", "through"),
-    [("voltage", "resistor", "resistance", "v", "i"),
-     ("current", "resistor", "resistance", "v", "i"),
-     ("displacement", "spring", "stiffness", "x", "force"),
-     ("force", "spring", "stiffness", "x", "force")],
-)  # fmt: skip
-def test_laws_of_sources_count_what_leaves_them(kind, load, key, across, through):
-    """Of 3 units on 5 Ohm or 5 N/m."""
-    scene = {"name": "c", "far": {"part": load, key: 5.0},
-             "cell": {"part": "source", "kind": kind, "ac": 3.0, "pins": {"out": "far.a"}},
-             "analysis": {"type": "ac", "start": 1.0, "stop": 2.0}}  # fmt: skip
-    _, _, build = part_of(scene, "cell")
-    found = solve(build, Waveforms({"frequency": np.array([1.0, 2.0])}, {})).results
-    ratio = 5.0 if load == "resistor" else 1 / 5.0
-    given = kind in ("voltage", "displacement")
-    pair = (3.0, 3.0 / ratio) if given else (3.0 * ratio, 3.0)
-    for name, value in zip((across, through), pair, strict=True):
-        np.testing.assert_allclose(found[f"cell.{name}"], value, rtol=1e-9)
-
-
-def test_the_integrator_gets_the_same_waves():
-    """Pulses of a train until the end, a sine from its start on, corners once each."""
-    train = {"high": 2.0, "width": 1e-3, "edge": 1e-4, "start": 1e-3, "period": 3e-3}
-    sine = {"amplitude": 2.0, "frequency": 500.0, "start": 1e-3}
-    touching = {"high": 2.0, "width": 2**-10, "edge": 2**-13, "period": 2**-10 + 2**-13}
-    for shape, given in (
-        ("pulse", train), ("sine", sine), ("pulse", train | {"count": 2}), ("pulse", touching),
-        ("pulse", train | {"low": 5.0}),
-    ):  # fmt: skip
-        cell = {"part": "source", shape: given, "pins": {"out": "load.a"}}
-        part, _, build = part_of(CELL | {"cell": cell}, "cell")
-        wanted = part.keys.waveform(build.scene.home)
-        law = smooth_pieces(wanted, 11e-3)
-        t = np.linspace(0.0, 11e-3, 1111)[:-1] + 1e-6
-        np.testing.assert_allclose(law.value(t), wanted(t), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -180,12 +106,6 @@ def test_when_a_controller_may_be_on(keys, word):
 
 
 CAUGHT = {"name": "caught", "kick": {}, "contact": {}, "sphere": {}, "catch": {}, "control": {}}
-
-
-# --- port loads -----------------------------------------------------------------------------------
-
-
-# --- circuits of the user -------------------------------------------------------------------------
 
 
 # --- drivers --------------------------------------------------------------------------------------

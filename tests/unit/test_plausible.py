@@ -2,15 +2,10 @@
 
 import warnings
 
-import numpy as np
 import pytest
 
-import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.parts import matrices
-from kc2spice.scene.load import gallery, load_scene
-from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import libraries, make_deck
+from kc2spice.scene.load import load_scene
 
 WILD = [
     ("kick.side=0.15", "kick.side", "sintered"),
@@ -85,24 +80,3 @@ def test_a_drive_that_may_be_meant_is_told_before_the_run(drive, rated, word):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_scene(slips(drive="0.5 kV", rated_voltage=rated))
-
-
-def test_the_mass_of_a_mesh_is_told_before_a_simulator_runs(monkeypatch):
-    """A fork whose mesh was drawn in millimetres and read in metres weighs gigagrams."""
-    ports = (kc.Port("tip", "mechanical"),)
-    one = np.eye(1)
-    model = kc.LinearModel(M=one, E=one, K=one, B=one, ports=ports, facts={"mass_kg": 5.68e6})
-    monkeypatch.setattr(matrices, "_read", lambda *_: model)
-    monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("fork.mtx",))
-    tables = {"name": "heavy", "fork": {"part": "matrices", "file": "fork.mtx"}}
-    scene = load_scene(tables)
-    with pytest.raises(UsageError, match="more than a ton") as refused:
-        make_deck(Build(scene, {"fork": model}, libraries(scene)))
-    assert refused.value.got == "5.68e+06 kg"
-    scene = load_scene({**tables, "checks": {"plausible": "off"}})
-    make_deck(Build(scene, {"fork": model}, libraries(scene)))
-
-
-def test_the_gallery_exists():
-    for name in gallery():
-        load_scene(name)

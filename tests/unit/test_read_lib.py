@@ -6,7 +6,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.circuit import Param, Pin
-from kc2spice.netlist.read import read_deck, subcircuits
+from kc2spice.netlist.read import read_deck
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
@@ -30,14 +30,6 @@ def test_what_is_written_is_read(part, tmp_path):
     (found,) = read_lib(tmp_path / part.filename)
     assert (found.name, found.pins, found.params) == (part.name, part.pins, part.params)
     assert found.text == part.text
-
-
-def test_heads_state_sign_validity_and_range():
-    rings = ("ring0", "ring1")
-    text = contact_subcircuit(HEADER, rings, RADII, Normal(4e8), under=(1e-3, RADII)).text
-    for line in ("* sign: um, m/s and N count upwards", "* validity: ", "* rating: ",
-                 "* @param radius=0.001 unit=m range=5e-05..inf radius of the sphere"):  # fmt: skip
-        assert f"\n{line}" in text
 
 
 def test_libraries_of_others_have_what_their_cards_say(tmp_path):
@@ -65,25 +57,6 @@ def test_what_stands_inside_of_another_is_no_part(tmp_path):
     assert [(p.unit, p.doc, p.low, p.high) for p in outer.params] == 3 * [
         ("-", "", -np.inf, np.inf)
     ]
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("+2k", 2e3), ("-.5", -0.5), ("!1", np.nan), ("{1==2 ? 3 : 4}", np.nan)],
-)
-def test_the_default_of_a_parameter_is_a_number_or_none(text, value):
-    (part,) = subcircuits(f".subckt part a k={text}\nR1 a 0 1\n.ends\n", "part.lib")
-    (param,) = part.params
-    assert (param.name, param.default) == ("k", pytest.approx(value, nan_ok=True))
-
-
-def test_a_part_may_have_no_pins():
-    (part,) = subcircuits(".subckt alone\nR1 a 0 1\n.ends\n", "part.lib")
-    assert (part.name, part.pins, part.params) == ("alone", (), ())
-
-
-def test_a_library_that_ends_what_it_did_not_begin_has_no_parts():
-    assert subcircuits(".ends\n.subckt part a\nR1 a 0 1\n.ends\n", "part.lib") == []
 
 
 def test_parts_with_a_head_hide_those_without(tmp_path):
@@ -128,13 +101,3 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
     assert caught.value.expected == pins
     with pytest.raises(UsageError, match="cannot read"):
         read_lib(tmp_path / "none.lib")
-
-
-@pytest.mark.parametrize(
-    ("power", "unit", "says"), [(1.0, "N/m", "penalty"), (1.5, "N/m^1.5", "Hertz")]
-)
-def test_the_head_of_a_contact_names_its_law(power, unit, says):
-    text = contact_subcircuit(HEADER, ("tip",), np.zeros(1), Normal(4e8, power)).text
-    (line,) = (line for line in text.splitlines() if line.startswith("* @param eps="))
-    assert f"unit={unit} " in line
-    assert says in line

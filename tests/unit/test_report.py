@@ -20,7 +20,6 @@ from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
 from kc2spice.report.html import SHOWN, Section, figure_html, write_page
-from kc2spice.report.plots import open_sheet, plain_log
 from kc2spice.report.run_page import write_run
 from kc2spice.report.words import fact, quantity
 from kc2spice.scene.load import load_scene
@@ -292,15 +291,6 @@ def test_markup_in_names_of_curves_stays_text(tmp_path: Path) -> None:
     assert found["titles"] == found["labels"] == [BAD]
 
 
-def test_a_run_without_catch_says_nothing_of_one() -> None:
-    scene = load_scene({"kick": {}, "contact": {}, "sphere": {}})
-    waves = loop_waves()
-    kept = {k: v for k, v in waves.data.items() if not k.startswith(("coil", "control"))}
-    found = metrics(Waveforms(kept, {}), Build(scene, {}))
-    assert "launch_velocity_m_s" in found
-    assert "caught" not in found
-
-
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
     [
@@ -355,21 +345,3 @@ def test_facts_take_their_unit_from_the_key(key: str, value: object, shown: tupl
 )  # fmt: skip
 def test_a_probe_has_the_unit_of_what_it_looks_at(key: str, unit: str, shown: tuple) -> None:
     assert fact(key, 1.5e-3, unit=unit) == shown
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "labels"),
-    [(1.5, 520.0, ["2", "5", "10", "20", "50", "100", "200", "500"]),
-     (0.5e-3, 2e4, ["0.001", "0.01", "0.1", "1", "10", "100", "1000", "10000"])],
-)  # fmt: skip
-def test_logarithmic_axes_have_plain_numbers(low, high, labels):
-    axes = open_sheet((7.0, 4.0)).subplots()
-    axes.set(xscale="log")
-    axes.plot([low, high], [0.0, 1.0])
-    axes.set_xlim(low, high)
-    plain_log(axes.xaxis)
-    axes.figure.draw_without_rendering()
-    ticks = axes.get_xticks()
-    shown = [axes.xaxis.get_major_formatter()(t) for t in ticks if low <= t <= high]
-    assert shown == labels
-    assert not axes.get_xticks(minor=True).size

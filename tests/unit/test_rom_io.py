@@ -8,17 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import io, sparse
-from scipy.sparse.linalg import splu
 from typer.testing import CliRunner
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
-from kc2spice.core.archive import read_archive
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.rom.matrix_market import indices, mirrored, numbers, read_market
-from kc2spice.rom.memory import factor_bytes
+from kc2spice.rom.matrix_market import read_market
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.workflow.reduce import export_rom, reduce
 
@@ -89,12 +86,6 @@ def test_formats_give_the_same_model(tmp_path, writer, matrices):
     assert np.array_equal(model.B, expected["B"])
     assert np.array_equal(model.C, expected.get("C", expected["B"].T))
     assert model.name == "model"
-
-
-def test_any_file_of_the_family_names_it(tmp_path):
-    base = write_family(tmp_path, chain(), "a.b")
-    for path in (base, f"{base}.K", f"{base}.B"):
-        assert read_model(path).order == N
 
 
 def test_ports_have_the_names_units_and_scale_of_the_table(tmp_path):
@@ -262,13 +253,6 @@ def test_damaged_reduced_models_are_refused(tmp_path):
         assert "record.npy" in archive.namelist()
 
 
-def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
-    model = read_model(write_family(tmp_path, chain()))
-    monkeypatch.setattr("kc2spice.linalg.memory.available_bytes", lambda: 1000.0)
-    with pytest.raises(UsageError, match="too large"):
-        reduce_model(model, band=(0.0, 0.1), tolerance=1e-3)
-
-
 def test_command_line_reduces_and_exports(tmp_path):
     base = write_family(tmp_path, chain())
     out = tmp_path / "out"
@@ -338,36 +322,6 @@ def test_command_line_writes_nothing_on_bad_input(tmp_path):
         ran = CliRunner().invoke(app, ["reduce", str(good), "-o", str(tmp_path / "out"), *options])
         assert ran.exit_code == 2, ran.output
         assert not (tmp_path / "out").exists()
-
-
-def grid_model(unknowns, dimension):
-    """Plate or solid of multilinear elements with three coupled fields: a structural pattern."""
-    side = max(2, round((unknowns / 3) ** (1 / dimension)))
-    line = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
-    mass = sparse.diags_array([1 / 6, 4 / 6, 1 / 6], offsets=[-1, 0, 1], shape=(side, side))
-
-    def product(factors):
-        total = factors[0]
-        for factor in factors[1:]:
-            total = sparse.kron(total, factor)
-        return total
-
-    K = sum(product([line if i == j else mass for i in range(dimension)]) for j in range(dimension))
-    K = sparse.csc_array(sparse.kron(K, np.array([[4.0, 1, 1], [1, 4, 1], [1, 1, 4]])))
-    M = sparse.csc_array(sparse.kron(product([mass] * dimension), np.eye(3)))
-    return LinearModel(M=M, E=0.01 * K, K=K, B=np.eye(K.shape[0], 1))
-
-
-@pytest.mark.parametrize(("unknowns", "dimension"), [(3000, 2), (12000, 2), (1500, 3), (6000, 3)])
-def test_memory_is_predicted_within_a_factor(unknowns, dimension):
-    """Against the factors themselves: the estimate may be too large by 6, too small never."""
-    pencil = grid_model(unknowns, dimension).pencil
-    lu = splu(
-        sparse.csc_array(pencil.at(0.1j)), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )  # fmt: skip
-    taken = 20.0 * (lu.L.nnz + lu.U.nnz)  # 16 bytes of value, 4 of index
-    assert 1.0 < factor_bytes(pencil) / taken < 6.0
 
 
 def huge():
@@ -465,66 +419,6 @@ def test_market_files_hold_what_they_declare(head, text, matrix, entries):
     assert asked == [((len(matrix), len(matrix[0])), entries)]
 
 
-@pytest.mark.parametrize(
-    ("head", "text", "says"),
-    [
-        ("coordinate real", "1 1 0\n", "first line"),
-        ("dense real general", "1 1\n1\n", "not read"),
-        ("array real hermitian", "1 1\n1\n", "not read"),
-        ("array complex general", "1 1\n1\n", "complex"),
-        ("coordinate real general", "1 1\n", "sizes is damaged"),
-        ("array real general", "1 1 1\n1\n", "sizes is damaged"),
-        ("coordinate real general", "1 -1 1\n1 1 1\n", "sizes is damaged"),
-        ("coordinate real symmetric", "2 3 1\n1 1 1\n", "but 2 x 3"),
-        ("coordinate real general", "% only\n", "sizes is missing"),
-        ("coordinate real general", "9 9 9\n1 1 1\n", "cut off"),
-        ("array real general", "1 2\n1\n2\n3\n", "3 numbers instead of 2"),
-        ("coordinate real general", "2 2 1\n3 1 1\n", "an index is 3"),
-        ("coordinate real general", "2 2 1\n0 1 1\n", "an index is 0"),
-        ("coordinate real general", "2 2 1\n1.5 1 1\n", "an index is 1.5"),
-        ("coordinate real symmetric", "2 2 1\n1 2 1\n", "not in the lower"),
-        ("coordinate real skew-symmetric", "2 2 1\n1 1 1\n", "not in the lower"),
-        ("array real general", "1 1\nx\n", "not a number"),
-    ],
-)  # fmt: skip
-def test_market_files_that_contradict_themselves_are_refused(head, text, says):
-    with pytest.raises(ValueError, match=says):
-        market(text, head)
-
-
-def test_numbers_and_indices_of_text_files():
-    assert numbers(b" 1,2 3.5D+1\n-4e0 ").tolist() == [1, 2, 35, -4]
-    assert numbers(b" \n").size == 0
-    assert indices(np.array([1.0, 3.0]), 3).tolist() == [0, 2]
-    half = sparse.csc_array(np.array([[1.0, 0], [2.0, 3.0]]))
-    assert mirrored(half).toarray().tolist() == [[1, 2], [2, 3]]
-    lower = sparse.csc_array(np.array([[0.0, 0], [2.0, 0]]))
-    assert mirrored(lower, -1).toarray().tolist() == [[0, -2], [2, 0]]
-
-
-def test_archives_are_read_within_their_limits(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, a=np.arange(6.0).reshape(2, 3), b=np.arange(3), c=np.array("word"))
-
-    def read(wanted="ab", entries=6, total=72):
-        return read_archive(path, wanted.__contains__, entries=lambda _: entries, total=total)
-
-    found = read()
-    assert sorted(found) == ["a", "b"]
-    assert found["a"].tolist() == [[0, 1, 2], [3, 4, 5]]
-    assert read("c", entries=1, total=16)["c"].item() == "word"
-    with pytest.raises(ValueError, match="6 entries, more than 5"):
-        read(entries=5)
-    with pytest.raises(ValueError, match="72 bytes unpacked, more than 71"):
-        read(total=71)
-    np.savez(path, a=np.array([None]))
-    with pytest.raises(ValueError, match="is a Python object"):
-        read()
-    np.savez(path, a=np.array("x" * 300_000))
-    with pytest.raises(ValueError, match="not a plain array"):
-        read(total=10**9)
-
-
 BAD_RECORDS = {
     "kind": lambda r: r["ports"][0].update(kind="magic"),
     "name of two words": lambda r: r["ports"][0].update(name="a b"),
@@ -555,54 +449,3 @@ def test_records_of_reduced_models_are_judged(tmp_path, case):
     (tmp_path / "r.json").write_text(json.dumps(record))
     with pytest.raises(UsageError, match="not a reduced model"):
         read_rom(tmp_path / "r.json")
-
-
-def test_only_reduced_models_are_written(tmp_path):
-    with pytest.raises(UsageError, match="not a reduced model"):
-        write_rom(LinearModel(A=-np.eye(1), B=np.eye(1)), tmp_path, "r")
-    with pytest.raises(UsageError, match="no such file"):
-        read_rom(tmp_path / "none.npz")
-
-
-@pytest.mark.parametrize(
-    ("sizes", "says"),
-    [("7071 7071 1", "matrix K is"), ("7072 7071 1", "a matrix of 7072 x 7071, 1 entries"),
-     ("2 2 50000001", "a matrix of 2 x 2, 50000001 entries"), ("2 2 50000000", "cannot hold")],
-)  # fmt: skip
-def test_sizes_of_reduced_models_are_judged_before_memory_is_taken(tmp_path, sizes, says):
-    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
-    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
-    write_rom(rom, tmp_path, "r")
-    text = f"%%MatrixMarket matrix coordinate real general\n{sizes}\n1 1 1.0\n"
-    (tmp_path / "r.K").write_text(text)
-    with pytest.raises(UsageError, match="not a reduced model") as caught:
-        read_rom(tmp_path / "r.json")
-    assert says in caught.value.got
-
-
-@pytest.mark.parametrize(
-    ("limit", "says"), [("MAX_ENTRIES", "more than 3"), ("MAX_BYTES", "bytes unpacked")]
-)
-def test_archives_of_reduced_models_have_limits(tmp_path, monkeypatch, limit, says):
-    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
-    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
-    write_rom(rom, tmp_path, "r")
-    assert read_rom(tmp_path / "r.npz").order == 2
-    monkeypatch.setattr(f"kc2spice.rom.io.{limit}", 3)
-    with pytest.raises(UsageError, match="not a reduced model") as caught:
-        read_rom(tmp_path / "r.npz")
-    assert says in caught.value.got
-
-
-@pytest.mark.parametrize(
-    ("letter", "values"),
-    [("K", np.eye(3)), ("B", np.ones((3, 1))), ("C", np.ones((1, 3))), ("D", np.ones((2, 1))),
-     ("M", np.eye(2, dtype=int)), ("E", np.full((2, 2), np.nan))],
-)  # fmt: skip
-def test_matrices_of_reduced_models_are_judged(tmp_path, letter, values):
-    known = Certificate((0.0, 0.1), 1e-3, "m", True, True)
-    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), certificate=known)
-    object.__setattr__(rom, letter, values)
-    write_rom(rom, tmp_path, "r")
-    with pytest.raises(UsageError, match="not a reduced model"):
-        read_rom(tmp_path / "r.npz")

@@ -4,52 +4,19 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-import kc2spice.rom.pencil as module
-from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear import (
     Certificate,
     LinearModel,
     Port,
-    half_stored,
-    negated,
     with_potentials,
 )  # fmt: skip
 from kc2spice.rom.operators import (
-    SAME,
-    Schur,
-    Sum,
-    congruence,
     factor,
     largest,
-    same,
-    symmetric,
     two_sided,
 )  # fmt: skip
-from kc2spice.rom.pencil import Pencil, eliminated, proportional
-
-
-@pytest.mark.parametrize("shape", [(0, 0), (0, 3), (3, 0)])
-@pytest.mark.parametrize("make", [np.zeros, sparse.csc_array])
-def test_the_largest_entry_of_no_entries_is_zero(make, shape):
-    assert largest(make(shape)) == 0.0
-
-
-@pytest.mark.parametrize("symmetric", [False, True])
-def test_a_complement_is_that_of_dense_algebra(symmetric):
-    rng = np.random.default_rng(2)
-    K = rng.standard_normal((7, 7)) + 8 * np.eye(7)
-    K = K + K.T if symmetric else K
-    uu, up, pu, pp = K[:4, :4], K[:4, 4:], K[4:, :4], K[4:, 4:]
-    S = Schur(*map(sparse.csc_array, (uu, up, pu, pp)))
-    exact = uu - up @ np.linalg.solve(pp, pu)
-    assert S.symmetric is symmetric
-    x = rng.standard_normal((4, 2)) + 1j * rng.standard_normal((4, 2))
-    t = rng.uniform(1, 2, 4)
-    for found, expected in (
-        (S @ x, exact @ x), (S.toarray(), exact), (S.T.toarray(), exact.T),
-        (S.scaled(t).toarray(), np.diag(t) @ exact @ np.diag(t)),
-    ):  # fmt: skip
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+from kc2spice.rom.pencil import Pencil, eliminated
 
 
 @pytest.mark.parametrize("form", ["piezoelectric", "not symmetric", "first order"])
@@ -86,81 +53,6 @@ def spread(n, seed=3):
 
 def held(n, seed=3):
     return spread(n, seed) + spread(n, seed).T
-
-
-def complement(K, m, make=sparse.csc_array):
-    """``K`` with its last ``m`` unknowns eliminated: as blocks, and dense."""
-    uu, up, pu, pp = K[:-m, :-m], K[:-m, -m:], K[-m:, :-m], K[-m:, -m:]
-    return Schur(*map(make, (uu, up, pu, pp))), uu - up @ np.linalg.solve(pp, pu)
-
-
-def test_a_complement_is_symmetric_where_all_its_blocks_are():
-    K = held(5)
-    for i, j in ((0, 1), (1, 4), (3, 4)):
-        wrong = K.copy()
-        wrong[i, j] += 1.0
-        assert not symmetric(complement(wrong, 2)[0])
-    assert symmetric(complement(K, 2)[0])
-    scaled = complement(K, 2)[0]
-    factors = scaled.inner
-    assert scaled.scaled(np.ones(3)).inner is factors  # of the same block
-    assert scaled.shape == scaled.T.shape == (3, 3)
-
-
-def test_a_sum_is_applied_term_by_term():
-    A, B, x = spread(3), held(3, 5), rng().standard_normal((3, 2))
-    total = Sum(((2.0, A), (-0.5, sparse.csc_array(B))))
-    np.testing.assert_allclose(total @ x, (2 * A - 0.5 * B) @ x)
-    np.testing.assert_allclose(total.T @ x, (2 * A - 0.5 * B).T @ x)
-    np.testing.assert_allclose(total.toarray(), 2 * A - 0.5 * B)
-    np.testing.assert_allclose(congruence(total, x), x.T @ (2 * A - 0.5 * B) @ x)
-    assert total.shape == (3, 3)
-    assert not symmetric(total)
-    assert symmetric(Sum(((2.0, B), (1.0, np.eye(3)))))
-    assert largest(Sum(((2.0, np.eye(2)), (-5.0, 0.5 * np.eye(2))))) == 2.5
-    assert largest(complement(np.diag([1.0, -3.0, 50.0]), 1)[0]) == 3.0
-
-
-@pytest.mark.parametrize(("apart", "equal"), [(0.9, True), (1.1, False)])
-def test_the_same_matrix_but_for_rounding(apart, equal):
-    one = np.array([[4.0, 1.0], [1.0, 2.0]])
-    other = one + np.array([[0, apart * 4 * SAME], [0, 0]])
-    assert same(one, other) is equal
-    assert symmetric(other) is equal
-    assert not same(one, np.ones((2, 3)))
-
-
-def test_a_congruence_keeps_what_is_symmetric_or_skew_to_the_bit():
-    n, V = 6, rng(1).standard_normal((6, 3))
-    P, S = spread(n), held(n)
-    skew = P - P.T
-    for make in (np.asarray, sparse.csc_array):
-        np.testing.assert_allclose(congruence(make(P), V), V.T @ P @ V)
-        found = congruence(make(S), V)
-        np.testing.assert_array_equal(found, found.T)
-        np.testing.assert_allclose(found, V.T @ S @ V)
-        found = congruence(make(skew), V)
-        np.testing.assert_array_equal(found, -found.T)
-        np.testing.assert_allclose(found, V.T @ skew @ V, atol=1e-12)
-        found = congruence(make(S), V, known=True)
-        np.testing.assert_array_equal(found, found.T)
-    for K in (P, S):
-        small, exact = complement(K, 2)
-        found = congruence(small, V[:4])
-        np.testing.assert_allclose(found, V[:4].T @ exact @ V[:4])
-        assert np.array_equal(found, found.T) is (K is S)
-
-
-@pytest.mark.parametrize(("share", "kept"), [(0.9, False), (1.1, True)])
-@pytest.mark.parametrize("skewed", [False, True])
-def test_a_congruence_leaves_out_what_is_rounding_of_the_matrix(skewed, share, kept):
-    """The skew part of a matrix that is symmetric but for that, and the reverse."""
-    S, T = 7 * np.array([[1.0, 0.5], [0.5, 1.0]]), 7 * np.array([[0.0, 1.0], [-1.0, 0.0]])
-    whole, part = (T, S) if skewed else (S, T)
-    P = whole + share * SAME * part
-    found = congruence(P, np.array([[1.0, 2.0], [3.0, -1.0]]))
-    other = found + found.T if skewed else found - found.T
-    assert bool(other.any()) is kept
 
 
 def test_factors_pivot_where_they_must():
@@ -201,73 +93,6 @@ def at(form, s):
     return sum(s**k * P for k, P in enumerate(FORMS[form]))
 
 
-def response(form, p, s):
-    return p.C @ np.linalg.solve(at(form, s) + 0j, p.B) + p.D
-
-
-@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
-@pytest.mark.parametrize("form", FORMS)
-def test_a_pencil_is_its_polynomial(form, make):
-    p, x = pencil(form, make), rng(7).standard_normal((N, 2))
-    assert p.degree == (1 if form == "first order" else 2)
-    assert p.size == N
-    assert p.symmetric is (form in ("symmetric", "undamped"))
-    assert p.undamped is (form == "undamped")
-    assert p.is_dense is (make is np.asarray)
-    for s in (0.0, 0.7, 0.7 + 0j, 3j, 1 - 2j):
-        found = p.at(s)
-        dense = found if make is np.asarray else found.toarray()
-        np.testing.assert_allclose(dense, at(form, s))
-        real = s in (0.0, 0.7) or (s == 3j and form == "undamped")
-        assert np.isrealobj(dense) is real
-        exact = sum(k * s ** (k - 1) * P for k, P in enumerate(FORMS[form]) if k) @ x
-        slope = p.slope(s, x)
-        # of an undamped model the derivative by s^2
-        np.testing.assert_allclose(slope, FORMS[form][2] @ x if form == "undamped" else exact)
-        assert np.isrealobj(slope) is (s in (0.0, 0.7) or form == "undamped")
-        forward, backward = p.solver(s)
-        np.testing.assert_allclose(at(form, s) @ forward.solve(p.B), p.B, atol=1e-12)
-        np.testing.assert_allclose(at(form, s).T @ backward.solve(p.B), p.B, atol=1e-12)
-    s = np.array([0.7, 3j, 1 - 2j])
-    exact = np.array([response(form, p, each) for each in s])
-    for each in (p, p.dense(), p.scaled(2.0), p.in_units(np.arange(1.0, N + 1))):
-        np.testing.assert_allclose(each.transfer(s), exact, rtol=1e-9)
-    np.testing.assert_allclose(p.transposed().transfer(s), exact.transpose(0, 2, 1), rtol=1e-9)
-
-
-def test_many_frequencies_are_solved_in_parts_of_bounded_memory(monkeypatch):
-    p, s = pencil("second order"), 1j * np.linspace(0.1, 3, 23)
-    whole = p.transfer(s)
-    solve = np.linalg.solve
-    for numbers, most in ((1, 1), (N**2, 1), (5 * N**2, 5)):
-        sizes = []
-        monkeypatch.setattr(module, "BATCH_BYTES", 16.0 * numbers)
-        monkeypatch.setattr(
-            np.linalg, "solve", lambda P, b, sizes=sizes: sizes.append(len(P)) or solve(P, b)
-        )
-        np.testing.assert_allclose(p.transfer(s), whole, rtol=1e-12)
-        assert (max(sizes), sum(sizes)) == (most, s.size)
-
-
-@pytest.mark.parametrize("collocated", [False, True])
-@pytest.mark.parametrize("form", FORMS)
-def test_a_projection_is_a_congruence(form, collocated):
-    p, V = pencil(form, collocated=collocated), rng(6).standard_normal((N, 3))
-    assert p.collocated is collocated
-    small = p.project(V)
-    for found, P in zip(small.coefficients, FORMS[form], strict=True):
-        np.testing.assert_allclose(found, V.T @ P @ V, atol=1e-12)
-    np.testing.assert_allclose(small.B, V.T @ p.B)
-    np.testing.assert_allclose(small.C, p.C @ V)
-    np.testing.assert_array_equal(small.D, p.D)
-    assert small.collocated is collocated
-    first = p.leading(2)
-    np.testing.assert_array_equal(first.coefficients[-1], FORMS[form][-1][:2, :2])
-    assert (first.B.shape, first.C.shape) == ((2, 2), (len(p.C), 2))
-    units = p.in_units(np.arange(1.0, N + 1))
-    assert units.collocated is collocated
-
-
 @pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
 def test_rayleigh_damping_is_a_sum_of_the_others(make):
     K, _, M = FORMS["symmetric"]
@@ -291,43 +116,6 @@ def test_rayleigh_damping_is_a_sum_of_the_others(make):
     np.testing.assert_allclose(found, 2 * K + 3 * E + 5 * M)
 
 
-def test_unknowns_are_scaled_to_equal_energies():
-    """Of diagonal matrices the sum at the frequency becomes one but for the nearest power of two,
-    which rounds nothing; a row of zeros stays."""
-    parts = np.diag([4.0, 0.0, 2.0]), np.diag([1.0, 0.0, -3.0]), np.diag([7.0, 0.0, 5.0])
-    B = np.ones((3, 1))
-    p = Pencil(parts, B, B.T, np.zeros((1, 1))).scaled(2.0)
-    total = sum(2.0**k * abs(P) for k, P in enumerate(p.coefficients))
-    np.testing.assert_array_equal(np.diag(total), [34 / 64, 0.0, 28 / 16])
-    np.testing.assert_array_equal(p.B[:, 0] ** -2.0, [64.0, 1.0, 16.0])
-    small, _ = complement(np.diag([2.0, 3.0, 9.0]), 1)
-    with_complement = Pencil((small, sparse.csc_array(np.eye(2))), B[:2], B[:2].T, np.zeros((1, 1)))
-    np.testing.assert_allclose(with_complement.scaled(2.0).B[:, 0] ** -2.0, [4.0, 4.0])
-
-
-def test_a_pencil_with_eliminated_unknowns_solves_as_the_dense_one():
-    K, M = held(7) * np.outer([1] * 5 + [1e-6] * 2, [1] * 5 + [1e-6] * 2), FORMS["symmetric"][2]
-    small, exact = complement(K, 2)
-    B = rng(9).standard_normal((N, 2))
-    p = Pencil((small, 0.1 * M, M), B, B.T, np.zeros((2, 2)))
-    for s in (0.0, 2j, 0.5 + 1j):
-        P = s * s * M + 0.1 * s * M + exact
-        np.testing.assert_allclose(P @ p.solver(s)[0].solve(B), B, atol=1e-9)
-        np.testing.assert_allclose(P @ p.solver(s)[0].solve(B[:, 0]), B[:, 0], atol=1e-9)
-    np.testing.assert_allclose(exact @ p.pencil_solver(0.0).solve(B), B, atol=1e-9)
-    np.testing.assert_allclose((exact - 3 * M) @ p.pencil_solver(3.0).solve(B), B, atol=1e-9)
-    block = p.at(0.0).toarray()  # the unit of potentials makes both diagonal blocks alike
-    assert abs(block[5:, 5:]).max() == pytest.approx(abs(block[:5, :5]).max())
-
-
-def test_a_stiffness_that_is_not_definite_has_no_factor_at_rest():
-    K = np.diag([1.0, -1.0])
-    p = LinearModel(M=np.eye(2), K=K, B=np.eye(2)).pencil
-    with pytest.raises(SimulationError):
-        p.pencil_solver(0.0)
-    np.testing.assert_allclose(p.pencil_solver(0.5).solve(np.ones(2)), [2.0, -1 / 1.5])
-
-
 @pytest.mark.parametrize("omega", [None, 3.0, 3e4])
 def test_poles_are_the_finite_ones(omega):
     def poles(*parts):
@@ -342,83 +130,6 @@ def test_poles_are_the_finite_ones(omega):
     np.testing.assert_allclose(found, exact, atol=1e-6)
     np.testing.assert_allclose(poles(np.diag([6.0, 2.0, 1.0]), np.diag([2.0, 2.0, 0.0])), [-3, -1])
     np.testing.assert_allclose(poles(np.zeros((1, 1)), np.ones((1, 1))), [0.0])
-
-
-@pytest.mark.parametrize(
-    ("E", "found"),
-    [
-        (np.diag([1.0, 2.0]), (1.0, 0.0)), (-np.diag([1.0, 2.0]), None),
-        (np.diag([5.0, 4.0]), (0.0, 1.0)), (np.diag([1.0, 2.0 + 1e-9]), None),
-        (np.diag([1.0, 2.0 + 1e-13]), (1.0, 0.0)), (np.zeros((2, 2)), None),
-    ],
-)  # fmt: skip
-def test_damping_is_proportional_or_not(E, found):
-    M, K = np.diag([1.0, 2.0]), np.diag([5.0, 4.0])
-    given = LinearModel(M=M, E=E, K=K, B=np.ones((2, 1))).pencil
-    after = proportional(given)
-    if found is None:
-        assert after is given
-    else:
-        assert after.rayleigh == pytest.approx(found, rel=1e-9, abs=0)
-        np.testing.assert_allclose(after.coefficients[1], E, rtol=1e-9)
-
-
-@pytest.mark.parametrize("unit", [8.0, 1e-3])
-@pytest.mark.parametrize(
-    ("entry", "apart", "yes"),
-    [((0, 1), 1.9e-12, True), ((0, 1), 2.1e-12, False), ((1, 1), 2.3e-12, True),
-     ((1, 1), 2.5e-12, False)],
-)  # fmt: skip
-def test_damping_is_proportional_to_rounding_of_its_largest_entry(entry, apart, yes, unit):
-    """That is 2; a diagonal entry that is off by x costs x/1.2 at the other one."""
-    M, K = np.diag([1.0, 2.0]), np.diag([5.0, 4.0])
-    E = M.copy()
-    E[entry] += apart
-    E[entry[::-1]] = E[entry]
-    after = proportional(LinearModel(M=M, E=unit * E, K=K, B=np.ones((2, 1))).pencil)
-    assert (after.rayleigh is not None) is yes
-
-
-def test_what_cannot_be_proportional_stays_as_it_is():
-    first = LinearModel(A=-np.eye(2), B=np.ones((2, 1))).pencil
-    assert proportional(first) is first
-    light = LinearModel(M=np.zeros((2, 2)), E=np.eye(2), K=np.eye(2), B=np.ones((2, 1))).pencil
-    assert proportional(light) is light
-    small, _ = complement(np.eye(4), 2)
-    with_complement = LinearModel(M=np.eye(2), E=np.eye(2), K=small, B=np.ones((2, 1))).pencil
-    assert proportional(with_complement) is with_complement
-
-
-@pytest.mark.parametrize(
-    "parts",
-    [
-        {"M": np.eye(2), "K": np.eye(2)},  # nothing is free
-        {"M": np.zeros((2, 2)), "K": np.eye(2)},  # all is
-        {"M": np.diag([1.0, 0]), "K": np.array([[1.0, 1], [1, 0]])},  # no block of its own
-        {"M": np.diag([1.0, 0, 0]), "K": np.array([[1.0, 1, 1], [1, 1, 1], [1, 1, 1]])},  # singular
-        {"M": np.diag([1.0, 0]), "E": np.array([[0, 0], [1.0, 0]]), "K": np.eye(2)},
-        {"M": np.diag([1.0, 0]), "E": np.array([[0, 1.0], [0, 0]]), "K": np.eye(2)},
-        {"M": np.diag([1.0, 0]), "K": np.eye(2), "rayleigh": (0.0, 1.0)},
-    ],
-)
-def test_what_cannot_be_eliminated_stays_as_it_is(parts):
-    model = LinearModel(**parts, B=np.ones((len(parts["K"]), 1)))
-    assert eliminated(model.pencil) is model.pencil
-
-
-def test_a_complement_is_not_reduced_once_more():
-    small, _ = complement(np.eye(4), 2)
-    model = LinearModel(M=np.diag([1.0, 0.0]), K=small, B=np.ones((2, 1)))
-    assert eliminated(model.pencil) is model.pencil
-
-
-def test_an_eliminated_symmetric_model_stays_collocated_to_the_bit():
-    """Rounding may have left its stiffness a little less than symmetric."""
-    K = held(6) * (1 + 1e-14 * rng(1).standard_normal((6, 6)))
-    M = np.diag([1.0, 2, 3, 4, 0, 0])
-    less = eliminated(LinearModel(M=M, K=K, B=rng().standard_normal((6, 2))).pencil)
-    assert less.collocated
-    assert less.symmetric
 
 
 # --------------------------------------------------------------------------------------- models
@@ -491,14 +202,6 @@ def test_incomplete_models_are_refused(parts, says):
         LinearModel(**{"B": B2} | parts)
 
 
-def test_a_complement_of_numbers_that_are_none_is_refused():
-    for block in range(4):
-        parts = [sparse.csc_array(np.eye(2)) for _ in range(4)]
-        parts[block] = parts[block] * np.nan
-        with pytest.raises(UsageError, match="matrix K cannot be used"):
-            LinearModel(M=I2, K=Schur(*parts), B=B2)
-
-
 def test_ports_say_what_they_are():
     tip, anode, turn = Port("tip", "mechanical"), Port("a", "electrical"), Port("r", "rotational")
     assert (tip.across, tip.flow, tip.terminals) == ("um", "N", ("tip",))
@@ -550,14 +253,6 @@ def test_a_selection_keeps_its_ports_answers():
     assert model.with_facts({"mass_kg": 2.0}).facts == {"mass_kg": 2.0}
 
 
-def test_a_library_that_is_missing_is_named(monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "pymor.models.iosys", None)
-    with pytest.raises(MissingToolError, match="pyMOR is not installed"):
-        LinearModel(A=-I2, B=B2).to_pymor()
-
-
 @pytest.mark.parametrize("potentials", [0, 2])
 @pytest.mark.parametrize("damping", ["E", "rayleigh"])
 def test_free_potentials_are_eliminated_exactly(potentials, damping):
@@ -606,20 +301,3 @@ def test_one_electrode_may_leave_its_dimension_out():
     for wrong in ((), (*port, Port("b", "electrical")), (*port, Port("b", "mechanical"))):
         with pytest.raises(UsageError, match="ports do not fit"):
             with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, ports=wrong)
-
-
-@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
-@pytest.mark.parametrize(
-    ("matrix", "half"),
-    [([[1.0, 2], [0, 1]], True), ([[1.0, 0], [2, 1]], True), ([[1.0, 2], [2, 1]], False),
-     ([[1.0, 0], [0, 1]], False), ([[1.0, 2], [3, 1]], False), ([[1.0]], False)],
-)  # fmt: skip
-def test_a_triangle_alone_is_half_stored(matrix, half, make):
-    assert half_stored(make(np.array(matrix))) is half
-
-
-def test_the_negative_of_a_complement_is_that_of_the_matrix():
-    small, exact = complement(spread(5), 2)
-    np.testing.assert_allclose(negated(small).toarray(), -exact)
-    assert not half_stored(small)
-    np.testing.assert_array_equal(negated(np.eye(2)), -np.eye(2))

@@ -9,14 +9,9 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
     FLANK,
     FLOOR,
-    SHARPEST,
     Judge,
     Response,
     above_band,
-    around,
-    beside,
-    clear_of_poles,
-    grid,
     relative_error,
     relative_size,
     telling,
@@ -42,78 +37,6 @@ def direct(pencil, s):
 
 
 # ------------------------------------------------------------------------------- frequencies
-
-
-def test_a_grid_is_half_linear_half_logarithmic():
-    np.testing.assert_allclose(grid((1.0, 100.0), 3, True), [1.0, 10.0, 50.5, 100.0])
-    np.testing.assert_allclose(grid((0.0, 100.0), 3, False), [0.01, 1.0, 50.005, 100.0])
-    np.testing.assert_allclose(grid((0.0, 100.0), 3, True), [0.0, 0.01, 1.0, 50.005, 100.0])
-
-
-def test_points_lie_around_a_resonance_at_multiples_of_its_half_width():
-    one = np.array([100.0])
-    points = around(one, np.array([0.01]), np.array([0.0, 1.0, 4.0]))
-    np.testing.assert_allclose(points, [96.0, 99.0, 100.0, 101.0, 104.0])
-    half_widths = np.array([0.25, 0.5, 1, 2, 5, 15, 60])
-    expected = 100 + np.r_[-half_widths[::-1], 0, half_widths]
-    np.testing.assert_allclose(around(one, np.array([0.01])), expected)
-    at_the_limit = around(one, np.array([SHARPEST]), np.array([0.0, 1.0]))
-    np.testing.assert_allclose(at_the_limit - 100, 100 * SHARPEST * np.array([-1, 0, 1]), rtol=1e-6)
-
-
-def test_a_resonance_without_width_has_points_on_its_flanks_alone():
-    both = around(np.array([100.0, 1000.0]), np.array([0.0, 0.01]), np.array([0.0, 0.5, 2.0]))
-    np.testing.assert_allclose(both, [99.98, 99.99, 100.01, 100.02, 980, 995, 1000, 1005, 1020])
-
-
-def test_points_beside_a_resonance_are_each_three_times_as_far():
-    found = beside(np.array([1000.0, 10.0]), np.array([1e-5, 0.0]), 6.0)
-    far = 60 * FLANK * 10 * 3.0 ** np.arange(1, 5)
-    expected = np.r_[10 - far, 10 + far, 1000 + np.array([-5.4, -1.8, 1.8, 5.4])]
-    np.testing.assert_allclose(found, np.sort(expected))
-    assert beside(np.array([1.0]), np.array([1e-8]), 1e9).max() == pytest.approx(1 + 6e-3 * 3**15)
-
-
-def test_nothing_is_asked_on_top_of_a_pole():
-    at, ratio = np.array([100.0, 1e6, 300.0]), np.array([0.0, 0.0, 1e-3])
-    points = np.array([99.99, 99.995, 100.0, 100.01, 100.02, 300.0, 1e6 - 90, 1e6 + 110])
-    left = [99.99, 100.01, 100.02, 300.0, 1e6 + 110]
-    np.testing.assert_array_equal(clear_of_poles(points, at, ratio), left)
-    np.testing.assert_array_equal(clear_of_poles(points, at[2:], ratio[2:]), points)
-    np.testing.assert_array_equal(clear_of_poles(points[2:3], at[:1], np.array([SHARPEST])), 100.0)
-
-
-def test_resonances_inside_the_band_are_told_with_their_damping():
-    ratio = np.array([0.02, 0.95, 0.1, 1.0, 3.0, 0.1])
-    response = Response(resonators([5.0, 50.0, 60.0, 70.0, 80.0, 200.0], ratio, np.ones((6, 1))))
-    assert response.resonances[0].size == 4
-    at, found = response.within((10.0, 100.0))
-    order = np.argsort(at)
-    np.testing.assert_allclose(at[order], [50 * np.sqrt(1 - 0.95**2), 60 * np.sqrt(0.99)])
-    np.testing.assert_allclose(found[order], [0.95, 0.1])
-    assert sorted(response.within((0.0, 100.0))[1]) == pytest.approx([0.02, 0.1, 0.95])
-    slow = Response(resonators([0.9e-6, 1.1e-6, 1.0], 0.0, np.ones((3, 1))))
-    np.testing.assert_allclose(np.sort(slow.within((0.0, 1.0))[0]), [1.1e-6])
-
-
-@pytest.mark.parametrize("n", [12, 13])
-def test_resonances_of_modes_that_damping_couples(n):
-    """Of few unknowns by eigenvalues, of more by eigenvectors; negative damping counts by its size,
-    a mode that is damped out does not."""
-    hertz = np.arange(1.0, n + 1)
-    exact = np.r_[0.01, np.full(n - 2, 0.02)]
-    pencil = resonators(hertz, np.r_[-0.01, exact[1:], 1.5], np.eye(n)[:, :2])
-    K, E, M = pencil.coefficients
-    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((n, n)))[0]
-    E = E + 1e-3 * np.diag(np.ones(n - 1), 1)  # not symmetric: poles stay those of the diagonal
-    pencil = Pencil(tuple(turn.T @ P @ turn for P in (K, E, M)), pencil.B, pencil.C, pencil.D)
-    response = Response(pencil)
-    assert not response.decoupled
-    assert (response.modes is None) is (n == 12)
-    at, ratio = response.resonances
-    order = np.argsort(at)
-    np.testing.assert_allclose(at[order], hertz[:-1] * np.sqrt(1 - exact**2), rtol=1e-8)
-    np.testing.assert_allclose(ratio[order], exact, rtol=1e-6)
 
 
 @pytest.mark.parametrize("entry", [(0, 0), (0, 1), (1, 1)])
@@ -147,22 +70,6 @@ def test_each_of_many_notches_is_found():
     between = (np.floor(frequency) == each for each in hertz[:-1])
     assert max(size[inside].min() for inside in between) < FLOOR * size.max()
     assert (np.diff(frequency) > 1e-12 * frequency[1:]).all()  # or a maximum hides beside its twin
-
-
-def test_telling_frequencies_stay_in_the_band_beside_a_resonance_at_its_end():
-    response = Response(resonators([9.5, 105.0], 0.01, np.ones((2, 1))))
-    frequency = telling(response, (10.0, 100.0), False)
-    assert (frequency[0], frequency[-1]) == (10.0, 100.0)
-    for undamped in (9.5, 105.0):
-        pole = undamped * np.sqrt(1 - 0.01**2)
-        inside = pole * (1 + 0.01 * np.array([-15, -5, 15]))
-        inside = inside[(inside > 10) & (inside < 100)]
-        assert all(np.abs(frequency - each).min() < 1e-9 for each in inside)
-
-
-def test_a_response_without_a_notch_is_looked_at_on_the_grid():
-    heat = Response(Pencil((np.eye(1), np.eye(1)), np.eye(1), np.eye(1), np.zeros((1, 1))))
-    np.testing.assert_array_equal(telling(heat, (0.0, 1.0), True), grid((0.0, 1.0), 200, True))
 
 
 # --------------------------------------------------------------------------------- responses
@@ -226,27 +133,6 @@ def test_a_defective_model_is_not_taken_apart():
     np.testing.assert_allclose(response.transfer(np.array([1j]))[0, 0, 0], (1 + 1j) ** -n)
 
 
-def test_a_pole_where_eigenvectors_are_tried_leaves_direct_solutions():
-    """Poles at +-0.3 j beside eleven at -1: neither symmetric nor solved there."""
-    n = 13
-    A = -np.eye(n)
-    A[:2, :2] = [[0.0, 0.3], [-0.3, 0.0]]
-    pencil = Pencil((-A, np.eye(n)), np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
-    found = Response(pencil)
-    assert found.modes is None
-    s = np.array([0.2j])
-    assert found.transfer(s)[0, 0, 0] == pytest.approx(
-        2 * s[0] / (s[0] ** 2 + 0.09) + 11 / (s[0] + 1)
-    )
-
-
-def test_a_model_without_a_definite_matrix_is_solved_directly():
-    K, M = np.diag([3.0, -1.0]), np.diag([1.0, -2.0])
-    found = Response(Pencil((K, 0 * K, M), np.eye(2), np.eye(2), np.zeros((2, 2))))
-    assert not found.decoupled
-    np.testing.assert_allclose(found.transfer(np.array([1.0]))[0], np.diag([1 / 4, -1 / 3]))
-
-
 def test_eigenvectors_that_cost_digits_are_not_used():
     """Of lags of nearly equal rates, condition 1e8."""
     n = 14
@@ -255,31 +141,6 @@ def test_eigenvectors_that_cost_digits_are_not_used():
                     np.eye(n)[[0]], np.zeros((1, 1)))  # fmt: skip
     exact = 1 / np.prod(1j + rates)
     assert Response(pencil).transfer(np.array([1j]))[0, 0, 0] == pytest.approx(exact, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("own", "between", "decoupled"),
-    [(1.0, 1e-10, True), (1.0, 1e-8, False), (1e-12, 1e-22, True), (1e-12, 1e-20, False),
-     (0.0, 1e-22, False)],
-)  # fmt: skip
-def test_damping_between_modes_is_rounding_or_couples(own, between, decoupled):
-    """Relative to the damping of both modes, however much a third one has."""
-    pencil = resonators([1.0, 2.0, 3.0], 0.0, np.ones((3, 1)))
-    K, _, M = pencil.coefficients
-    # T' E T with T = 1/omega: as in coordinates of the energy
-    w = np.sqrt(np.diag(K))
-    E = np.array([[1.0, 0, 0], [0, own, between], [0, between, own]]) * np.outer(w, w)
-    response = Response(Pencil((K, E, M), pencil.B, pencil.C, pencil.D))
-    assert response.decoupled is decoupled
-
-
-def test_what_cancels_is_told_from_what_is_small():
-    pencil = resonators([1.0, 1.0], 0.01, np.ones((2, 1)), [[1, -1], [1, 1 + 1e-9], [0, 0], [1, 0]])
-    s = TWO_PI * 1j * np.linspace(0.1, 3, 250)
-    assert Response(pencil).cancelled(s).tolist() == [[True], [False], [True], [False]]
-    zero = resonators([1.0], 0.0, [[1.0]], D=[[-1 / TWO_PI**2]])  # at rest alone
-    assert Response(zero).cancelled(np.zeros(1)).all()
-    assert not Response(zero).cancelled(np.array([0.0, 3j])).any()
 
 
 # ------------------------------------------------------------------------------------ errors
@@ -320,33 +181,6 @@ def test_the_largest_error_is_found_between_the_frequencies():
     assert judge.error(Response(pencil)) == 0.0
 
 
-def test_a_narrow_error_is_not_hidden_by_a_broad_one():
-    """The broad one has more samples above the narrow one's than are looked at more closely."""
-    pencil = resonators([1000.0], 0.1, [[1.0]])
-    broad, narrow = bent(pencil, 1e-3, 30.0, 25.0), bent(pencil, 3e-3, 80.25, 0.2)
-
-    class Both(Response):
-        def transfer(self, s):
-            return broad.transfer(s) + narrow.transfer(s) - super().transfer(s)
-
-    judge = Judge(Response(pencil), np.linspace(0.0, 100.0, 201), (0.0, 100.0))
-    assert judge.error(Both(pencil)) == pytest.approx(3e-3, rel=0.02)
-
-
-def test_errors_of_zeros_and_below_the_floor_are_not_counted_in_full():
-    """A zero output, and a notch at which only a part of the peak counts."""
-    a, b = 10.0, 30.0
-    notch = np.sqrt((a**2 + b**2) / 2)
-    exact = resonators([a, b], 1e-9, np.ones((2, 1)), [[1.0, 1.0], [0.0, 0.0]])
-    found = resonators([a, b], 1e-9, np.ones((2, 1)), [[1.0, 1.0], [0.0, 1e-3]])
-    frequency = np.array([0.0, 5.0, notch, 60.0])
-    judge = Judge(Response(exact), frequency, (0.0, 60.0))
-    assert judge.error(Response(found)) < 1e-9
-    more = resonators([a, b], 1e-9, np.ones((2, 1)), exact.C, [[1e-12], [0.0]])
-    peak = np.abs(direct(exact, 2j * np.pi * frequency)).max()
-    assert judge.error(Response(more)) == pytest.approx(1e-12 / (FLOOR * peak), rel=1e-3)
-
-
 # kinds as files spell them: equal words, not the same objects
 PORTS = tuple(Port(name, "".join(list(kind))) for name, kind in
               (("drive", "input"), ("tip", "mechanical"), ("reading", "output"),
@@ -371,13 +205,6 @@ def test_the_error_above_the_band_is_that_of_each_mechanical_ports_own_complianc
     assert judged == (pytest.approx((10.0, 0.25)), pytest.approx((20.0, 0.25)))
     signals = (PORTS[0], PORTS[3])
     assert above_band(signals, Response(exact), Response(found), (0.0, 5.0)) == ()
-
-
-def test_an_undamped_resonance_above_the_band_is_left_out():
-    exact = resonators([20.0, 21.0], 0.0, np.eye(2)[:, [1]])
-    found = resonators([20.0, 21.0], 0.0, np.eye(2)[:, [1]], 0.5 * np.eye(2)[[1]])
-    judged = above_band((Port("tip", "mechanical"),), Response(exact), Response(found), (0.0, 5.0))
-    assert judged == (pytest.approx((10.0, 0.5)),)
 
 
 def test_a_pole_among_the_frequencies_is_an_error():

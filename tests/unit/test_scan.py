@@ -7,9 +7,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
-from kc2spice.netlist import flat
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.flat import flatten
 from kc2spice.netlist.included import included_netlists, included_sources
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import read_deck
@@ -118,11 +116,6 @@ BENIGN = {
 }
 
 
-def test_there_are_thirty_of_each():
-    assert len(HOSTILE) >= 30
-    assert len(BENIGN) >= 30
-
-
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_circuits_are_refused(text, tmp_path):
     path = tmp_path / "user.lib"
@@ -224,18 +217,6 @@ def test_no_include_is_left_for_the_simulator(card, tmp_path):
     assert ".inc" not in text.lower()
 
 
-def test_text_has_one_spelling(tmp_path):
-    path = tmp_path / "my amp (old).lib"
-    path.write_text(
-        "\tR1 a\tb 1k // text\nR2 a b 2k $ text\nR3 a b \\\\\n  3k ; text\n"
-        "* text \\\\\nR4 a b 4k\n.END\n// text\n"
-    )
-    assert third_party(path) == {
-        "my_amp__old_.lib": "R1 a b 1k ; text\nR2 a b 2k ; text\nR3 a b\n+ 3k ; text\n"
-        "* text \\\\\nR4 a b 4k\n* .END\n* text\n"
-    }
-
-
 def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "user.cir").write_text(".include inner.lib\n")
@@ -250,14 +231,6 @@ def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
     (tmp_path / "user.cir").write_text(".control\n.endc\n")
     with pytest.raises(UsageError, match="control"):
         included_sources(["user.cir"], tmp_path)
-
-
-def test_trust_reaches_what_lies_beside_a_circuit_elsewhere(tmp_path):
-    (tmp_path / "home").mkdir()
-    (tmp_path / "user.cir").write_text(".include inner.lib\n.control\n")
-    (tmp_path / "inner.lib").write_text(".param a=1\n")
-    files = included_netlists(["../user.cir"], tmp_path / "home", trust=True)
-    assert "\n.param a=1\n" in files["user.cir"]
 
 
 @pytest.mark.parametrize("names", [["a b.lib", "a_b.lib"], ["a_b.lib", "a b.lib"]])
@@ -346,84 +319,6 @@ def test_time_to_read_grows_with_the_size_alone(tmp_path):
             files = third_party(path)
             lint(Deck(name="user", text=files.pop("user.lib"), more=files))
         assert time.process_time() - begin < 5, name
-
-
-@pytest.mark.parametrize(
-    ("text", "written"),
-    [
-        ("R1 a b 1 ;note\n", "R1 a b 1 ; note\n"),
-        ("R1 a b \\\\\n; note\n1k\n", "R1 a b\n* note\n+ 1k\n"),
-        ("R1 a b \\\\\n* note\n\n1k\nR2 a b 1\n", "R1 a b\n* note\n\n+ 1k\nR2 a b 1\n"),
-        ("R1 a b\\\\\n+1k \\\\\n2\n", "R1 a b\n+1k\n+ 2\n"),
-        (".end of it\n.ending\n", "* .end of it\n.ending\n"),
-    ],
-)
-def test_a_line_that_goes_on_has_one_spelling(text, written, tmp_path):
-    path = tmp_path / "user.lib"
-    path.write_text(text)
-    lines = flatten(path, tmp_path, trust=False)
-    assert "\n".join(line.text for line in lines) == written
-    assert [line.raw for line in lines] == text.split("\n")
-    assert lines[1].where == "user.lib:2"
-
-
-@pytest.mark.parametrize(
-    ("card", "reason"),
-    [
-        ("R1 a b \\\\\n.include inner.lib", "goes on in an include"),
-        (".include inner.lib inner.lib", "includes more than one word"),
-        (".include", "includes an empty name"),
-        (".include missing.lib", "missing.lib: No such file or directory"),
-    ],
-)
-def test_why_an_include_is_refused(card, reason, tmp_path):
-    (tmp_path / "inner.lib").write_text("Rinner a 0 1\n")
-    (tmp_path / "user.cir").write_text(card + "\n")
-    with pytest.raises(UsageError) as caught:
-        third_party(tmp_path / "user.cir")
-    assert reason in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["R1 a b 1\x00" + 200 * "x", "`" + 200 * "x"])
-def test_a_refusal_shows_the_beginning_of_a_long_line(text, tmp_path):
-    (tmp_path / "user.cir").write_text(text)
-    with pytest.raises(UsageError) as caught:
-        third_party(tmp_path / "user.cir")
-    assert len(caught.value.got) == 120
-
-
-def test_a_refusal_shows_the_beginning_of_a_long_option(tmp_path):
-    (tmp_path / "user.cir").write_text(f".options reltol=1 {'x' * 41}=1\n")
-    with pytest.raises(UsageError, match=f"option {'x' * 40}, which"):
-        third_party(tmp_path / "user.cir")
-
-
-def test_as_many_files_and_bytes_as_are_allowed(tmp_path, monkeypatch):
-    for i in range(63):
-        (tmp_path / f"{i}.lib").write_text(f".include {i + 1}.lib\n")
-    (tmp_path / "63.lib").write_text("* end\n")
-    assert "* end" in third_party(tmp_path / "0.lib")["0.lib"]
-    (tmp_path / "first.lib").write_text(".include 0.lib\n")
-    with pytest.raises(UsageError, match="too many files"):
-        third_party(tmp_path / "first.lib")
-    (tmp_path / "main.cir").write_text(".include end.lib\n")
-    (tmp_path / "end.lib").write_text("* 78901\n")
-    monkeypatch.setattr(flat, "LARGEST", 17 + 8)
-    assert "78901" in third_party(tmp_path / "main.cir")["main.cir"]
-    monkeypatch.setattr(flat, "LARGEST", 17 + 7)
-    with pytest.raises(UsageError, match="cannot include this"):
-        third_party(tmp_path / "main.cir")
-
-
-def test_a_trusted_include_that_cannot_be_read_stays(tmp_path, monkeypatch):
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "large.lib").write_text("*" * 1001)
-    (tmp_path / "fits.lib").write_text("*" * 500)
-    monkeypatch.setattr(flat, "LARGEST", 1000)
-    for name in ("folder", "x" * 300, "large.lib"):
-        (tmp_path / "user.cir").write_text(f".include {name}\n.include fits.lib\n")
-        text = third_party(tmp_path / "user.cir", trust=True)["user.cir"]
-        assert text.startswith(f".include {name}\n* begin of fits.lib\n***")
 
 
 def test_links_do_not_lead_out(tmp_path):

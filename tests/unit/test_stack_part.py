@@ -1,31 +1,13 @@
 """The layered chip as a part: what its keys make of a scene, on numbers and waves made by hand."""
 
-import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.keys import Chip
-from kc2spice.parts.piezo_stack import (
-    Drive,
-    free_stroke,
-)
 from kc2spice.scene.load import load_scene
 
 LOOP = {"name": "loop", "kick": {}, "contact": {}, "sphere": {}}
 IMPACT = {"name": "hit", "kick": {"electrical": "open"}, "contact": {}, "sphere": {"velocity": -1}}
 ALONE = {"name": "alone", "kick": {}}
-
-
-# --- speed, steps and doubts ----------------------------------------------------------------------
-
-
-# --- voltages and strokes -------------------------------------------------------------------------
-
-
-def test_a_stack_that_shears_moves_by_d15():
-    """``d15 = e15 / C44`` in every layer."""
-    shear = Chip(poling="x", mounting="glued")
-    assert free_stroke(shear, -10.0) == pytest.approx(33 * 10 * 13.38 / 14.08e9, rel=1e-12)
 
 
 # --- parts that come along ------------------------------------------------------------------------
@@ -39,12 +21,6 @@ def test_a_chip_has_one_driver_of_those_known(given, said):
     with pytest.raises(UsageError, match="driver") as raised:
         load_scene({"name": "d", "kick": {"driver": given}})
     assert said in str(raised.value)
-
-
-def test_the_pulse_of_a_drive_is_as_wide_at_half_its_height():
-    wave = Drive(voltage=80.0, width=20e-6, edge=2e-6, start=1e-6).waveform
-    t = np.array([0.5e-6, 1e-6, 2e-6, 3e-6, 10e-6, 21e-6, 22e-6, 23e-6, 30e-6])
-    np.testing.assert_allclose(wave(t), [0, 0, 40, 80, 80, 80, 40, 0, 0], atol=1e-9)
 
 
 # --- what is refused ------------------------------------------------------------------------------
@@ -105,12 +81,3 @@ def test_nothing_presses_on_a_stack_that_shears():
     with pytest.raises(UsageError, match="moves sideways"):
         load_scene(LOOP, ["kick.poling=x", "kick.mounting=glued"])
     load_scene(ALONE, ["kick.poling=x", "kick.mounting=glued"])
-
-
-# --- ports and meshes -----------------------------------------------------------------------------
-
-
-# --- errors ---------------------------------------------------------------------------------------
-
-
-# --- what a run says ------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.workflow.sweep.plan import Grid, Random, make_plan
 from kc2spice.workflow.sweep.point import SceneText
@@ -119,25 +118,11 @@ def test_zipping_steps_together():
     assert found == [(1.0, 4.0), (2.0, 5.0), (3.0, 6.0)]
 
 
-def test_zipped_ends_are_tried_together_and_not_crossed():
-    """An edge of 30 us fits a width of 100 us and none of 10 us."""
-    sets = ("kick.drive.width=10 us,100 us", "kick.drive.edge=0.1 us,30 us")
-    assert len(points(*sets, zipped=True)) == 2
-
-
 def test_draws_are_joint_and_crossed_with_grids():
     found = points("control.kp=normal(5e4,1e3,10)", "control.ki=1,2", "control.kd=uniform(1,2,10)")
     assert len(found) == 20
     assert [p[::2] for p in found[:10]] == [p[::2] for p in found[10:]]
     assert {p[1] for p in found[:10]} == {1.0}
-
-
-def test_draws_follow_their_distribution():
-    # Kolmogorov-Smirnov against scipy's own distributions; 2000 draws, fixed seed.
-    normal = column("control.kd=normal(20, 2, 2000)", seed=3)
-    uniform = column("control.kd=uniform(10, 30, 2000)", seed=3)
-    assert stats.kstest(normal, stats.norm(20, 2).cdf).pvalue > 0.01
-    assert stats.kstest(uniform, stats.uniform(10, 20).cdf).pvalue > 0.01
 
 
 def test_the_seed_decides_the_draws():
@@ -188,28 +173,6 @@ def test_runs_are_counted_by_what_the_keys_reach(sets, chip, catch, rom, netlist
     assert (runs["fe"], runs["rom"]) == ({"kick": chip, "catch": catch}, {"kick": rom})
     assert (runs["netlists"], runs["ngspice"]) == (netlists, found.plan.size)
     assert f"{netlists} netlists, {found.plan.size} ngspice runs" in found.describe()
-
-
-def test_drivers_are_circuits_and_need_no_new_models():
-    found = make_sweep(
-        SceneText("amplifier_kick", None), ("kick.driver.amplifier.current_limit=2 A,5 A",)
-    )
-    assert found.models.runs == {
-        "fe": {"kick": 1, "catch": 1}, "rom": {"kick": 1}, "netlists": 2, "ngspice": 2,
-    }  # fmt: skip
-
-
-def test_reductions_of_one_body_share_its_finite_elements(monkeypatch, tmp_path):
-    """Three tolerances for a small bimorph: its mesh is assembled once."""
-    from kc2spice.parts.bimorph import Bimorph
-
-    monkeypatch.setenv("KC2SPICE_CACHE", str(tmp_path))
-    built, full = [], Bimorph.full
-    monkeypatch.setattr(Bimorph, "full", lambda *words: built.append(words) or full(*words))
-    small = kc.load_scene("harvester", {"analysis.points": 11, "beam.length": "20 mm"})
-    table = kc.sweep(small, {"rom.tolerance": [1e-2, 1e-3, 1e-4]})
-    assert table["status"] == ["ok"] * 3
-    assert len(built) == 1
 
 
 # --- studies ------------------------------------------------------------------------------------

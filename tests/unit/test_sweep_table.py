@@ -2,7 +2,6 @@
 
 import contextlib
 import csv
-import os
 import resource
 import sqlite3
 import subprocess
@@ -62,12 +61,6 @@ def test_rows_are_sorted_and_exact(tmp_path):
     assert [row["status"] for row in rows] == ["ok"] * 2 + ['failed: stopped, at "x" 2'] + [
         "ok"
     ] * 3
-
-
-def test_order_of_arrival_leaves_no_trace(tmp_path):
-    for name, order in (("a", range(6)), ("b", (5, 3, 1, 4, 2, 0))):
-        write_csv(filled(tmp_path / f"{name}.rows", order), tmp_path / f"{name}.csv")
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
 def test_parquet_holds_the_same_columns(tmp_path):
@@ -174,21 +167,6 @@ def test_what_is_no_database_is_named(content, tmp_path):
     with pytest.raises(UsageError, match=r"rows\.sqlite"):
         RowStore(path, 2, "d")
     assert path.read_bytes() == content
-
-
-def test_a_pipe_is_no_file_of_rows(tmp_path):
-    os.mkfifo(tmp_path / "rows")
-    with pytest.raises(UsageError, match="no file of a sweep"):
-        RowStore(tmp_path / "rows", 2, "d")
-
-
-def test_a_table_of_another_shape_is_named(tmp_path):
-    with contextlib.closing(sqlite3.connect(tmp_path / "rows")) as rows, rows:
-        rows.execute("create table sweep (digest text)")
-        rows.execute("insert into sweep values ('d')")
-        rows.execute("create view row as select 'x' as point, 1 as outcome, 2 as more")
-    with pytest.raises(UsageError, match="is damaged"):
-        RowStore(tmp_path / "rows", 2, "d")
 
 
 def test_rows_do_not_follow_a_link(tmp_path):

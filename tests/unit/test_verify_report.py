@@ -67,23 +67,6 @@ def test_small_metrics_are_judged_by_the_waves_of_their_unit() -> None:
     assert errors["final_error_m"] == pytest.approx(1e-3, rel=1e-2)
 
 
-def test_errors_of_waves_are_of_both_solutions() -> None:
-    found = {e.output: e for e in output_errors("ngspice_vs_rom", swing(1e-3), swing(0.0))}
-    assert found["ball.y"].rms == pytest.approx(1e-3, rel=1e-6)
-    assert found["ball.force"].largest == 0.0
-
-
-def test_the_rms_of_an_error_is_over_time() -> None:
-    """A quarter of the time is wrong by 1 %, with most of the points there; then a single point."""
-    t = np.union1d(np.linspace(0.0, 0.25, 1001), np.linspace(0.25, 1.0, 101))
-    exact = Waveforms({"time": t, "u": 1 + 0 * t}, {})
-    wrong = Waveforms({"time": t, "u": 1 + 0.01 * (t <= 0.25)}, {})
-    (found,) = output_errors("x", wrong, exact)
-    assert found.rms == pytest.approx(0.005, rel=0.02)
-    one, other = (Waveforms({"x": np.zeros(1), "u": np.array([v])}, {}) for v in (1.01, 1.0))
-    assert output_errors("x", one, other)[0].rms == pytest.approx(0.01)
-
-
 def test_page_shows_gates_times_and_notes(tmp_path: Path) -> None:
     met = Limit("position error / travel", 3e-5, 1e-4)
     missed = Limit("separation time", 4e-8, 2e-8, "s")
@@ -136,35 +119,6 @@ def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
     assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
 
 
-def told(gate: Gate, ours: dict, exact: dict) -> float | None:
-    """The measure of a gate between waves over the scale ``x`` of four points."""
-    scale = {"x": np.arange(1.0, 5.0)}
-    solutions = (Solution(Waveforms(scale | waves, {}), {}) for waves in (ours, exact))
-    return measured(gate, *solutions)
-
-
-@pytest.mark.parametrize(
-    ("measure", "value"),
-    [("relative", 0.5), ("absolute", 0.5), ("largest", 0.5 / 8), ("travel", 0.5 / 7)],
-)
-def test_the_measure_of_several_waves_is_of_all_together(measure: str, value: float) -> None:
-    exact = {"a0": np.array([1.0, -2.0, 4.0, 5.0]), "a1": np.array([1.0, 2.0, 4.0, 8.0])}
-    ours = {"a0": exact["a0"] + [0.5, 0, 0, 0], "a1": exact["a1"] - [0, 0.25, 0, 0.5]}
-    assert told(Gate("g", "a*", {}, measure), ours, exact) == pytest.approx(value)  # type: ignore[arg-type]
-    first = told(Gate("g", "a*", {}, measure, share=0.5), ours, exact)  # type: ignore[arg-type]
-    expected = {"relative": 0.5, "absolute": 0.5, "largest": 0.25, "travel": 0.5 / 3}
-    assert first == pytest.approx(expected[measure])
-
-
-def test_a_relative_measure_leaves_out_what_is_next_to_nothing() -> None:
-    exact = {"a": np.array([1.0, 1.1e-6, 0.9e-6, -2.0])}
-    ours = {"a": np.array([1.0, 1.1e-6 + 4.4e-7, 5.0, -2.0])}
-    exact["a"][1] *= 2
-    ours["a"][1] *= 2
-    assert told(Gate("g", "a", {}), ours, exact) == pytest.approx(0.4)
-    assert told(Gate("g", "a", {}), {"a": np.ones(4)}, {"a": np.zeros(4)}) == 0.0
-
-
 def test_a_gate_of_what_a_solution_does_not_have_is_absent() -> None:
     waves = {"a>b": np.ones(4), "ab": np.ones(4)}
     gates = [Gate(of, of, {"rom_vs_fom": 1.0}) for of in ("none", "b*", "c>*")]
@@ -174,21 +128,6 @@ def test_a_gate_of_what_a_solution_does_not_have_is_absent() -> None:
     assert limit == Limit("g, ROM to full model", 0.0, 1.0, "1")
     one = Solution(Waveforms({"ab": np.ones(4)}, {}), {})
     assert gate_limits([Gate("g", "a>b", {"x": 1.0})], "x", one, exact) == ([], None)
-
-
-@pytest.mark.parametrize(
-    ("measure", "a", "b", "value"),
-    [("relative", 1.5, -1.0, 2.5), ("absolute", 1.5, -1.0, 2.5), ("absolute", 1.0, 4.0, 3.0),
-     ("relative", 3.0, 4.0, 0.25)],
-)  # fmt: skip
-def test_a_gate_of_a_metric_is_by_its_size_or_in_its_unit(measure, a, b, value) -> None:
-    waves = Waveforms({"x": np.ones(1)}, {})
-    gate = Gate("g", "m", {}, measure)
-    assert measured(gate, Solution(waves, {"m": a}), Solution(waves, {"m": b})) == value
-    for left, right in ((None, b), (a, None)):
-        solutions = Solution(waves, {"m": left}), Solution(waves, {"m": right})
-        assert measured(gate, *solutions) is None
-    assert measured(gate, Solution(waves, {}), Solution(waves, {"m": b})) is None
 
 
 def test_the_leading_gate_stands_for_the_scene() -> None:
@@ -220,43 +159,6 @@ def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
     more = {k: v[:-1] for k, v in exact.items()}
     back = {e.output: e for e in output_errors("p", Waveforms(exact, {}), Waveforms(more, {}))}
     assert all(e.largest < 1e-12 for e in back.values())
-
-
-def test_waves_that_never_move_or_are_not_shared_are_left_out() -> None:
-    exact = Waveforms(
-        {"time": np.arange(3.0), "a": np.ones(3), "b": np.zeros(3), "c": np.ones(3)}, {}
-    )
-    ours = Waveforms({"time": np.arange(3.0), "a": np.ones(3) * [1, 1, 1.5], "b": np.ones(3)}, {})
-    (found,) = output_errors("p", ours, exact)
-    assert (found.pair, found.output, found.largest) == ("p", "a", 0.5)
-
-
-def test_waves_without_a_common_time_are_left_out() -> None:
-    early, late = (Waveforms({"time": t, "a": np.ones(2)}, {}) for t in ([0.0, 1.0], [2.0, 3.0]))
-    assert output_errors("p", early, late) == []
-
-
-UNITS = {"u": "V", "v": "m/s", "y": "m"}
-
-
-@pytest.mark.parametrize(
-    ("name", "base"),
-    [("top_v", 4e-3), ("speed_m_s", 5e-3), ("way_m", 6e-3), ("start_s", 3e-3), ("top_hz", 1.0),
-     ("share", 1.0)],
-)  # fmt: skip
-def test_small_metrics_are_measured_by_what_has_their_unit(name: str, base: float) -> None:
-    """A thousandth of the largest wave, of times of their span; else by their own size."""
-    data = {
-        "time": np.array([1.0, 4.0]),
-        "u": [-4.0, 1],
-        "w": [99.0, 1],
-        "v": [5.0, 1],
-        "y": [6.0, 1],
-    }
-    waves = Waveforms({k: np.asarray(v) for k, v in data.items()}, {})
-    small = 1e-6 if base < 1 else 1.0
-    ours, exact = Solution(waves, {name: 1.5 * small}), Solution(waves, {name: small})
-    assert dict(metric_errors(ours, exact, UNITS)) == {name: pytest.approx(0.5 * small / base)}
 
 
 def test_metrics_of_every_kind_are_compared_where_they_can_be() -> None:
