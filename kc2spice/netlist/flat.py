@@ -36,18 +36,19 @@ class Line:
     raw: str
 
 
-def flatten(path: Path, home: Path, *, trust: bool) -> list[Line]:
+def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> list[Line]:
     """Lines of ``path`` and of what it includes from below ``home``, in their places.
 
     ``trust`` takes lines as they stand and includes from anywhere; an include that cannot be read
-    is then left to the simulator.
+    is then left to the simulator. With ``inside`` as well lines are taken as they stand, but only
+    files below ``home`` are opened: for a look at a circuit that nobody trusted yet.
 
     Raises
     ------
     UsageError : not readable as text, too large or too many, an include in a circle, or one that
         leads out of ``home``.
     """
-    return list(_Reader(path, home, trust).lines(path.name, path, str(path), ()))
+    return list(_Reader(path, home, trust, inside).lines(path.name, path, str(path), ()))
 
 
 def is_include(line: str) -> bool:
@@ -60,6 +61,7 @@ class _Reader:
     main: Path
     home: Path
     trust: bool
+    inside: bool
     files: int = 0
     size: int = 0
 
@@ -88,7 +90,7 @@ class _Reader:
         target = self._target(raw, where)
         file = path.parent / target
         if self.trust:
-            if not target or not _readable(file):
+            if not target or not _readable(file) or (self.inside and self._outside(file)):
                 yield Line(raw, where, raw)
                 return
             inner = target
@@ -98,6 +100,9 @@ class _Reader:
         yield Line(begin, where, begin)
         yield from self.lines(inner, file, where, chain)
         yield Line(end, where, end)
+
+    def _outside(self, file: Path) -> bool:
+        return not file.resolve().is_relative_to(self.home.resolve())
 
     def _target(self, raw: str, where: str) -> str:
         """The file that the include ``raw`` names: one word, or one text in quotes."""
@@ -119,7 +124,7 @@ class _Reader:
         if self.files > MOST:
             expected = f"at most {MOST}"
             raise UsageError("includes too many files", where=str(self.main), expected=expected)
-        if not self.trust and not real.is_relative_to(self.home.resolve()):
+        if (self.inside or not self.trust) and self._outside(real):
             message = "the include leads out of the circuit's directory"
             raise UsageError(message, where=where, got=name)
         try:

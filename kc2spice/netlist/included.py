@@ -8,6 +8,7 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name
 from kc2spice.netlist.deckwide import refuse_in_part
+from kc2spice.netlist.flat import flatten
 from kc2spice.netlist.scan import cards, checked_lines, text_of_lines
 
 
@@ -26,6 +27,20 @@ def included_netlists(names: Sequence[str], home: Path, *, trust: bool = False) 
             if files.setdefault(name, text) != text:
                 raise UsageError("two different included files have one name", where=name)
     return files
+
+
+def looked_at(name: str, home: Path) -> dict[str, str]:
+    """The file ``name`` as it stands, with what it includes from ``home`` or below: its pins and
+    nodes can be known before anybody trusts it to be run.
+
+    Raises
+    ------
+    UsageError : as :func:`included_netlists`, but for what could act on the machine.
+    """
+    path = home / name
+    lines = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
+    refuse_in_part(cards(lines))
+    return {plain_name(path.name): text_of_lines(lines)}
 
 
 def included_sources(names: Sequence[str], home: Path) -> dict[str, str]:

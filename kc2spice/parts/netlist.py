@@ -18,7 +18,7 @@ from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.elements import Scope, circuit, has_vector
-from kc2spice.netlist.included import included_netlists
+from kc2spice.netlist.included import included_netlists, looked_at
 from kc2spice.netlist.statements import statements
 from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import potentials
@@ -71,6 +71,14 @@ class Netlist(PartType):
             ground = name in ("ref", "base")
             found.append(Terminal(name, unit, flow, "gnd" if ground else None, required=not ground))
         return tuple(found)
+
+    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        """As the driver of another part's table its ``command`` is what a controller asks for."""
+        control = scene.only("pid")
+        commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
+        if control is None or not commanded or "command" not in _pins(part, scene):
+            return {}
+        return {"command": f"{control.name}.command"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         pins = _pins(part, scene)
@@ -178,6 +186,13 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
         )  # fmt: skip
     for pin in pins:
         checked(pin, where=f"{part.name}.subckt")
+    missing = [pin for pin in part.pins if pin not in pins] if part.at[1:2] == ("driver",) else []
+    if missing:
+        raise UsageError(
+            f"as a driver the subcircuit needs the pin {missing[0]}",
+            where=".".join(map(str, (*part.at, "subckt"))), got=f"pins {' '.join(pins)}",
+            expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",
+        )  # fmt: skip
     return pins
 
 
@@ -191,7 +206,7 @@ def _probed(part: Part, scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _scope(part: Part, scene: Scene) -> Scope:
     """Its subcircuit as elements with nodes."""
-    files = included_netlists((part.keys.file,), scene.home, trust=True)  # nothing is run here
+    files = looked_at(part.keys.file, scene.home)
     found = circuit(next(iter(files)), files).find(part.keys.subckt)
     if found is None:
         raise UsageError("no such subcircuit", where=f"{part.name}.subckt", got=part.keys.subckt)
@@ -214,11 +229,8 @@ class _File:
 
 @lru_cache(maxsize=64)
 def _read(file: str, home: Path, stamp: int) -> _File:
-    """What a scene must know of a file, which is of the age ``stamp``.
-
-    Nothing is run here, so the text need not be trusted yet.
-    """
-    ((name, text),) = included_netlists((file,), home, trust=True).items()
+    """What a scene must know of a file, which is of the age ``stamp``."""
+    ((name, text),) = looked_at(file, home).items()
     found, excites = {}, False
     for card in statements(text, name):
         words = [word.lower() for word in card.words]

@@ -574,7 +574,7 @@ def _driver(
         pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
     if kind in ("user", "netlist"):
         file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
-        return {**table, "file": file, "pins": {**pins, "ref": "gnd"}}
+        return {**table, "file": file, "pins": pins}
     return {**table, "pins": pins}
 
 

@@ -374,7 +374,6 @@ class RingMagnetCoils(PartType):
         if kind in ("user", "netlist"):
             where = f"{part.name}.driver.{kind}"
             file = {"file": table.get("file") or first_netlist(where, data)}
-            pins["ref"] = "gnd"
         at = (part.name, "driver", kind)
         chosen = {**table, **file, "part": known.get(kind, kind), "pins": pins, "at": at}
         return {f"{part.name}_driver": chosen}

@@ -101,6 +101,78 @@ def test_scenes_without_a_law_say_so(tmp_path: Path) -> None:
     assert without_law(build) == ("kick_driver",)
 
 
+SIGNAL = """
+name = "heard"
+[source]
+part = "source"
+{drive}
+[r]
+part = "resistor"
+resistance = "1 kOhm"
+pins = {{ a = "source.out" }}
+[c]
+part = "capacitor"
+capacitance = "20 nF"
+pins = {{ a = "r.b" }}
+[filter]
+part = "matrices"
+file = "filter.npz"
+pins = {{ u = "c.a" }}
+[analysis]
+{analysis}
+"""
+FILTER = """
+[[ports]]
+name = "u"
+kind = "input"
+unit = "V"
+column = 1
+[[ports]]
+name = "y"
+kind = "output"
+unit = "V"
+row = 1
+"""
+POLE = 2e4  # 1/s, of both poles
+
+
+@pytest.mark.parametrize("kind", ["transient", "ac"])
+def test_a_signal_input_listens_to_a_loaded_node(kind: str, tmp_path: Path) -> None:
+    """Two poles one after the other, the second of a model whose input takes no current."""
+    np.savez(tmp_path / "filter.npz", A=[[-POLE]], B=[[POLE]], C=[[1.0]], E=[[1.0]])
+    (tmp_path / "filter.toml").write_text(FILTER)
+    timed = "pulse = { high = 1, edge = 1e-6, width = 1 }", "type = 'transient'\nstop = 4e-4"
+    small = "ac = 1.0", "type = 'ac'\nstart = 100\nstop = 1e5\npoints = 20"
+    drive, analysis = timed if kind == "transient" else small
+    text = SIGNAL.format(drive=drive, analysis=analysis).replace("20 nF", f"{1e6 / POLE} nF")
+    (tmp_path / "heard.toml").write_text(text)
+    scene = load_scene(tmp_path / "heard.toml")
+    record = verify([scene], tmp_path / "out")["heard"]
+    assert record["passed"], failed(record)
+    assert record["left_out"] == []
+    build = build_models(scene, Clock(silent))
+    if kind == "ac":
+        f = np.geomspace(100, 1e5, 20)
+        found = solve(build, Waveforms({"frequency": f}, {})).results
+        exact = 1 / (1 + 2j * np.pi * f / POLE) ** 2
+    else:
+        found = solve(build, Waveforms({"time": np.linspace(0, 4e-4, 200)}, {})).results
+        t = np.maximum(found["time"] - 0.5e-6, 0.0)  # half of the edge
+        exact = 1 - (1 + POLE * t) * np.exp(-POLE * t)
+    assert found["filter.y"] == pytest.approx(exact, abs=1e-4)
+
+
+def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path: Path) -> None:
+    np.savez(tmp_path / "filter.npz", A=[[-POLE]], B=[[POLE]], C=[[1.0]], E=[[1.0]])
+    (tmp_path / "filter.toml").write_text(FILTER)
+    drive, analysis = "dc = 1.0", "type = 'transient'\nstop = 1e-4"
+    load = "[load]\npart = 'resistor'\nresistance = 5.0\npins = { a = 'filter.y' }\n"
+    (tmp_path / "heard.toml").write_text(SIGNAL.format(drive=drive, analysis=analysis) + load)
+    record = verify([load_scene(tmp_path / "heard.toml")], tmp_path / "out")["heard"]
+    assert record["passed"], failed(record)
+    assert record["left_out"] == ["filter"]
+
+
 def test_circuits_that_share_nothing_are_apart(kicked: Path) -> None:
     text = kicked.read_text() + '\n[own]\npart = "source"\ndc = 1\npins = { out = "load.a" }\n'
     kicked.write_text(text + '[load]\npart = "resistor"\nresistance = "1 Ohm"\n')

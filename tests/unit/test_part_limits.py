@@ -117,9 +117,8 @@ def test_a_driver_of_the_user_is_in_the_file_that_it_names_or_the_first_included
     chip = ".subckt mine command out ref\n" + body.format("out", "out")
     coils = ".subckt mine command drive ret ref\n" + body.format("drive", "ret")
     for part, text, ends, asks in (
-        ("kick", chip, {"out": "kick.anode"}, ""),
-        ("catch", coils, {"drive": "catch.up", "ret": "catch.lp"},
-         "pins = { command = 'catch_driver.command' }\n"),
+        ("kick", chip, {"out": "kick.anode"}, "kick_drive.out"),
+        ("catch", coils, {"drive": "catch.up", "ret": "catch.lp"}, "control.command"),
     ):  # fmt: skip
         for name in ("one.lib", "two.lib", "own.lib"):
             (tmp_path / name).write_text(text)
@@ -129,11 +128,27 @@ def test_a_driver_of_the_user_is_in_the_file_that_it_names_or_the_first_included
         ):  # fmt: skip
             (tmp_path / "s.toml").write_text(
                 f"include = {include}\n[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
-                f"{asks}[{part}.driver.{kind}]\nsubckt='mine'\n{own}"
+                f"[{part}.driver.{kind}]\nsubckt='mine'\n{own}"
             )
-            driver = load_scene(tmp_path / "s.toml").parts[f"{part}_driver"]
+            scene = load_scene(tmp_path / "s.toml")
+            driver = scene.parts[f"{part}_driver"]
             assert (driver.type.name, driver.keys.file) == ("netlist", file)
-            assert driver.pins == ends | {"ref": "gnd"}
+            assert driver.pins == ends
+            assert scene.net(driver.name, "ref") == "0"
+            assert tuple(asks.split(".")) in scene.joined(driver.name, "command")
+
+
+@pytest.mark.parametrize(("pins", "lacks"), [("command drive back ref", "ret"), ("a b", "drive")])
+def test_a_driver_of_coils_without_its_pins_is_refused_by_its_file(pins, lacks, tmp_path):
+    (tmp_path / "d.lib").write_text(f".subckt d {pins}\nR1 {pins.split()[1]} 0 1\n.ends\n")
+    (tmp_path / "s.toml").write_text(
+        "[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
+        "[catch.driver.user]\nfile='d.lib'\nsubckt='d'\n"
+    )
+    with pytest.raises(UsageError) as found:
+        load_scene(tmp_path / "s.toml")
+    assert found.value.where == f"{tmp_path / 's.toml'}, line 8, key catch.driver.user.subckt"
+    assert lacks in found.value.message
 
 
 @pytest.mark.parametrize(

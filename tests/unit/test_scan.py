@@ -358,3 +358,22 @@ def test_large_files_are_refused(tmp_path):
     path.write_text("* x\n" * 1_100_000)
     with pytest.raises(UsageError, match="cannot include this"):
         third_party(path)
+
+
+def test_pins_are_looked_up_beside_the_scene_alone(tmp_path):
+    """A scene is read before anybody said that its circuits are trusted."""
+    (tmp_path / "outside.lib").write_text(".subckt mine a b c\nR1 a b 1\n.ends\n")
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "beside.lib").write_text(".subckt mine a b c\nR1 a b 1\n.ends\n")
+    scene = (
+        "[own]\npart = 'netlist'\nfile = 'own.lib'\nsubckt = 'mine'\n"
+        "pins = { a = 'gnd', b = 'gnd', c = 'gnd' }\n"
+    )
+    (home / "s.toml").write_text(scene)
+    (home / "own.lib").write_text(".include beside.lib\n")
+    assert load_scene(home / "s.toml").net("own", "a") == "0"
+    for elsewhere in ("../outside.lib", tmp_path / "outside.lib"):
+        (home / "own.lib").write_text(f"* again\n.include {elsewhere}\n")
+        with pytest.raises(UsageError, match="no such subcircuit"):
+            load_scene(home / "s.toml")

@@ -87,14 +87,34 @@ def _equations(build: Build) -> dict[str, Equations]:
         equations = None if part.name in replaced else part.type.law(part, build)
         if equations is not None:
             found[part.name] = equations
-    return found
+    loaded = _loaded(build, found)
+    return {name: equations for name, equations in found.items() if name not in loaded}
+
+
+def _loaded(build: Build, found: Mapping[str, Equations]) -> set[str]:
+    """Parts that drive a load by a signal: that has no law, as a signal knows no current."""
+    laws = {law.name: law for equations in found.values() for law in equations.laws}
+    kinds = _kinds(laws.values())
+    nets: dict[str, list[tuple[str, str]]] = {}
+    for name, equations in found.items():
+        for pin, target in equations.pins:
+            nets.setdefault(build.scene.nets[name, pin], []).append((name, target))
+    return {
+        name for net in nets.values() if any(kinds[target] != "signal" for _, target in net)
+        for name, target in net if kinds[target] == "signal" and _holds(laws, target)
+    }  # fmt: skip
+
+
+def _kinds(laws: Iterable[Law]) -> dict[str, str]:
+    return {f"{law.name}.{pin.name}": pin.kind for law in laws for pin in law.pins}
 
 
 def taken_nets(build: Build) -> dict[str, str] | None:
     """Nets on which parts without a law meet others, and their kind.
 
-    None if one of them has no source that could stand for the part, or if real coils follow an
-    elastic body: their flux makes every step of its ringing one of Newton's method, for hours.
+    None if nothing has a law, if one of them has no source that could stand for the part, or if
+    real coils follow an elastic body: their flux makes every step of its ringing one of Newton's
+    method, for hours.
 
     What a part without law does to the rest of a transient is then known from ngspice: its voltage,
     displacement or signal on these nets. Nets that a law holds by itself are not among them.
@@ -103,18 +123,27 @@ def taken_nets(build: Build) -> dict[str, str] | None:
     missing = set(_missing(build, found))
     joins = _joins(build, found)
     laws = {law.name: law for equations in found.values() for law in equations.laws}
-    kinds = {f"{law.name}.{pin.name}": pin.kind for law in laws.values() for pin in law.pins}
+    kinds = _kinds(laws.values())
     met: dict[str, str] = {}
     for name, equations in found.items():
         for pin, target in equations.pins:
             net = build.scene.nets[name, pin]
-            others = {part for part, _ in build.scene.joined(name, pin)}
+            others = {part for part, end in build.scene.joined(name, pin)
+                      if not _listens(build, part, end)}  # fmt: skip
             joined = next((pins for pins in joins.values() if target in pins), (target,))
             if others & missing and not any(_holds(laws, each) for each in joined):
-                met[net] = kinds[target]
+                met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
     coils = any(isinstance(law, Device) and has_store(law) for law in laws.values())
     elastic = any(isinstance(law, LinearBody) for law in laws.values())
-    return met if set(met.values()) <= set(SOURCES) and not (coils and elastic) else None
+    known = laws and set(met.values()) <= set(SOURCES)
+    return met if known and not (coils and elastic) else None
+
+
+def _listens(build: Build, name: str, pin: str) -> bool:
+    """Whether a pin takes no current, of a part whose cards are our own."""
+    part = build.scene.parts[name]
+    end = next(t for t in part.type.pins(part, build.scene) if t.name == pin)
+    return end.flow == "-" and not end.signal_out and not part.type.uses_netlists(part)
 
 
 def _holds(laws: Mapping[str, Law], pin: str) -> bool:
@@ -141,7 +170,26 @@ def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[C
     laws = [law for equations in found.values() for law in equations.laws]
     readings = {k: r for equations in found.values() for k, r in equations.results.items()}
     sweeps = {(n, k): s for n, equations in found.items() for k, s in equations.sweeps.items()}
-    return tuple(_apart(laws, joins, readings, sweeps))
+    return tuple(_apart(*_listening(laws, joins), readings, sweeps))
+
+
+def _listening(
+    laws: list[Law], joins: Mapping[str, tuple[str, ...]]
+) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
+    """Signal inputs on a net of a circuit or of a motion are set by a sensor of its own: it has
+    what ngspice has on the node, volts or micrometres."""
+    kinds, sensors, found = _kinds(laws), [], dict(joins)
+    for net, pins in joins.items():
+        heard = tuple(pin for pin in pins if kinds[pin] == "signal")
+        rest = tuple(pin for pin in pins if pin not in heard)
+        if net == "gnd" or not heard or not rest:
+            continue
+        kind = kinds[rest[0]]
+        sensor = Sensor(f"{net} heard", 1 / SOURCES.get(kind, ("", 1.0))[1], kind=kind)
+        sensors.append(sensor)
+        found[net] = (*rest, f"{sensor.name}.a")
+        found[sensor.name] = (*heard, f"{sensor.name}.out")
+    return [*laws, *sensors], found
 
 
 def _joins(

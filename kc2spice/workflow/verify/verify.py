@@ -135,14 +135,9 @@ class _Verification:
         bodies = self._bodies(libraries)
         missing = without_law(self.build)
         timed = self.build.scene.analysis.type == "transient"
-        self.taken = (taken_nets(self.build) if missing and timed else None) or {}
-        if self.taken:
-            self.notes.append(
-                "left out, for they have no law: " + ", ".join(missing) + "; the others are given "
-                "what ngspice has on the nets where they meet them: " + ", ".join(self.taken)
-            )
-            self._full(*self._compared(deck.saving(taken_vectors(self.taken))))
-        elif missing:
+        given = taken_nets(self.build) if missing and timed else None
+        self.taken = given or {}
+        if missing and given is None:
             self.notes.append(
                 "left out, for they have no law: " + ", ".join(missing)
                 + "; the scene as a whole is not compared, its bodies are"
@@ -151,7 +146,14 @@ class _Verification:
             self._own_checks(waves)
             self.metrics |= solution(waves, self.build).metrics
         else:
-            self._full(*self._compared(deck))
+            if missing:
+                self.notes.append(
+                    "left out, for they have no law: " + ", ".join(missing)
+                    + "; the others are given what ngspice has on the nets where they meet them: "
+                    * bool(self.taken) + ", ".join(self.taken)
+                )  # fmt: skip
+            vectors = taken_vectors(self.taken)
+            self._full(*self._compared(deck.saving(vectors) if vectors else deck))
         self._summary(bodies)
         return Findings(
             checks=tuple(self.checks),
