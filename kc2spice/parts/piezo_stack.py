@@ -59,7 +59,7 @@ PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
 KICKS, LASTING = (40.0, 105.0), 10e-6  # V, s: the error budget's relations hold; it throws in 6 us
-MESH_ERROR = 0.024  # of a launch, at most of an impact; docs/contact.md, against the finest hats
+MESH_ERROR = 0.024  # of a launch, at most of an impact: docs/notes/contact.md
 
 
 PAPER_ORDER = 30

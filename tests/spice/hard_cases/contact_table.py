@@ -1,6 +1,6 @@
 """Contact, 100 bounces each: ``python tests/spice/hard_cases/contact_table.py``.
 
-Writes the table into docs/contact.md.
+Writes the table into docs/notes/contact.md.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
-PAGE = Path(__file__).parents[3] / "docs" / "contact.md"
+PAGE = Path(__file__).parents[3] / "docs" / "notes" / "contact.md"
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def cells(row: Iterable[str]) -> str:
 
 
 def write_table(name: str, head: Sequence[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print a table as its rows come, then put it between its marks in docs/contact.md."""
+    """Print a table as its rows come, then put it between its marks in docs/notes/contact.md."""
     lines = [cells(head), "|---" * len(head) + "|"]
     for row in rows:
         lines.append(cells(row))

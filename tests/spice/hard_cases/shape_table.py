@@ -4,7 +4,7 @@ Static force at a depth of 5 um, lowest point and rebound of an impact at 1 m/s,
 100 V: circles of the mesh with lumps of mass or without, and pressure, each on its default and on
 finer ones. States, time points and processor time of ngspice are those of the kick with the
 default settings; the numbers themselves are computed with a hundredth of the tolerance. Errors are
-relative to the finest hats. Writes the table into docs/contact.md.
+relative to the finest hats. Writes the table into docs/notes/contact.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What the elasticity of the sphere moves: ``python tests/spice/hard_cases/sphere_table.py``.
 
 Impact at 1 m/s, kick by 100 V and a push of 5 um under pressure, for spheres of four materials,
-rigid and with their finite elements. Writes the table into docs/contact.md.
+rigid and with their finite elements. Writes the table into docs/notes/contact.md.
 """
 
 from __future__ import annotations

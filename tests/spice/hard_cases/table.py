@@ -25,7 +25,7 @@ Beside these, `python tests/spice/hard_cases/loops.py` kicks 150 varied chips (d
 5 %, 10 to 150 V, edges of 1 ns to 5 us, penalty 1e7 to 1e10 N/m) with the scene's own settings.
 Every launch must be within 2e-4 of the independent integrator of the same laws (median 2.9e-5,
 largest 1.8e-4); none has more than a handful of contact events: contact ports answer without
-inertia ([contact.md](contact.md)). `hard_cases/budgets.py` draws kicks under error budgets
+inertia ([contact](contact.md)). `hard_cases/budgets.py` draws kicks under error budgets
 ([speed.md](speed.md)), and `python tests/spice/test_random_scenes.py FIRST LAST` scenes over all
 keys, compared with that integrator: launches to 1e-3, heights to 5 um.
 
