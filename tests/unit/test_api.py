@@ -259,23 +259,6 @@ def test_a_replaced_source_is_told_before_the_run_with_the_card_that_reads_its_c
     assert peak == pytest.approx(2e-3, rel=5e-3)
 
 
-def test_command_line_takes_an_edited_deck(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "kc2spice", "run", "impact", "--deck", "absent.cir", "--json"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "absent.cir" in done.stderr
-
-
-def test_models_are_full_and_named_after_their_parts():
-    models = kc.build("buzzer_7bb_20_6")
-    assert list(models) == ["disc"]
-    assert models["disc"].certificate is None
-    assert "disc" in repr(models["disc"])
-
-
 def test_libraries_written_are_read_back(tmp_path):
     k = np.diag([4e6, 9e6])
     model = kc.LinearModel(M=np.eye(2), K=k, B=np.ones((2, 1)), rayleigh=(0.0, 1e-6),

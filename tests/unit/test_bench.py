@@ -11,14 +11,6 @@ from typer.testing import CliRunner
 from kc2spice.cli.main import app
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.bench import plane
-from kc2spice.workflow.bench.axes import (
-    axes,
-    next_to_own,
-    overrides,
-    own_place,
-    reference_settings,
-    settings,
-)
 from kc2spice.workflow.bench.evaluate import Run
 
 
@@ -66,11 +58,6 @@ def test_record_has_the_contracts_shape(made):
     assert all(json.dumps(point["label"])[1:-1] in page for point in record["points"])
 
 
-def test_what_does_not_converge_is_left_out_and_said(record):
-    assert record["metrics"] == ["speed"]
-    assert "noise" in record["left_out"]
-
-
 def test_front_is_what_no_other_point_beats(record):
     for point in record["points"]:
         beaten = any(
@@ -98,29 +85,6 @@ def point(error, time, *, own=False, spread=0.1):
     low, high = time * (1 - spread), time * (1 + spread)
     return {"label": f"{error} {time}", "settings": {}, "error": error, "bound": error, "own": own,
             "time_s": time, "time_low_s": low, "time_high_s": high}  # fmt: skip
-
-
-def test_settings_load_again_as_they_are_printed():
-    scene = load_scene("kick_and_catch")
-    found = axes(scene, transient=True)
-    assert {
-        "solver.reltol", "solver.chgtol", "solver.trtol", "solver.max_step", "catch.points", "rom",
-    } == {axis.name for axis in found}  # fmt: skip
-    assert settings(found, own_place(found)) == {}
-    for values in reference_settings(found):
-        again = load_scene("kick_and_catch", overrides(values))
-        assert again.solver.reltol == values["solver.reltol"] < scene.solver.reltol
-        assert again.rom.order == values["rom.order"] > 30
-        points = [s.parts["catch"].keys.points for s in (again, scene)]
-        assert points[0] == values["catch.points"] > points[1]
-
-
-@pytest.mark.parametrize("name", ["em_force", "kick_and_catch", "harmonic"])
-def test_the_reference_is_finer_than_all_that_is_tried_next_to_a_scene(name):
-    for axis in next_to_own(axes(load_scene(name), transient=name == "kick_and_catch")):
-        if axis.name != "solver.trtol":  # 1 is the finest that there is
-            assert axis.finest not in axis.values
-            assert axis.finer == axis.values[-1]
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, tmp_path):

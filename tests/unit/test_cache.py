@@ -155,7 +155,7 @@ def test_old_entries_make_room(folder, monkeypatch):
         assert cached("kind", {"n": 6}, Builder(None))[1]
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.001, 0.003, 0.01, 0.02])
+@pytest.mark.parametrize("delay", [0.001, 0.01])
 def test_the_cache_survives_a_kill(folder, delay):
     """Whatever moment the writer dies at, the next reader gets a whole entry or builds it."""
     big = np.arange(400_000.0)

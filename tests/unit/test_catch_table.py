@@ -32,15 +32,6 @@ def table() -> EMTable:
     )
 
 
-def test_force_is_the_quadratic_form(table: EMTable) -> None:
-    y, i1, i2 = 0.123, 0.7, -0.4
-    expected = y**3 + np.cos(y) * i1 - np.sin(y) * i2
-    expected += 0.1 * np.cos(2 * y) * (i1**2 + i2**2) - 0.1 * np.sin(y) * i1 * i2
-    assert emtable.force(table, y, i1, i2) == pytest.approx(expected, abs=2e-5)  # spline, h = 0.1
-    many = emtable.force(table, np.array([y, y]), i1, i2)
-    assert many.shape == (2,)
-
-
 def flux_linkage(table: EMTable, y: np.ndarray, *currents: np.ndarray | float) -> np.ndarray:
     """What the coils of the subcircuit link: ``dF / di`` integrated, and ``L i``."""
     _, f1, f2, *_ = np.moveaxis(table.potentials(y), -1, 0)
@@ -71,12 +62,6 @@ def test_no_energy_is_gained_on_a_closed_path(table: EMTable) -> None:
     mechanical = np.sum(emtable.force(table, *middle) * (ahead[0] - y))
     assert abs(mechanical) > 0.1
     assert electrical == pytest.approx(mechanical, rel=1e-5)  # midpoint rule on 4000 steps
-
-
-def test_consistent_flux_stays_on_the_given_flux(table: EMTable) -> None:
-    got = flux_linkage(table, table.y, 0.0, 0.0)
-    np.testing.assert_allclose(got, table.flux0, atol=1e-5)
-    np.testing.assert_allclose(emtable.inductances(table, table.y), table.inductance, atol=1e-5)
 
 
 @pytest.mark.parametrize("y", [-1.1, 1.0001, np.nan, np.array([0.0, 2.0])])

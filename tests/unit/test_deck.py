@@ -6,26 +6,10 @@ from dataclasses import replace
 import pytest
 
 from kc2spice.netlist.circuit import Param, Pin, positive
-from kc2spice.netlist.deck import Command, ac, dc, transient
 from kc2spice.rom.linear import Certificate
 from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
-
-
-def test_analyses_say_what_was_asked():
-    assert transient(2.0, 0.5, uic=False).card == ".tran 0.002 2.0 0 0.5"
-    assert transient(2.0, 1e-3, uic=True).card == ".tran 0.001 2.0 0 0.001 uic"
-    assert ac(10.0, 1e3, 7, "linear").card == ".ac lin 7 10.0 1000.0"
-    assert ac(10.0, 1e3, 7, "log").card == ".ac dec 4 10.0 1000.0"
-    assert ac(10.0, 1e3, 8, "log").card == ".ac dec 4 10.0 1000.0"
-    assert ac(1.0, 1e9, 3, "log").card == ".ac dec 1 1.0 1000000000.0"
-    narrow = math.ceil(100 / math.log10(1010 / 1000))
-    assert ac(1000.0, 1010.0, 100, "log").card == f".ac dec {narrow} 1000.0 1010.0"
-    assert ac(1e3, 1e3, 100, "log").card.startswith(".ac dec ")  # a band that is one frequency
-    assert dc("V1", 1.0, 3.0, 5).card == ".dc V1 1.0 3.125 0.5"
-    assert Command("op", ()).card == ".op"
-
 
 # --------------------------------------------------------------------------------- libraries
 

@@ -13,6 +13,8 @@ PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 PAGES = [page for page in PAGES if page.name != "CHANGELOG.md"]  # tells of what was
 SOURCES = [*(ROOT / "kc2spice").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
 
+SCRIPTS = [*SOURCES, *(ROOT / "tools").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
+
 
 def prose(page):
     """Without blocks of code."""
@@ -64,7 +66,7 @@ def stale_names(page):
     """Paths of Python files, `Class.member` and dotted `kc2spice.…` in backticks that are none."""
     for name in re.findall(r"`([^`\n]+)`", prose(page)):
         if re.fullmatch(r"[\w/.]+\.py", name):
-            if not any(str(path).endswith(f"/{name}") for path in ROOT.rglob(Path(name).name)):
+            if not any(str(path).endswith(f"/{name}") for path in SCRIPTS):
                 yield name
         elif re.fullmatch(r"kc2spice(/\w+)+", name):
             if not (ROOT / name).exists():

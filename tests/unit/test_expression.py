@@ -4,7 +4,6 @@ import operator
 
 import pytest
 
-from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import (
     Binary,
     Choice,
@@ -88,16 +87,3 @@ def test_scale_factors_are_ngspices(text, value):
     assert isinstance(tree, Number)
     assert float(tree.text) == pytest.approx(value, rel=1e-15)
     assert parse(f"max({text}, 1)").arguments == (tree, Number("1"))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("", "something expected"), ("1+", "something expected"), ("(1", r"\) expected"),
-     ("1)", "stray text"), ("1 2", "stray text"), ("1 ? 2", ": expected"),
-     ("V(", "a node expected"), ("V()", "a node expected"), ("V(ab", "a node expected"),
-     ("max(1", r"\) expected"), ("max(1,)", "something expected"), ("*2", "something expected")],
-)  # fmt: skip
-def test_what_is_no_expression_is_refused(text, message):
-    with pytest.raises(UsageError, match=message) as caught:
-        parse(text, where="deck.cir:3")
-    assert caught.value.where == "deck.cir:3"

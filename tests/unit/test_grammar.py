@@ -205,20 +205,6 @@ def test_a_signal_listens_to_two_pins_only_if_these_fit_each_other():
     assert "weight.a is um/N, ball.v is m/s/N" in str(caught.value)
 
 
-def test_several_parts_of_one_type_are_ordinary():
-    tables = {
-        f"r{k}": {"part": "resistor", "resistance": 1.0 + k, "pins": {"a": f"r{max(k - 1, 0)}.b"}}
-        for k in range(1, 5)
-    }
-    tables["r0"] = {"part": "resistor", "resistance": 1.0, "pins": {"a": "v.out"}}
-    tables["v"] = {"part": "source", "dc": 1.0}
-    scene = load_scene(tables | {"analysis": {"type": "op"}})
-    assert [part.keys.resistance for part in scene.of("resistor")] == [2.0, 3.0, 4.0, 5.0, 1.0]
-    assert scene.only("resistor") is None
-    assert scene.only("source").name == "v"
-    assert len(set(scene.nets.values())) == 6
-
-
 class _Keys(Section):
     """Two equal resistors in series."""
 
@@ -262,23 +248,6 @@ def test_a_registered_part_type_is_one_among_all(tee, scene_file):
     assert scene.parts["lower"].keys.each == 5.0
     with pytest.raises(UsageError, match="did you mean 'test_tee'"):
         load_scene(scene_file(text.replace("test_tee", "test_te")))
-
-
-def test_a_part_type_without_name_or_schema_is_refused():
-    class Unnamed(PartType):
-        def pins(self, part, scene):
-            return ()
-
-    with pytest.raises(UsageError, match="needs a name and a schema"):
-        register(Unnamed())
-
-
-@pytest.mark.parametrize("take", ["max", "min", "final", "rms", "peak_to_peak"])
-def test_a_probe_is_a_metric_of_every_take(take):
-    tables = {"v": {"part": "source", "dc": 1.0, "pins": {"out": "r.a"}}}
-    tables |= {"r": {"part": "resistor", "resistance": 1.0}}
-    scene = load_scene(tables | {"probes": {"top": {"of": "r.v", "take": take}}})
-    assert scene.probes["top"].take == take
 
 
 def test_a_take_that_does_not_exist_is_refused():

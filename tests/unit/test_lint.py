@@ -157,14 +157,6 @@ def test_what_stands_there_and_what_would_be_right(cards, got, expected):
     assert found == ([] if got is None else [(got, expected)])
 
 
-@pytest.mark.parametrize(("count", "listed"), [(0, False), (1, True), (12, True), (13, False)])
-def test_a_dozen_choices_are_listed(count, listed):
-    models = [f"m{k:02d}" for k in range(count)]
-    cards = "".join(f".model {name} D\n" for name in models)
-    (problem,) = problems(deck(f"V1 in 0 1\n{cards}D1 in 0 zzz"))
-    assert problem.expected == (", ".join(models) if listed else None)
-
-
 def test_mistakes_inside_a_library_are_found():
     broken = LIBRARY.replace("R2 mid bottom", "R2 midd bottom")
     assert [m for _, m, _ in complaints("V1 in 0 1\nX1 in nc 0 divider", broken)] == [

@@ -8,10 +8,9 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.dialect import translate
 from kc2spice.netlist.elements import circuit
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import read_deck, read_lib
+from kc2spice.netlist.read import read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
@@ -111,23 +110,3 @@ def test_no_pin_reads_as_a_resistor():
         pins += re.findall(r'\(name "([^"]+)"', path.read_text())
     assert "ring0" in pins
     assert not [pin for pin in pins if re.fullmatch(r"(?i)r\d+", pin)]
-
-
-@pytest.mark.parametrize("name", ["kick_and_catch", "pwm_coil", "harvester_bridge", "harmonic"])
-def test_decks_for_xyce_are_in_its_own_words(name):
-    """One line of time options (the last replaces others), no ``uramp``, a ceiling of the step."""
-    deck = translate(read_deck(NETLISTS / name / f"{name}.cir"), "xyce")
-    text = deck.files[deck.main]
-    transient = re.findall(r"(?m)^\.tran (\S+) (\S+) (\S+) (\S+)", text)
-    assert text.lower().count(".options timeint") == len(transient)
-    assert all(float(ceiling) <= 1e-6 for *_, ceiling in transient)
-    assert "* Run it with:  Xyce" in text
-    assert "ngspice" not in text
-    cards = "\n".join(
-        line for t in deck.files.values() for line in t.splitlines() if line[:1] != "*"
-    )
-    assert "uramp" not in cards
-    assert "uramp" in LOOP or name != "kick_and_catch"
-
-
-LOOP = (NETLISTS / "kick_and_catch" / "pid.lib").read_text()

@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.core.errors import MissingToolError
-from kc2spice.linalg.factor import factorise, inverses
-from kc2spice.linalg.pardiso import Pardiso
+from kc2spice.linalg.factor import inverses
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
@@ -42,32 +41,6 @@ def banded(kind):
     if kind == "indefinite":
         matrix = matrix - 4.0 * sparse.eye_array(N, format="csc")  # no diagonal is left
     return matrix + 1j * sparse.eye_array(N, format="csc") if kind == "complex" else matrix
-
-
-@pytest.mark.parametrize("kind", ["definite", "indefinite", "complex"])
-def test_both_solvers_give_the_same_solution(pardiso, kind):
-    matrix = sparse.csc_array(banded(kind))
-    rhs = np.random.default_rng(3).standard_normal((N, 3))
-    expected = factorise(matrix, definite=kind == "definite").solve(rhs)
-    found = Pardiso(matrix, symmetric=True, definite=kind == "definite").solve(rhs)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
-    np.testing.assert_allclose(found[:, 0], np.linalg.solve(matrix.toarray(), rhs[:, 0]), rtol=1e-9)
-
-
-@pytest.mark.parametrize("s", [0.0, 0.3j])
-@pytest.mark.parametrize("symmetric", [True, False])
-def test_a_pencil_and_its_transpose_are_solved(pardiso, s, symmetric):
-    pencil = grid_model(7, 3).pencil
-    if not symmetric:
-        K, E, M = pencil.coefficients
-        K = sparse.csc_array(K + 0.1 * sparse.eye_array(pencil.size, k=1))
-        pencil = type(pencil)((K, E, M), pencil.B, pencil.C, pencil.D)
-    dense = pencil.at(s).toarray()
-    forward, backward = pencil.solver(s, "pardiso")
-    for factor, matrix in ((forward, dense), (backward, dense.T)):
-        expected = np.linalg.solve(matrix, pencil.B)
-        found = factor.solve(pencil.B)
-        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
 def test_reductions_are_the_same(pardiso):

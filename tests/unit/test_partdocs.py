@@ -1,20 +1,17 @@
 """The reference of part types: every type is there with its pins and keys, from live scenes."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from kc2spice.cli.main import app
 from kc2spice.core.toml import parse_toml
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.partdocs import part_docs
 from kc2spice.scene.parttype import part_types
 
-ROOT = Path(__file__).parents[2]
 BY_FILE = {"body", "matrices"}  # their pins stand in files of the user
 NO_PINS = {"port_loads", "throw"}
 
@@ -90,10 +87,7 @@ def test_examples_are_scenes_that_load():
 
 
 def test_command_line_lists_them(docs):
-    done = subprocess.run(
-        [sys.executable, "-m", "kc2spice", "scenes", "--parts", "--json"],
-        capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    done = CliRunner().invoke(app, ["scenes", "--parts", "--json"])
     listed = {entry["name"]: entry for entry in json.loads(done.stdout)}
     assert list(listed) == list(docs)
     assert [pin["name"] for pin in listed["spring"]["pins"]] == ["a", "b"]

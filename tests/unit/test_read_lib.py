@@ -6,6 +6,8 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.circuit import Param, Pin
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.parameters import with_parameters
 from kc2spice.netlist.read import read_deck
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
@@ -101,3 +103,15 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
     assert caught.value.expected == pins
     with pytest.raises(UsageError, match="cannot read"):
         read_lib(tmp_path / "none.lib")
+
+
+def test_parameters_outside_their_range_are_refused():
+    """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
+    part = sphere_subcircuit(HEADER, 3e-5, 1e-3, 9.81)
+    deck = Deck(name="d", parts=(part,))
+    assert "mass=2e-05" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
+    for name in ("mass", "radius"):
+        for value in (0.0, -1.0):
+            with pytest.raises(UsageError, match="outside the range"):
+                with_parameters(deck, [(f"sphere.{name}", value)])
+    assert with_parameters(deck, [("sphere.gravity", -9.81)]) != deck  # any sign

@@ -1,10 +1,6 @@
 """Readers of other tools' matrices: every format, every port selection, every refusal."""
 
-import io
-import subprocess
-import sys
 import time
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +11,6 @@ from scipy import sparse
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.rom.linear import LinearModel
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 N = 6
@@ -200,17 +195,6 @@ def test_abaqus_matrix_input(tmp_path):
     np.testing.assert_allclose(model.E.toarray(), 0.01 * K, rtol=1e-14)
 
 
-def test_abaqus_coordinate_and_its_held_freedoms(tmp_path):
-    held = K.copy()
-    held[0, 0] = 1e36
-    for word, matrix in {"STIF": held, "MASS": M}.items():
-        lines = [f"{i + 1} {j + 1}  {matrix[i, j]: .15e}" for i in range(N) for j in range(N)]
-        (tmp_path / f"job_{word}1.mtx").write_text("\n".join(lines))
-    (tmp_path / "rows.csv").write_text("\n".join(f"{n},{k}" for n, k in ROWS))
-    side = sidecar(tmp_path, 'dofs = "rows.csv"\n' + TIP)
-    same(read_model(tmp_path / "job_STIF1.mtx", side), K[1:, 1:], M[1:, 1:])
-
-
 def test_calculix_rows_keep_node_numbers_as_text(tmp_path):
     """Node 12.3 is not a decimal number, and 2.10 would not be 2.1."""
     upper = [(i, j) for j in range(N) for i in range(j + 1)]
@@ -249,15 +233,6 @@ def test_dmig_in_small_and_free_fields(tmp_path):
     side = sidecar(tmp_path, TIP.replace("300", "1").replace("uy", "uz"))
     model = read_model(tmp_path / "m.pch", side)
     same(model, np.array([[50.0, -2.5], [-2.5, 4.0]]), np.diag([1.0, 2.0]))
-
-
-def test_dmig_refuses_two_stiffnesses_unless_told(tmp_path):
-    text = (DATA / "wing.pch").read_text()
-    (tmp_path / "m.pch").write_text(text + text.replace("KAAX", "KGGX"))
-    port = TIP.replace("300", "5").replace("uy", "uz")
-    refused(tmp_path / "m.pch", "KAAX", "KGGX", "matrices", side=sidecar(tmp_path, port))
-    chosen = 'matrices = { K = "KAAX", M = "MAAX" }\n' + port
-    assert read_model(tmp_path / "m.pch", sidecar(tmp_path, chosen)).order == 10
 
 
 def beside(folder, monkeypatch, module, text):
@@ -305,20 +280,6 @@ def test_ansys_full_drops_what_ansys_constrains(tmp_path, monkeypatch):
     with (tmp_path / "m.full").open("wb") as file:
         np.savez(file, place=place, K=np.triu(K * cut), M=np.triu(M * cut))
     same(read_model(tmp_path / "m.full", sidecar(tmp_path, TIP)), K[1:, 1:], M[1:, 1:])
-
-
-def test_first_order_and_heat(tmp_path):
-    base = write_family(tmp_path, A=-K, B=np.ones((N, 1)), C=np.ones((2, N)), D=np.ones((2, 1)))
-    model = read_model(base)
-    np.testing.assert_allclose(model.A.toarray(), -K)
-    np.testing.assert_array_equal(model.E.toarray(), np.eye(N))
-    heat = tmp_path / "heat"
-    heat.mkdir()
-    model = read_model(write_family(heat, E=M, K=K, B=np.ones((N, 1))))
-    own = LinearModel(E=M, K=K, B=np.ones((N, 1)))
-    np.testing.assert_array_equal(own.A, -K)
-    np.testing.assert_allclose(model.A.toarray(), -K)
-    np.testing.assert_allclose(model.transfer(np.array([0.0]))[0], [[np.linalg.inv(K).sum()]])
 
 
 # ---------------------------------------------------------------------------- ports
@@ -453,17 +414,6 @@ def test_columns_rows_scales_and_feedthrough(tmp_path):
     assert model.band == (0.0, 1e3)
 
 
-def test_ports_with_directions_take_columns_and_rows_in_order(tmp_path):
-    B, C = np.arange(12.0).reshape(N, 2), np.arange(18.0).reshape(3, N)
-    base = write_family(tmp_path, K=K, M=M, B=B, C=C)
-    names = (("a", "in"), ("b", "out"), ("c", "in"), ("d", "out"))
-    text = "".join(f'[[port]]\nname="{n}"\ndirection="{d}"\n' for n, d in names)
-    model = read_model(base, sidecar(tmp_path, text))
-    np.testing.assert_array_equal(model.B, B)
-    np.testing.assert_array_equal(model.C, C[:2])
-    assert [p.kind for p in model.ports] == ["input", "output", "input", "output"]
-
-
 def test_damping_by_ratio(labelled):
     model = labelled("damping = { ratio = 0.02, at = 100 }\n" + TIP)
     assert model.rayleigh == pytest.approx((0.0, 2 * 0.02 / (2 * np.pi * 100)))
@@ -567,81 +517,6 @@ def test_harwell_boeing_pointers_and_mapping_are_checked(tmp_path):
     refused(tmp_path / "m", "pointers", side=side)
 
 
-@pytest.mark.parametrize("keep", [0.0, 0.01, 0.3, 0.7, 0.97])
-@pytest.mark.parametrize("name", ["beam.sti", "beam.mas", "beam.dof", "wing.pch", "inboard.op4"])
-def test_truncated_files_are_refused(tmp_path, name, keep):
-    for other in DATA.iterdir():
-        (tmp_path / other.name).write_bytes(other.read_bytes())
-    whole = (DATA / name).read_bytes()
-    (tmp_path / name).write_bytes(whole[: int(keep * len(whole))])
-    side = sidecar(tmp_path, '[[ports]]\nname="p"\nkind="mechanical"\nnode=5\ndof="uz"\n')
-    with pytest.raises(UsageError):
-        read_model(tmp_path / name, side)
-
-
-@pytest.mark.parametrize("name", ["job_STIF1.mtx", "m.sti"])
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "1,1,1,1",
-        "a,b,c,d,e",
-        "1,1,1,99,1.0",
-        "1 1 nan",
-        "1 1 1\n2",
-        "1 999999999999 1.0",
-        "-1 1 1",
-    ],
-)
-def test_damaged_abaqus_and_calculix_files(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    (tmp_path / "m.mas").write_text("1 1 1.0")
-    (tmp_path / "m.dof").write_text("300.2")
-    (tmp_path / "job_MASS1.mtx").write_text("300,2,300,2,1.0" if "," in text else "1 1 1.0")
-    refused(tmp_path / name, side=sidecar(tmp_path, TIP))
-
-
-def deflated(tmp_path, shape, name="K"):
-    """An archive whose array of zeros is declared, and mostly not there."""
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        header, {"descr": "<f8", "fortran_order": False, "shape": shape}
-    )
-    path = tmp_path / "m.npz"
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
-        archive.open(f"{name}.npy", "w", force_zip64=True) as stream,
-    ):
-        stream.write(header.getvalue())
-        for _ in range(150):
-            stream.write(b"\0" * 2**20)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("shape", "name"), [((9000, 8000), "K"), ((10**9, 2), "K"), ((10**9,), "K.data")]
-)
-def test_archives_are_refused_by_declared_size(tmp_path, shape, name):
-    """Zeros deflate a thousandfold: what is declared must be refused before it is unpacked."""
-    path = deflated(tmp_path, shape, name)
-    assert path.stat().st_size < 2e6
-    program = (
-        "import resource, sys; from kc2spice.bodies.readers import read_model\n"
-        "from kc2spice.core.errors import UsageError\n"
-        "import resource; before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
-        "try: read_model(sys.argv[1])\n"
-        "except UsageError as error: print(error)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"
-    )
-    ran = subprocess.run(
-        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True,
-        cwd=Path(__file__).parents[2],
-    )  # fmt: skip
-    *said, grown = ran.stdout.splitlines()
-    assert "more than" in "\n".join(said)
-    assert int(grown) < 50_000  # KiB
-
-
 def test_parsing_is_linear_in_length(tmp_path):
     """Blanks, brackets and long lines cost what they are long."""
     base = write_family(tmp_path, M=M, B=np.ones((N, 1)))
@@ -722,27 +597,22 @@ def test_documented_sidecar_is_read(tmp_path):
 def family_of(name, place):
     """The files of one model of each format in ``place``; returns what to open and its port."""
     port = TIP
-    if name in ("beam.sti", "beam.dof", "wing.pch", "inboard.op4"):
+    if name in ("beam.sti", "wing.pch", "inboard.op4"):
         for other in DATA.iterdir():
             (place / other.name).write_bytes(other.read_bytes())
         port = TIP.replace("300", "5").replace("uy", "uz")
     if name == "inboard.op4":
         (place / "rows.csv").write_text("".join(f"{k},3\n" for k in range(1, 33)))
         port = 'dofs = "rows.csv"\n' + port
-    nodes, dofs = np.array(ROWS).T
-    if name == "m.npz":
-        np.savez(place / name, K=K, M=M, nodes=nodes, dofs=dofs)
-    elif name == "m.K":
+    if name == "m.K":
         write_boeing(place / name, K, "Stiffness")
         write_boeing(place / "m.M", M, "Mass")
         write_mapping(place / "m.mapping", ROWS)
-    elif name == "m_K.mtx":
-        write_family(place, "m_{}.mtx", K=K, M=M, B=np.ones((N, 1)))
-        port = '[[ports]]\nname="a"\nkind="mechanical"\ncolumn=1\n'
     elif name == "job_STIF1.mtx":
         write_abaqus(place / name, K)
         write_abaqus(place / "job_MASS1.mtx", M)
     elif name == "mesh.inp":
+        nodes, dofs = np.array(ROWS).T
         np.savez(place / "m.npz", K=K, M=M, nodes=nodes, dofs=dofs)
         (place / name).write_text(
             "*NODE\n7,0,0,0\n20,1,0,0\n300,2,0,0\n*NSET,NSET=A,GENERATE\n7,20,13\n"
@@ -754,12 +624,11 @@ def family_of(name, place):
 
 @pytest.mark.parametrize(
     "name",
-    # each of op4 is a process of its own
-    ["beam.sti", "beam.dof", "wing.pch", pytest.param("inboard.op4", marks=pytest.mark.slow),
-     "m.npz", "m.K", "m_K.mtx", "job_STIF1.mtx", "mesh.inp"],
+    ["beam.sti", "wing.pch", pytest.param("inboard.op4", marks=pytest.mark.slow), "m.K",
+     "job_STIF1.mtx", "mesh.inp"],
 )  # fmt: skip
 def test_random_damage_ends_in_a_model_or_one_clear_error(tmp_path, name):
-    """Bytes replaced, repeated and cut out, sixty times: never another exception."""
+    """Bytes replaced, repeated and cut out: never another exception."""
     path, port = family_of(name, tmp_path)
     side = sidecar(tmp_path, port, "side.toml")
     read_model(path, side)
@@ -767,7 +636,7 @@ def test_random_damage_ends_in_a_model_or_one_clear_error(tmp_path, name):
     whole = target.read_bytes()
     rng = np.random.default_rng(7)
     outcomes = set()
-    for _ in range(60):
+    for _ in range(5 if name == "inboard.op4" else 40):  # each of op4 is a process of its own
         data = bytearray(whole)
         for _ in range(rng.integers(1, 4)):
             at = int(rng.integers(len(data)))

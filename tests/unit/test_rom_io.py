@@ -1,12 +1,9 @@
 """Models from files: three formats give one model, bad ones one clear error, ROMs come back."""
 
 import json
-import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy import io, sparse
 from typer.testing import CliRunner
 
@@ -14,7 +11,7 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import Certificate, LinearModel, Port
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.matrix_market import read_market
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.workflow.reduce import export_rom, reduce
@@ -131,41 +128,6 @@ def with_value(value):
     return change
 
 
-BAD_MODELS = {
-    "NaN": (lambda: edited("K", with_value(np.nan)), "NaN"),
-    "infinite": (lambda: edited("M", with_value(np.inf)), "NaN or infinity"),
-    "complex": (lambda: edited("E", with_value(1j)), "complex"),
-    "shape": (lambda: edited("M", lambda m: m[:5, :5]), "12 x 12|5 x 5"),
-    "wide": (lambda: edited("B", lambda b: b.T), "does not fit"),
-    "no mass": (lambda: {k: v for k, v in chain().items() if k in "KB"}, "complete"),
-    "no input": (lambda: {k: v for k, v in chain().items() if k != "B"}, "complete"),
-    "both orders": (lambda: {**chain(), "A": np.eye(N)}, "complete"),
-    "no effect": (lambda: edited("B", lambda b: 0 * b), "no effective"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_MODELS)
-@pytest.mark.parametrize("writer", ["market", "csc"])
-def test_bad_matrices_are_refused_by_name(tmp_path, case, writer):
-    make, words = BAD_MODELS[case]
-    path = WRITERS[writer](tmp_path, make())
-    with pytest.raises(UsageError, match=words) as caught:
-        read_model(path)
-    assert str(tmp_path / "model") in str(caught.value)
-
-
-def test_sizes_are_judged_before_memory_is_taken(tmp_path):
-    write_family(tmp_path, chain())
-    bomb = "%%MatrixMarket matrix array real general\n900000000 900000000\n1.0\n"
-    (tmp_path / "model.K").write_text(bomb)
-    with pytest.raises(UsageError, match="rows and columns"):
-        read_model(tmp_path / "model")
-    liar = "%%MatrixMarket matrix coordinate real general\n12 12 150000000\n1 1 1.0\n"
-    (tmp_path / "model.K").write_text(liar)
-    with pytest.raises(UsageError, match="cut off"):
-        read_model(tmp_path / "model")
-
-
 def test_objects_are_never_unpickled(tmp_path):
     class Trap:
         def __reduce__(self):
@@ -181,30 +143,7 @@ def test_objects_are_never_unpickled(tmp_path):
         read_model(tmp_path / "model.mat")
 
 
-@pytest.mark.parametrize("writer", ["market", "csc"])
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(data=st.data())
-def test_damaged_files_give_one_clear_error(tmp_path, writer, data):
-    path = WRITERS[writer](tmp_path, chain())
-    victim = tmp_path / "model.K" if writer == "market" else path
-    content = bytearray(victim.read_bytes())
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        for _ in range(data.draw(st.integers(1, 8))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    victim.write_bytes(content)
-    try:
-        model = read_model(path)  # some damage is a valid model, of other numbers
-    except UsageError as error:
-        assert str(victim) in str(error) or str(path) in str(error)
-    else:
-        assert all(np.isfinite(P.data).all() for P in (model.M, model.E, model.K))
-
-
-@pytest.mark.parametrize(("place", "value"), [(300, None), (0, None), (128, 255), (165, 9)])
+@pytest.mark.parametrize(("place", "value"), [(300, None), (165, 9)])
 def test_damaged_matlab_files_do_not_crash_the_program(tmp_path, place, value):
     path = write_mat(tmp_path, chain())
     content = bytearray(path.read_bytes())
@@ -237,20 +176,6 @@ def test_bad_port_tables_are_refused(tmp_path, case):
     (tmp_path / "model.toml").write_text(BAD_TABLES[case])
     with pytest.raises(UsageError, match=r"model\.toml"):
         read_model(base)
-
-
-def test_damaged_reduced_models_are_refused(tmp_path):
-    model = read_model(write_family(tmp_path, chain()))
-    write_rom(reduce_model(model, band=(0.0, 0.1), order=4), tmp_path, "r")
-    whole = (tmp_path / "r.npz").read_bytes()
-    for size in (0, 10, len(whole) // 2, len(whole) - 1):
-        (tmp_path / "cut.npz").write_bytes(whole[:size])
-        with pytest.raises(UsageError, match=r"cut\.npz"):
-            read_rom(tmp_path / "cut.npz")
-    with pytest.raises(UsageError, match="not a reduced model"):
-        read_rom(write_npz(tmp_path, chain()))
-    with zipfile.ZipFile(tmp_path / "r.npz") as archive:
-        assert "record.npy" in archive.namelist()
 
 
 def test_command_line_reduces_and_exports(tmp_path):
@@ -344,15 +269,15 @@ def corrupt(path):
 BAD_FILES = {
     "corrupt": (chain, corrupt),
     "truncated": (chain, truncated),
-    "complex": (BAD_MODELS["complex"][0], None),
-    "NaN": (BAD_MODELS["NaN"][0], None),
-    "mismatched": (BAD_MODELS["shape"][0], None),
+    "complex": (lambda: edited("E", with_value(1j)), None),
+    "NaN": (lambda: edited("K", with_value(np.nan)), None),
+    "mismatched": (lambda: edited("M", lambda m: m[:5, :5]), None),
     "huge": (huge, None),
 }
+PAIRS = [(writer, case) for writer in ("market", "csc") for case in BAD_FILES]
 
 
-@pytest.mark.parametrize("case", BAD_FILES)
-@pytest.mark.parametrize("writer", ["market", "mat", "csc", "coo"])
+@pytest.mark.parametrize(("writer", "case"), [*PAIRS, ("mat", "corrupt")])
 def test_every_kind_of_file_is_refused_with_one_message(tmp_path, writer, case):
     """Exit code 2, the file's name, no traceback, nothing written."""
     make, damage = BAD_FILES[case]
@@ -419,33 +344,18 @@ def test_market_files_hold_what_they_declare(head, text, matrix, entries):
     assert asked == [((len(matrix), len(matrix[0])), entries)]
 
 
-BAD_RECORDS = {
-    "kind": lambda r: r["ports"][0].update(kind="magic"),
-    "name of two words": lambda r: r["ports"][0].update(name="a b"),
-    "long name": lambda r: r["ports"][0].update(name="a" * 65),
-    "line break": lambda r: r["ports"][0].update(across="V\n.control"),
-    "name that is none": lambda r: r["ports"][0].update(name=5),
-    "empty unit": lambda r: r["ports"][0].update(flow=""),
-    "band": lambda r: r["certificate"].update(band_hz=[2.0, 1.0]),
-    "negative band": lambda r: r["certificate"].update(band_hz=[-1.0, 1.0]),
-    "endless band": lambda r: r["certificate"].update(band_hz=[0.0, float("inf")]),
-    "estimate": lambda r: r["certificate"].update(error_estimate=float("nan")),
-    "long method": lambda r: r["certificate"].update(method="a" * 1001),
-    "above": lambda r: r["certificate"].update(above=[[1.0, float("inf")]]),
-}
+def test_a_part_that_is_no_body_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no linear model") as caught:
+        reduce("kick_and_catch:sphere", tmp_path / "out")
+    assert caught.value.expected == "kick"
+    assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("case", [None, *BAD_RECORDS])
-def test_records_of_reduced_models_are_judged(tmp_path, case):
-    known = Certificate((0.0, 0.1), 1e-3, "m" * 1000, True, False, ((0.2, 1e-2),))
-    ports = (Port("a" * 64, "mechanical"),)
-    rom = LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), ports=ports, certificate=known)
-    assert write_rom(rom, tmp_path, "r") == ["r.npz", "r.json", *(f"r.{k}" for k in "MEKBCD")]
-    record = json.loads((tmp_path / "r.json").read_text())
-    if case is None:
-        assert read_rom(tmp_path / "r.json").certificate == known
-        return
-    BAD_RECORDS[case](record)
-    (tmp_path / "r.json").write_text(json.dumps(record))
-    with pytest.raises(UsageError, match="not a reduced model"):
-        read_rom(tmp_path / "r.json")
+def test_an_unknown_part_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no such part"):
+        reduce("kick_and_catch:chip", tmp_path / "out")
+
+
+def test_a_file_with_a_colon_is_a_file(tmp_path):
+    with pytest.raises(UsageError, match="no such model"):
+        reduce(tmp_path / "no:scene", tmp_path / "out")

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.signal import StateSpace, lsim
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import _poles, block_model
+from kc2spice.rom.blocks import block_model
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import without_inertia
@@ -30,31 +30,7 @@ def modes(hertz, gain, ports=(TIP,), *, ratio=0.05, D=None, massless=0, pace=Non
     return Resonators(omega, damp, gain, D, tuple(ports), CERTIFICATE, massless)
 
 
-def test_poles_of_a_real_schur_form_are_those_of_its_blocks():
-    T = block_diag([[-1.0, 2.0], [-8.0, -1.0]], [[-3.0]])
-    T[0, 2] = 5.0
-    np.testing.assert_allclose(_poles(T), [-1 + 4j, -3.0], rtol=1e-15)
-
-
 # ---------------------------------------------------------------------------------- resonators
-
-
-def test_resonators_are_the_modes_of_the_matrices():
-    """Of ``K``, ``M`` in any coordinates, the lowest first; the largest gain is positive."""
-    hertz, gain = np.array([1.0, 2.0, 5.0]), np.array([[1.0, -3.0], [0.5, 2.0], [-4.0, 1.0]])
-    turn = RNG.standard_normal((3, 3))
-    omega, D = 2 * np.pi * hertz, np.diag([0.0, 2.0])
-    order = [1, 2, 0]
-    parts = (np.eye(3), np.diag(0.1 * omega), np.diag(omega**2))
-    M, E, K = (turn.T @ P[np.ix_(order, order)] @ turn for P in parts)
-    M, E, K = (0.5 * (P + P.T) for P in (M, E, K))
-    rom = LinearModel(M=M, E=E, K=K, B=turn.T @ gain[order], D=D, ports=(TIP, ANODE))
-    found = resonators(rom)
-    np.testing.assert_allclose(found.omega, omega, rtol=1e-9)
-    np.testing.assert_allclose(found.damp, 0.1 * omega, rtol=1e-7)
-    np.testing.assert_allclose(found.gain, gain * [[-1], [1], [-1]], rtol=1e-7)
-    frequency = np.array([0.0, 0.7, 3.0])
-    np.testing.assert_allclose(found.transfer(frequency), rom.transfer(frequency), rtol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -103,58 +79,7 @@ def test_modes_answer_loads_that_are_linear_between_the_times(name):
         np.testing.assert_allclose(found.stored, stored, rtol=0, atol=close * stored.max())
 
 
-def test_states_without_inertia_relax_or_follow_at_once():
-    """``d q' + w^2 q = g u`` under a ramp: ``q = g/w^2 (t - T (1 - exp(-t/T)))``."""
-    t = np.array([0.0, 1e-4, 0.1, 0.35, 2.0, 2.1])
-    for damp in (4.0, 0.0):
-        model = Resonators(np.array([3.0]), np.array([damp]), np.array([[2.0]]), np.zeros((1, 1)),
-                           (TIP,), None, 1)  # fmt: skip
-        found = chip_response(model, t, t[:, None])
-        T = damp / 9
-        decay = np.exp(-t / T) if damp else 0 * t
-        q = 2 / 9 * (t - T * (1 - decay))
-        np.testing.assert_allclose(found.output[:, 0], 2 * q, atol=1e-12)
-        np.testing.assert_allclose(found.stored, 9 * q**2 / 2, atol=1e-12)
-
-
-def test_a_stiff_pair_keeps_its_slow_root():
-    """Damped a million times critically, a mode creeps: ``z = 1 - exp(-w^2 t / d)``."""
-    omega, damp = 1.0, 2e6
-    model = Resonators(
-        np.array([omega]), np.array([damp]), np.eye(1), np.zeros((1, 1)), (TIP,), None
-    )
-    t = np.array([0.0, 1e-9, 1e6, 4e6])
-    z = chip_response(model, t, np.array([[0.0], [1.0], [1.0], [1.0]])).output[2:, 0]
-    np.testing.assert_allclose(z, 1 - np.exp(-t[2:] * omega**2 / damp), rtol=1e-8)
-
-
 # ----------------------------------------------------------------------------- without inertia
-
-
-def test_states_of_one_pace_become_as_many_as_ports_move():
-    """Three stiff modes of two ports: two states, the same compliance, the same relaxation."""
-    ports = (TIP, ANODE, BASE)
-    hertz = np.array([300.0, 0.5, 200.0, 100.0])
-    gain = np.array([[3.0, 1, 7], [5, 2, 7], [-2, 1, 7], [1.0, 4, 7]])
-    model = modes(hertz, gain, ports, D=np.diag([0.0, 1e-3, 1.0]), pace=1e-4)
-    light = without_inertia(model)
-    assert (light.order, light.massless) == (3, 2)
-    assert light.omega[0] == model.omega[1]
-    static = sum(np.outer(g, g) / w**2 for g, w in zip(gain, model.omega, strict=True)) + model.D
-    slow = gain[1] / model.omega[1]
-    found = light.transfer(np.zeros(1))[0].real
-    np.testing.assert_allclose(found[:2, :2], static[:2, :2], rtol=1e-12)
-    # the acceleration port does not see what has no inertia
-    np.testing.assert_allclose(found[2], slow[2] * slow + model.D[2], rtol=1e-12)
-    np.testing.assert_allclose(light.damp[1:] / light.omega[1:] ** 2, 1e-4)
-    assert (light.gain[1:][[0, 1], abs(light.gain[1:]).argmax(axis=1)] > 0).all()
-    assert light.omega[1:] == pytest.approx(model.omega[3])
-    assert light.certificate.method.endswith("no inertia from 100 Hz on, measured")
-    apart = without_inertia(dataclasses.replace(model, damp=model.damp * [1, 1, 1, 1 + 1e-8]))
-    assert apart.massless == 3
-    assert apart.certificate.method.endswith("no inertia from 100 Hz on, measured")
-    same = dataclasses.replace(model, damp=model.damp * [1, 1, 1, 1 + 1e-10])
-    assert without_inertia(same).massless == 2
 
 
 def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
@@ -175,14 +100,6 @@ def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
     assert [above[2.0], above[4.0], above[8.0]] == pytest.approx([0.1 + own[0], 0.2 + own[1], 0.3])
     for tolerance, kept in ((1e-6 + 1.001 * more, 1), (1e-6 + 0.999 * more, 0)):
         assert without_inertia(model, tolerance).massless == kept
-
-
-@pytest.mark.parametrize("own", [0.0, -1.0])
-def test_an_electrode_needs_capacitance_of_its_own(own):
-    model = modes([0.5, 100.0], [[2.0, 1], [9, 1]], (TIP, ANODE), D=np.diag([0.0, own]))
-    with pytest.raises(UsageError, match="capacitance of its own") as caught:
-        without_inertia(model)
-    assert caught.value.where == "elec"
 
 
 # -------------------------------------------------------------------------------------- blocks

@@ -13,7 +13,6 @@ from kc2spice.rom.linear import (
 )  # fmt: skip
 from kc2spice.rom.operators import (
     factor,
-    largest,
     two_sided,
 )  # fmt: skip
 from kc2spice.rom.pencil import Pencil, eliminated
@@ -74,46 +73,6 @@ def test_factors_pivot_where_they_must():
 # -------------------------------------------------------------------------------------- pencils
 
 N = 5
-FORMS = {
-    "second order": (spread(N), spread(N, 4), spread(N, 5)),
-    "symmetric": (held(N), held(N, 4), held(N, 5)),
-    "undamped": (held(N), np.zeros((N, N)), held(N, 5)),
-    "first order": (spread(N), spread(N, 5)),
-}
-
-
-def pencil(form, make=np.asarray, collocated=False, **more):
-    B = rng(9).standard_normal((N, 2))
-    C = B.T if collocated else rng(8).standard_normal((3, N))
-    D = np.full((len(C), 2), 0.25)
-    return Pencil(tuple(make(P) for P in FORMS[form]), B, C, D, **more)
-
-
-def at(form, s):
-    return sum(s**k * P for k, P in enumerate(FORMS[form]))
-
-
-@pytest.mark.parametrize("make", [np.asarray, sparse.csc_array])
-def test_rayleigh_damping_is_a_sum_of_the_others(make):
-    K, _, M = FORMS["symmetric"]
-    alpha, beta = 0.3, 0.02
-    B = rng(9).standard_normal((N, 2))
-    p = Pencil((make(K), None, make(M)), B, B.T, np.zeros((2, 2)), (alpha, beta))
-    E = alpha * M + beta * K
-    s = 0.4 + 2j
-    exact = B.T @ np.linalg.solve(s * s * M + s * E + K, B.astype(complex))
-    V = rng(6).standard_normal((N, 3))
-    np.testing.assert_allclose(p.transfer(np.array([s]))[0], exact, rtol=1e-10)
-    np.testing.assert_allclose(p.project(V).coefficients[1], V.T @ E @ V)
-    np.testing.assert_allclose(p.in_units(np.arange(1.0, 6)).transfer(np.array([s]))[0], exact)
-    np.testing.assert_allclose(p.scaled(3.0).transfer(np.array([s]))[0], exact)
-    dense = p.dense()
-    np.testing.assert_allclose(dense.coefficients[1], E)
-    assert dense.rayleigh is None
-    assert p.is_dense is (make is np.asarray)
-    found = p.bordered(2.0, 3.0, 5.0)
-    found = found if make is np.asarray else found.toarray()
-    np.testing.assert_allclose(found, 2 * K + 3 * E + 5 * M)
 
 
 @pytest.mark.parametrize("omega", [None, 3.0, 3e4])
@@ -133,40 +92,6 @@ def test_poles_are_the_finite_ones(omega):
 
 
 # --------------------------------------------------------------------------------------- models
-
-
-def test_letters_that_are_left_out_have_their_meaning():
-    K, B = held(3), rng().standard_normal((3, 2))
-    for make, kind in ((np.asarray, np.ndarray), (sparse.csr_array, sparse.csc_array)):
-        second = LinearModel(M=make(np.eye(3)), K=make(K), B=B)
-        assert isinstance(second.E, kind)
-        assert largest(second.E) == 0
-        np.testing.assert_array_equal(second.C, B.T)
-        np.testing.assert_array_equal(second.D, np.zeros((2, 2)))
-        first = LinearModel(A=make(-K), B=B, C=np.ones((1, 3)))
-        assert isinstance(first.E, kind)
-        np.testing.assert_array_equal(first.E @ np.eye(3), np.eye(3))
-        assert first.D.shape == (1, 2)
-        heat = LinearModel(E=make(np.eye(3)), K=make(K), B=B)
-        np.testing.assert_array_equal(heat.A @ np.eye(3), -K)
-        assert heat.first_order
-        assert not second.first_order
-    assert (second.inputs, second.outputs) == (("u1", "u2"), ("y1", "y2"))
-    assert second.order == 3
-    assert second.symmetric
-    assert not LinearModel(M=np.eye(3), K=K, B=B, C=2 * B.T).symmetric
-
-
-@pytest.mark.parametrize("make", [np.ndarray.tolist, sparse.csr_array, sparse.coo_array])
-def test_matrices_may_be_lists_or_sparse(make):
-    K, B = held(3), rng().standard_normal((3, 2))
-    plain = LinearModel(M=np.eye(3), K=K, B=B, D=np.eye(2))
-    found = LinearModel(
-        M=make(np.eye(3)), K=make(K), B=make(B), C=make(B.T.copy()), D=make(np.eye(2))
-    )
-    assert isinstance(found.B, np.ndarray)
-    assert isinstance(found.K, np.ndarray if make is np.ndarray.tolist else sparse.csc_array)
-    np.testing.assert_allclose(found.transfer(np.ones(1)), plain.transfer(np.ones(1)))
 
 
 I2, B2 = np.eye(2), np.ones((2, 1))
@@ -286,18 +211,3 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
     np.testing.assert_allclose(
         model.pencil.transfer(np.array([s]))[0], exact, rtol=1e-9, atol=1e-12
     )
-
-
-def test_one_electrode_may_leave_its_dimension_out():
-    port = (Port("a", "electrical"),)
-    parts = {"M": I2, "K_uu": 2 * I2, "B": np.zeros((2, 0)), "K_up": np.ones((2, 1)),
-             "K_pp": np.array([[4.0]])}  # fmt: skip
-    model = with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, k_pV=np.array([2.0]), ports=port)
-    assert model.D.tolist() == [[3.0 - 2 * 2 / 4]]
-    np.testing.assert_allclose(model.B[:, 0], 2 / 4 - 1.0)
-    assert model.rayleigh == (0.0, 0.0)
-    without = with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, ports=port)
-    assert without.D.tolist() == [[3.0]]
-    for wrong in ((), (*port, Port("b", "electrical")), (*port, Port("b", "mechanical"))):
-        with pytest.raises(UsageError, match="ports do not fit"):
-            with_potentials(**parts, k_uV=np.ones(2), c_VV=3.0, ports=wrong)

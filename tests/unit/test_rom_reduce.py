@@ -17,13 +17,6 @@ from kc2spice.rom.subspace import (
     subspace,
 )  # fmt: skip
 
-RNG = np.random.default_rng(8)
-
-
-def definite(n, rank=None):
-    root = RNG.standard_normal((n, rank or n))
-    return root @ root.T
-
 
 def chain(n, dashpot=0.0, rayleighed=False, **more):
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
@@ -234,23 +227,6 @@ def test_sampled_directions_reach_the_target(model, band, static):
     assert (space.rounding > 0.1 * eps) is not static
     assert space.rounding < 1e4 * eps
     assert space.floor < 1e-7
-
-
-@pytest.mark.usefixtures("sampled")
-@pytest.mark.parametrize("top", [0.01, 0.1, 0.25])
-def test_krylov_blocks_settle_at_zero_or_at_more_points(top):
-    """With one resonance in the band, with many, and with nearly all."""
-    model, band = chain(60, rayleighed=True), (0.0, top)
-    space = subspace(model.pencil, band, 1e-7, 1e-3, "scipy")
-    assert space.proof.startswith("settled to ")
-    assert space.static
-    assert space.error <= 1e-7
-    assert space.pencil.size <= 60
-    frequency = np.linspace(0.0, top, 97)
-    exact = exact_response(model, frequency)
-    size = np.maximum(abs(exact), FLOOR * abs(exact).max(axis=0))
-    error = abs(space.pencil.transfer(2j * np.pi * frequency) - exact) / size
-    assert error.max() < 2e-7
 
 
 @pytest.mark.parametrize("n", [200, 201])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.report.sweep_page import figures, yields
+from kc2spice.report.sweep_page import yields
 from kc2spice.workflow.sweep.plan import Grid, make_plan
 from kc2spice.workflow.sweep.point import Outcome
 from kc2spice.workflow.sweep.table import (
@@ -21,7 +21,6 @@ from kc2spice.workflow.sweep.table import (
     RowStore,
     columns,
     write_csv,
-    write_parquet,
 )
 
 PLAN = make_plan([Grid("a", tuple(0.1 * k for k in range(6)))])
@@ -61,13 +60,6 @@ def test_rows_are_sorted_and_exact(tmp_path):
     assert [row["status"] for row in rows] == ["ok"] * 2 + ['failed: stopped, at "x" 2'] + [
         "ok"
     ] * 3
-
-
-def test_parquet_holds_the_same_columns(tmp_path):
-    arrow = pytest.importorskip("pyarrow.parquet")
-    table = filled(tmp_path / "rows")
-    write_parquet(table, tmp_path / "t.parquet")
-    assert arrow.read_table(tmp_path / "t.parquet").to_pydict() == table
 
 
 def test_rows_survive_a_process_that_is_killed(tmp_path):
@@ -184,29 +176,3 @@ def test_yield_has_the_exact_binomial_interval():
     assert found["caught"]["share"] == 0.8
     assert found["caught"]["low"] == pytest.approx(0.4439, abs=5e-5)
     assert found["caught"]["high"] == pytest.approx(0.9748, abs=5e-5)
-
-
-@pytest.mark.parametrize(
-    ("keys", "random", "expected"),
-    [
-        (1, (), {"curves"}),
-        (2, (), {"map_settling_time_s", "map_caught"}),
-        (3, (), {"histograms", "over_settling_time_s", "over_caught"}),
-        (2, ("k0", "k1"), {"histograms", "over_settling_time_s", "over_caught"}),
-    ],
-)
-def test_figures_are_chosen_by_what_was_swept(keys, random, expected):
-    values = [mesh.ravel() for mesh in np.meshgrid(*[np.linspace(1.0, 2.0, 4)] * keys)]
-    table = {f"k{i}": column.tolist() for i, column in enumerate(values)}
-    units = dict.fromkeys(table, "V")
-    table |= {"settling_time_s": [None, *(values[0][1:] * 1e-3)], "caught": [True] * 4**keys}
-    table = {name: [v if v is None or v is True else float(v) for v in column]
-             for name, column in table.items()}  # fmt: skip
-    table["status"] = ["failed: no"] + ["ok"] * (4**keys - 1)
-    found = list(figures(table, units, ["settling_time_s", "caught"], random))
-    assert {figure.name for figure in found} == expected
-    if keys == 2 and not random:
-        drawn = found[0].panels[0].map
-        i, j = np.searchsorted(drawn.y, values[1][5]), np.searchsorted(drawn.x, values[0][5])
-        assert drawn.z[i, j] == values[0][5] * 1e-3
-        assert np.isnan(drawn.z).sum() == 1
