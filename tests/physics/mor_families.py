@@ -5,24 +5,16 @@ from scipy import sparse
 
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
+from laboratory.beam import hermite_beam
 
 
 def beam(elements=40, free=False):
     """Euler-Bernoulli beam of Hermite elements (E I = rho A = length = 1), tip force to tip.
 
-    Clamped, or ``free`` at both ends; Przemieniecki, Theory of Matrix Structural Analysis (1968).
+    Clamped, or ``free`` at both ends; slopes are scaled to be well conditioned.
     """
-    h = 1 / elements
-    k = [[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]
-    m = [[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]
-    k, m = np.array(k) / h**3, np.array(m) * h / 420  # rotations times h, to be well conditioned
-    n = 2 * (elements + 1)
-    K, M = np.zeros((n, n)), np.zeros((n, n))
-    for i in range(elements):
-        rows = slice(2 * i, 2 * i + 4)
-        K[rows, rows] += k
-        M[rows, rows] += m
-    keep = slice(0 if free else 2, n)
+    M, K = hermite_beam(elements, scaled=True)
+    keep = slice(0 if free else 2, None)
     K, M = K[keep, keep], M[keep, keep]
     B = np.zeros((len(K), 1))
     B[-2] = 1.0

@@ -1,24 +1,22 @@
-"""Certificates of random models against direct solutions at fine sets of frequencies.
+"""Certificates of random models against direct solutions at fine sets of frequencies."""
 
-The oracle shares no code with the reduction: poles by scipy's eigenvalues of the full matrices,
-responses by numpy's solver at, beside and between them.
-"""
-
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import eigvals
 
 from kc2spice.bodies import disc
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
+from laboratory.beam import hermite_beam
 
-FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
-ROUNDING = 1e-9
+sys.path.insert(0, str(Path(__file__).parent))
+import oracle
 
 
 def random_case(seed):
@@ -42,71 +40,28 @@ def random_case(seed):
     return (M, E, K, B, C), band, 10 ** rng.uniform(-6, -2)
 
 
-def direct(matrices, frequency):
-    M, E, K, B, C = matrices
-    s = 2j * np.pi * frequency[:, None, None]
-    return C @ np.linalg.solve(s * s * M + s * E + K, B.astype(complex)[None])
-
-
-def fine(matrices, band):
-    """On every pole in the band, at many multiples of its half width, and in between."""
-    M, E, K, _, _ = matrices
-    n = len(M)
-    inner = np.linalg.solve(M, np.hstack([K, E]))
-    poles = eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inner[:, :n], -inner[:, n:]]]))
-    poles = poles[poles.imag > 0] / (2 * np.pi)
-    offsets = np.r_[0.0, 0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
-    near = (poles.imag[:, None] + np.abs(poles.real[:, None]) * np.r_[-offsets, offsets]).ravel()
-    every = np.union1d(near, np.linspace(*band, 150))
-    every = every[(every >= band[0]) & (every <= band[1])]
-    for _ in range(3):  # into the notches, where relative errors are largest
-        size = np.abs(direct(matrices, every)).reshape(len(every), -1)
-        lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
-        every = zoomed(every, np.flatnonzero(lowest.any(axis=1)))
-    return every
-
-
-def zoomed(frequency, at):
-    """``frequency`` with more points in the gaps beside the inner point of each ``at``."""
-    return np.unique(np.r_[frequency, *(np.linspace(*frequency[[k, k + 2]], 7) for k in at)])
-
-
-def largest_error(matrices, reduced, band):
-    """Of all entries over the band: at the points of :func:`fine`, then where it still grows."""
-    frequency = fine(matrices, band)
-    peak = np.abs(direct(matrices, frequency)).max(axis=0)
-    for _ in range(4):
-        exact = direct(matrices, frequency)
-        error = np.abs(direct(reduced, frequency) - exact) / np.maximum(abs(exact), FLOOR * peak)
-        error = error.max(axis=(1, 2))
-        tops = np.flatnonzero((error[1:-1] >= error[:-2]) & (error[1:-1] > error[2:]))
-        frequency = zoomed(frequency, tops[np.argsort(error[1:-1][tops])[-20:]])
-    return float(error.max())
-
-
 def check(seed):
     """The estimate is one to three times the error and never above the tolerance."""
     matrices, band, tolerance = random_case(seed)
     M, E, K, B, C = matrices
     rom = reduce(LinearModel(M=M, E=E, K=K, B=B, C=C), tolerance=tolerance, band=band)
-    error = largest_error(matrices, (rom.M, rom.E, rom.K, rom.B, rom.C), band)
+    full = oracle.system(dict(zip("MEKBC", matrices, strict=True)))
+    error = oracle.largest_error(full, oracle.system_of(rom), band)
     estimate = rom.certificate.error_estimate
-    # Rounding of either solution is no error of the reduction.
-    assert error <= estimate + ROUNDING, (seed, error, estimate)
+    assert error <= estimate + oracle.ROUNDING, (seed, error, estimate)
     assert estimate <= tolerance, (seed, estimate, tolerance)
-    assert estimate <= 3 * error + ROUNDING, (seed, error, estimate)
+    assert estimate <= 3 * error + oracle.ROUNDING, (seed, error, estimate)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 6, 8, 9, 166, 209, 241, 374])
+@pytest.mark.parametrize("seed", [1, 6, 374])
 def test_estimate_is_between_the_error_and_three_times_it(seed):
-    """The last four: sharp notches, one of them behind a hundred others, and points that rounding
-    alone sets apart."""
+    """The last two: sharp notches, and points that rounding alone sets apart."""
     check(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", [0, 5, 7, *range(10, 500)])
+@pytest.mark.parametrize("seed", range(500))
 def test_estimate_is_between_the_error_and_three_times_it_in_all(seed):
     check(seed)
 
@@ -133,7 +88,7 @@ def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, wa
     space = subspace(full.pencil, band, np.inf, np.inf, "scipy")
     assert space.proof.startswith(way)
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
-    exact = direct((M, E, K, B, B.T), frequency)
+    exact = oracle.direct(oracle.system({"M": M, "E": E, "K": K, "B": B}), frequency)
     error = (np.abs(space.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
     rounding = 1e-11 if way == "being all" else 0.0  # numpy's solution is 4e-12 off, ours 6e-14
     assert 0 < error <= space.error + rounding
@@ -162,45 +117,17 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
     frequency = pole * np.linspace(0.99, 1.01, 21)
     K, M = full.K.toarray(), full.M.toarray()
     alpha, beta = full.rayleigh
-    exact = direct((M, alpha * M + beta * K, K, full.B, full.C), frequency) + full.D
-    found = direct((rom.M, rom.E, rom.K, rom.B, rom.C), frequency) + rom.D
+    plate = (K, alpha * M + beta * K, M), full.B, full.C, full.D
+    exact, found = (oracle.direct(each, frequency) for each in (plate, oracle.system_of(rom)))
     error = (np.abs(found - exact) / np.abs(exact)).max()
     assert 1e-9 < error <= rom.certificate.error_estimate <= 1e-6
-
-
-def cantilever(elements, ratio):
-    """Hermite beam, E I = rho A = length = 1, force and displacement at the tip."""
-    h = 1 / elements
-    k = (
-        np.array(
-            [
-                [12, 6 * h, -12, 6 * h],
-                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                [-12, -6 * h, 12, -6 * h],
-                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
-            ]
-        )
-        / h**3
-    )
-    m = np.array([
-        [156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-        [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
-    ])  # fmt: skip
-    K, M = np.zeros((2, 2 * elements + 2, 2 * elements + 2))
-    for i in range(elements):
-        s = slice(2 * i, 2 * i + 4)
-        K[s, s] += k
-        M[s, s] += m * h / 420
-    B = np.zeros((2 * elements, 1))
-    B[-2] = 1.0
-    K, M = (sparse.csc_array(P[2:, 2:]) for P in (K, M))
-    return LinearModel(M=M, K=K, B=B, rayleigh=(0.0, ratio))
 
 
 def test_cantilever_of_300_hermite_elements_says_how_good_it_is_itself():
     """Condition 1e10: less than rounding is not certified; the closed form is within the rest."""
     beta = 2 * 0.01 / 3.516
-    full = cantilever(300, beta)
+    M, K = (sparse.csc_array(P[2:, 2:]) for P in hermite_beam(300))
+    full = LinearModel(M=M, K=K, B=np.eye(600)[:, [-2]], rayleigh=(0.0, beta))
     with pytest.warns(UserWarning, match="full model itself is only good to"):
         near = reduce(full, tolerance=1e-6, band=(0.0, 5.0))
     assert near.certificate.error_estimate > 1e-6

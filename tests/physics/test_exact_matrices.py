@@ -9,27 +9,7 @@ from scipy.linalg import eigh, eigvals
 
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
-
-
-def clamped_beam(elements):
-    """Hermite beam of steel, 1 m by 10 mm by 5 mm, force and displacement at its free end."""
-    bending, line, h = 210e9 * 1e-2 * 5e-3**3 / 12, 7850 * 1e-2 * 5e-3, 1 / elements
-    k = bending / h**3 * np.array([
-        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
-    ])  # fmt: skip
-    m = line * h / 420 * np.array([
-        [156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-        [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
-    ])  # fmt: skip
-    K, M = np.zeros((2, 2 * elements + 2, 2 * elements + 2))
-    for i in range(elements):
-        s = slice(2 * i, 2 * i + 4)
-        K[s, s] += k
-        M[s, s] += m
-    B = np.zeros((2 * elements, 1))
-    B[-2] = 1.0
-    return M[2:, 2:], K[2:, 2:], B
+from laboratory.beam import steel_cantilever
 
 
 def eliminated(matrices, frequency):
@@ -55,7 +35,7 @@ def eliminated(matrices, frequency):
 @pytest.mark.parametrize(("alpha", "beta"), [(0.0, 1e-5), (2.0, 2e-6)])
 def test_an_ill_conditioned_beam_is_reduced_as_it_was_given(alpha, beta):
     """100 elements, condition 1e10: two solutions with 16 digits differ by 2e-5 of the response."""
-    M, K, B = clamped_beam(100)
+    M, K, B = steel_cantilever(100)
     E = alpha * M + beta * K
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

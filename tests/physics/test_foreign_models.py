@@ -1,16 +1,14 @@
 """Models as other tools may hand them over, of twelve unfriendly kinds: each is certified rightly,
 refused with a reason, or ends in bounded time.
-
-The oracle shares no code with the reduction: poles by scipy's generalised eigenvalues of the full
-matrices, responses by numpy's solver on, beside and between them and in the notches.
 """
 
 import signal
+import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import eigvals
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.blocks import block_model
@@ -18,11 +16,11 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
 
+sys.path.insert(0, str(Path(__file__).parent))
+import oracle
+
 SECONDS = 60
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
-FLOOR = 1e-6  # of an entry's peak; below it errors count against this part of the peak
-ROUNDING = 1e-9
-FLANK = 1e-4  # relative distance from an undamped pole, which no frequency hits exactly
 
 
 def rotation(rng, n):
@@ -170,83 +168,9 @@ KINDS = (
 )  # fmt: skip
 
 
-def polynomial(matrices):
-    """``(P0, P1[, P2])`` with ``P(s) = sum s^k Pk``, by the definitions alone."""
-    if "M" in matrices:
-        K = matrices["K"]
-        return K, matrices.get("E", 0 * K), matrices["M"]
-    if "A" in matrices:
-        A = matrices["A"]
-        return -A, matrices.get("E", np.eye(len(A)))
-    return matrices["K"], matrices["E"]
-
-
-def poles(P):
-    """Finite eigenvalues [rad/s] of the pencil, infinite ones left out."""
-    zero, one = np.zeros_like(P[0]), np.eye(len(P[0]))
-    scale = 1.0
-    if len(P) == 3:
-        scale = np.sqrt(np.abs(P[0]).max() / np.abs(P[2]).max())
-        left = np.block([[zero, one], [-P[0], -scale * P[1]]])
-        right = np.block([[one, zero], [zero, scale**2 * P[2]]])
-    else:
-        left, right = -P[0], P[1]
-    found = eigvals(left, right)
-    found = found[np.isfinite(found)] * scale
-    return found[np.abs(found) < 1e9 * np.median(np.abs(found) + 1e-30)]  # infinite ones, rounded
-
-
-def direct(model, frequency):
-    P, B, C, D = model
-    found = [
-        C @ np.linalg.solve(sum(s**k * each for k, each in enumerate(P)), B.astype(complex)) + D
-        for s in 2j * np.pi * np.asarray(frequency)
-    ]
-    return np.array(found)
-
-
-def fine(model, band, found):
-    """On and beside every pole near the band and in between, then into the notches."""
-    found = found[found.imag > 1e-7 * 2 * np.pi * band[1]] / (2 * np.pi)
-    found = found[found.imag < 1.1 * band[1]]
-    width = np.abs(found.real)
-    sharp = width < 3e-7 * found.imag
-    width = np.where(sharp, FLANK * found.imag, width)
-    offsets = np.r_[0.3, 0.7, 1.0, 1.7, 3.0, 10.0, 40.0]
-    near = found.imag[:, None] + width[:, None] * np.r_[-offsets, 0.0, offsets]
-    between = np.r_[np.linspace(*band, 150), np.geomspace(1e-4, 1, 60) * band[1]]
-    every = np.unique(np.r_[near.ravel(), between])
-
-    def kept(points):
-        points = points[(points >= band[0]) & (points <= band[1]) & (points > 0)]
-        clear = np.abs(points[:, None] - found.imag[sharp]) >= 0.99 * FLANK * found.imag[sharp]
-        return points[clear.all(axis=1)]
-
-    every = kept(every)
-    for _ in range(3):
-        size = np.abs(direct(model, every)).reshape(len(every), -1)
-        lowest = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:])
-        at = np.flatnonzero(lowest.any(axis=1))
-        every = kept(np.unique(np.r_[every, *(np.linspace(*every[[k, k + 2]], 7) for k in at)]))
-    return every
-
-
-def true_error(model, reduced, band):
-    frequency = fine(model, band, poles(model[0]))
-    exact = direct(model, frequency)
-    base = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
-    return float((np.abs(direct(reduced, frequency) - exact) / base).max())
-
-
-def letters(matrices):
-    P = polynomial(matrices)
-    C = matrices["C"] if "C" in matrices else matrices["B"].T
-    return P, matrices["B"], C, np.zeros((len(C), matrices["B"].shape[1]))
-
-
 def band_of(P, rng):
     """Zero to somewhere among the poles, a few dozen of them at most."""
-    size = np.sort(np.abs(poles(P)))
+    size = np.sort(np.abs(oracle.poles(P)))
     top = size[min(int(len(size) * rng.uniform(0.2, 0.8)), 60)]
     return 0.0, float(top or 1.0) * 1.03 / (2 * np.pi)
 
@@ -271,7 +195,7 @@ def outcome(kind, seed):
     """What became of one model: its certificate is checked, anything but a refusal raises."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     matrices = kind(rng)
-    model = letters(matrices)
+    model = oracle.system(matrices)
     band, tolerance = band_of(model[0], rng), 10 ** rng.uniform(-6, -2)
     try:
         with bounded(SECONDS):
@@ -279,18 +203,16 @@ def outcome(kind, seed):
             subcircuit(rom, "foreign")
     except (UsageError, SimulationError) as refused:
         return f"refused: {refused}"
-    small = letters({
-        k: getattr(rom, k) for k in ("AEB" if rom.first_order else "MEKB")
-    })  # fmt: skip
-    error = true_error(model, (small[0], rom.B, rom.C, rom.D), band)
+    small = oracle.system_of(rom)
+    error = oracle.largest_error(model, small, band)
     estimate = rom.certificate.error_estimate
     said = f"error {error:.1e}, estimate {estimate:.1e}, tolerance {tolerance:.1e}"
-    assert error <= estimate + ROUNDING, said
+    assert error <= estimate + oracle.ROUNDING, said
     assert estimate <= tolerance, said
-    grows = poles(model[0]).real.max() > 1e-6 * 2 * np.pi * band[1]
+    grows = oracle.poles(model[0]).real.max() > 1e-6 * 2 * np.pi * band[1]
     assert rom.certificate.stable is not grows, f"stable {rom.certificate.stable}: {said}"
     if rom.certificate.stable:
-        assert poles(small[0]).real.max() <= 1e-7 * 2 * np.pi * band[1], said
+        assert oracle.poles(small[0]).real.max() <= 1e-7 * 2 * np.pi * band[1], said
     return said
 
 
@@ -344,5 +266,5 @@ def test_a_point_that_adds_nothing_does_not_end_the_search():
     band = 0.0, 0.08767
     rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=8e-3, band=band)
     frequency = np.linspace(0.7, 0.99, 12) * band[1]
-    exact = direct(letters({"M": M, "E": E, "K": K, "B": B}), frequency)
+    exact = oracle.direct(oracle.system({"M": M, "E": E, "K": K, "B": B}), frequency)
     assert (np.abs(rom.transfer(frequency) / exact - 1)).max() < rom.certificate.error_estimate

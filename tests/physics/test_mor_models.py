@@ -89,7 +89,10 @@ def test_beam_has_the_textbook_frequencies():
     assert omega == pytest.approx([1.8751040687**2, 4.6940911330**2], rel=1e-6)
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize(
+    "tolerance",
+    [1e-3, 1e-5, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-2, 1e-4, 1e-6))],
+)
 @pytest.mark.parametrize("name", COSTLY)
 def test_error_is_within_the_tolerance_and_its_estimate_is_sharp(name, tolerance, truth):
     _, model, _ = built(name)
@@ -255,22 +258,22 @@ def check_every_order(seed, step):
         assert lowest.min() >= -1e-9
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_models_are_stable_and_passive(seed):
     check_every_order(seed, step=7)
 
 
 @pytest.mark.slow
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(40, 540))
+@pytest.mark.parametrize("seed", range(500))
 def test_random_models_are_stable_and_passive_at_every_order(seed):
     check_every_order(seed, step=1)
 
 
 def test_statespace_is_the_same_system():
-    for name in FAMILIES:
+    for name in ("beam", "triple chain", "heat rod"):
         _, _, band = built(name)
-        rom = reduced(name, 1e-4)
+        rom = reduced(name, 1e-5)
         space = rom.to_statespace()
         frequency = np.linspace(0.01, 1, 30) * band[1]
         own = families.full_response(reduced_matrices(rom), frequency)
@@ -279,7 +282,7 @@ def test_statespace_is_the_same_system():
         assert (np.abs(found + space.D - own) / np.abs(own).max(axis=0)).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", ["building", "heat rod"])
+@pytest.mark.parametrize("name", ["building", pytest.param("heat rod", marks=pytest.mark.slow)])
 def test_pymor_agrees_and_does_no_better_at_equal_order(name, truth):
     """pyMOR computes the same responses, of the ROM and of the full model; its balanced truncation
     (of the same structure) is not more accurate in the band with as many states.

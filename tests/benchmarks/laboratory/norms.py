@@ -14,6 +14,7 @@ import numpy as np
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.rom.linear import LinearModel, Norm
 from kc2spice.rom.reduce import reduce
+from laboratory.beam import steel_cantilever
 
 Case = tuple[LinearModel, float, tuple[float, float]]  # model, tolerance, band [Hz]
 
@@ -28,22 +29,8 @@ def heat(cells: int = 200) -> Case:
 
 def beam(elements: int, *, first_order: bool = False) -> Case:
     """Clamped Hermite beam of steel, force and displacement at its free end."""
-    bending, line, h = 210e9 * 1e-2 * 5e-3**3 / 12, 7850 * 1e-2 * 5e-3, 1 / elements
-    k = bending / h**3 * np.array([
-        [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-        [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h],
-    ])  # fmt: skip
-    m = line * h / 420 * np.array([
-        [156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-        [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
-    ])  # fmt: skip
+    M, K, B = steel_cantilever(elements)
     n = 2 * elements
-    K, M = np.zeros((2, n + 2, n + 2))
-    for i in range(elements):
-        s = slice(2 * i, 2 * i + 4)
-        K[s, s] += k
-        M[s, s] += m
-    K, M, B = K[2:, 2:], M[2:, 2:], np.eye(n)[:, [n - 2]]
     E = 2.0 * M + 1e-5 * K
     if not first_order:
         return LinearModel(M=M, E=E, K=K, B=B), 1e-5, (1.0, 800.0)
