@@ -102,7 +102,7 @@ def followed(*change: str, stop: float, **limits: float) -> tuple[Waveforms, Wav
     return found.waves, exact.results
 
 
-@pytest.mark.parametrize("electrical", ["open", "short"])
+@pytest.mark.parametrize("electrical", ["open", pytest.param("short", marks=pytest.mark.slow)])
 def test_an_impact_is_that_of_the_usual_code(electrical: str) -> None:
     """Average acceleration on the full matrices, contact by its own search, steps to their limit:
     nothing in common but the matrices. Eight states are off by several times as much."""

@@ -58,6 +58,7 @@ def small(layers: int, ratio: float, **change):
     return from_sector(assemble_kick(kick))
 
 
+@pytest.mark.slow  # the chip of the paper
 @pytest.mark.parametrize(("tolerance", "states"), [(1e-3, 13), (1e-5, 20), (2e-7, 30), (1e-10, 39)])
 def test_few_states_reach_the_tolerance(default, truth, tolerance, states):
     frequency, exact = truth
@@ -73,6 +74,7 @@ def test_few_states_reach_the_tolerance(default, truth, tolerance, states):
     assert resonators(rom).order == rom.order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "states"), [(1e-5, 20), (2e-7, 30)])
 def test_few_states_launch_the_sphere_as_the_full_model_does(default, launched, tolerance, states):
     """Same steps on both, so the reduction alone differs."""
@@ -91,8 +93,11 @@ CASES = [
     for band in ((0.0, 500e3), (100e3, 900e3))
     for tolerance in (1e-3, 1e-6, 1e-9)
 ]  # fmt: skip
-# Direct solutions of the finest meshes cost ten seconds each.
-JUDGED = CASES[:18] + [pytest.param(*case, marks=pytest.mark.slow) for case in CASES[18:]]
+QUICK = (1, 5, 7)  # two bands, two dampings, two tolerances
+JUDGED = [
+    pytest.param(*case, marks=() if k in QUICK else pytest.mark.slow)
+    for k, case in enumerate(CASES)
+]
 
 
 @cache
