@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import kc2spice as kc
+from kc2spice.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
@@ -238,22 +240,18 @@ def test_a_replaced_source_is_told_before_the_run_with_the_card_that_reads_its_c
     def run(change):
         own = text.replace(card, f"Xmine {change}").replace(".end\n", DRIVER + ".end\n")
         path.write_text(own)
-        return subprocess.run(
-            [sys.executable, "-m", "kc2spice", "run", str(scene), "--deck", str(path), "-o",
-             str(out), "--json"],
-            capture_output=True, text=True, check=False,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
+        command = ["run", str(scene), "--deck", str(path), "-o", str(out), "--json"]
+        return CliRunner().invoke(app, command)
 
     done = run(f"{node} 0 mydriver")
     said = " ".join(done.stderr.split())
-    assert done.returncode == 2, said
+    assert done.exit_code == 2, said
     assert "got: i(vdrive)" in said
     assert f"Vdrive {node} NODE 0" in said
     assert "simulate" not in said
     assert not out.exists()
     done = run(f"mine 0 mydriver\nVdrive {node} mine 0")  # as the message says
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.stderr
     # 2 V on 1 kOhm at the step; the same sign as of the scene's own source
     peak = json.loads(done.stdout)["metrics"]["charge_a"]
     assert peak == pytest.approx(2e-3, rel=5e-3)

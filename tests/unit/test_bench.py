@@ -81,12 +81,6 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
     assert best["set"][::2] == ["--set"] * len(best["settings"])
 
 
-def point(error, time, *, own=False, spread=0.1):
-    low, high = time * (1 - spread), time * (1 + spread)
-    return {"label": f"{error} {time}", "settings": {}, "error": error, "bound": error, "own": own,
-            "time_s": time, "time_low_s": low, "time_high_s": high}  # fmt: skip
-
-
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, tmp_path):
     monkeypatch.setattr(plane, "evaluate", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]

@@ -24,6 +24,7 @@ LIMITS = [
     (ALONE, "kick.mesh.ring_spacing=1.49 mm; kick.mesh.rings=1",
      "kick.mesh.ring_spacing=1.5 mm; kick.mesh.rings=1", "beyond the chip"),
     (LOOP, "kick.drive.edge=25 us", "kick.drive.edge=25.1 us", "longer than the pulse"),
+    (LOOP, "kick.drive.start=0", "kick.drive.start=-1 us", "out of range"),
     (LOOP, "kick.drive.start=4.99 ms", "kick.drive.start=5 ms", "after the simulation"),
     (IMPACT, "kick.drive.start=6 ms", "kick.mounting=free", "nothing holds the chip"),
     (ALONE, "kick.mounting=free", "kick.electrical=open; kick.driver.amplifier={}", "not driven"),
@@ -50,6 +51,8 @@ LIMITS = [
     (PRESSED, "contact.a=kick", "contact.a=kick.ring0", "no port of pressure"),
     (PRESSED, "gravity=0", "contact.law=hertz", "without law"),
     (PRESSED, "gravity=0", "contact.groove=90", "without groove"),
+    (LOOP, "contact.damping=0", "contact.damping=-1e-9", "out of range"),
+    (BALL, "sphere.height=-1 mm", "sphere.radius=0", "out of range"),
     # magnets: coils of 2 mm at 1 and 3 mm touch; 25 um fill a section of 2 mm2 4074 times
     (EM, "catch.turns=4110", "catch.turns=4120", "do not fit"),
     (EM, "catch.remanence=1.6", "catch.remanence=1.61", "permanent magnet"),
@@ -72,6 +75,11 @@ LIMITS = [
      "control.enable_at=[1e-3, 2e-3]", "do not alternate"),
     (CAUGHT, "control.enable_at=[1e-3]; control.disable_at=[2e-3]", "control.disable_at=[1e-4]",
      "do not alternate"),
+    # circuits
+    (CELL, "load.resistance=1e-300", "load.resistance=0", "out of range"),
+    (CELL, "load.resistance=1 GOhm", "load.resistance=inf", "not a finite number"),
+    (CAUGHT, "control.rolloff=1 ns", "control.rolloff=0", "out of range"),
+    (CAUGHT, "catch.driver.linear.slew=1", "catch.driver.linear.slew=0", "out of range"),
     # waveforms
     (CELL, "cell.pulse={high=1, width=1e-6, edge=1e-6}",
      "cell.pulse={high=1, width=1e-6, edge=1.1e-6}", "longer than the pulse"),

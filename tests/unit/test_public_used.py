@@ -21,6 +21,7 @@ DECORATED = frozenset({"property", "cached_property", "staticmethod", "classmeth
                        "lru_cache", "dataclass", "contextmanager", "overload"})  # fmt: skip
 # A quantity of a material that belongs to the others beside it.
 ALSO = frozenset({"eps_T"})
+MENTIONS = (ast.Import, ast.ImportFrom, ast.Name, ast.Attribute, ast.Constant, ast.JoinedStr)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 Object = tuple[str, str]  # a module and a name in it
 
@@ -51,11 +52,20 @@ def dots(node: ast.expr) -> str:
     return ""
 
 
-def uses(module: str, tree: ast.Module, known: set[str]) -> Iterator[Object]:
+def walked(tree: ast.Module) -> list[tuple[str | None, ast.AST]]:
+    """Every node, with the name of the function or class at the top level that it is in."""
+    return [
+        (getattr(top, "name", None), node)
+        for top in tree.body for node in ast.walk(top)
+        if isinstance(node, MENTIONS)
+    ]  # fmt: skip
+
+
+def uses(module: str, nodes: list, known: set[str]) -> Iterator[Object]:
     """What a module imports, reaches through a module that it imported, and mentions itself."""
     modules: dict[str, str] = {}
-    words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
-    for node in ast.walk(tree):
+    words = [node.value for _, node in nodes if isinstance(node, ast.Constant)]
+    for _, node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 modules[alias.asname or alias.name] = alias.name
@@ -66,23 +76,20 @@ def uses(module: str, tree: ast.Module, known: set[str]) -> Iterator[Object]:
                     modules[alias.asname or alias.name] = full
                 else:
                     yield node.module or "", alias.name
-    for statement in tree.body:
-        own = getattr(statement, "name", None)
-        for node in ast.walk(statement):
-            if isinstance(node, ast.Name) and node.id != own:
-                yield module, node.id
-            elif isinstance(node, ast.Attribute):
-                if path := dots(node.value):
-                    yield modules.get(path, path), node.attr
-            elif isinstance(node, ast.JoinedStr):  # "module:function", called in a child
-                home, _, entry = ast.unparse(node)[2:-1].partition(":")
-                home = home.replace("{__name__}", module)
-                yield from ((home, name) for name in (words if "{" in entry else [entry]))
+    for own, node in nodes:
+        if isinstance(node, ast.Name) and node.id != own:
+            yield module, node.id
+        elif isinstance(node, ast.Attribute) and (path := dots(node.value)):
+            yield modules.get(path, path), node.attr
+        elif isinstance(node, ast.JoinedStr):  # "module:function", called in a child
+            home, _, entry = ast.unparse(node)[2:-1].partition(":")
+            home = home.replace("{__name__}", module)
+            yield from ((home, name) for name in (words if "{" in entry else [entry]))
 
 
-def attributes(tree: ast.Module) -> Iterator[str]:
+def attributes(nodes: list) -> Iterator[str]:
     """Names behind a dot, and those that ``getattr`` and its like are given."""
-    for node in ast.walk(tree):
+    for _, node in nodes:
         if isinstance(node, ast.Attribute):
             yield node.attr
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -95,8 +102,9 @@ def unused(sources: dict[str, str], others: str = "", api: frozenset[Object] = f
     ``api`` is used by users, with all methods.
     """
     trees = {name: ast.parse(text) for name, text in sources.items()}
-    used = {one for name, tree in trees.items() for one in uses(name, tree, set(trees))} | api
-    called = {word for tree in trees.values() for word in attributes(tree)}
+    nodes = {name: walked(tree) for name, tree in trees.items()}
+    used = {one for name, own in nodes.items() for one in uses(name, own, set(trees))} | api
+    called = {word for own in nodes.values() for word in attributes(own)}
     called |= set(re.findall(r"\w+", others))
     for module, tree in trees.items():
         for name, methods in public(tree):

@@ -5,8 +5,6 @@ import math
 import subprocess
 import sys
 
-from kc2spice.workflow.sweep.workers import completed, processes
-
 
 def fresh(calls):
     """Results of ``calls`` (source text) from an interpreter of its own, as the command has one.
@@ -35,15 +33,3 @@ def test_a_call_whose_worker_dies_once_is_run_again(tmp_path):
     found = fresh(f"[('once', os.system, ({once!r},)), ('other', math.sqrt, (4.0,))]")
     assert found == {"once": 0, "other": 2.0}
     assert flag.exists()
-
-
-def test_calls_are_taken_no_faster_than_they_end():
-    taken = []
-
-    def calls():
-        for n in range(40):
-            taken.append(n)
-            yield n, math.sqrt, (float(n),)
-
-    ahead = [len(taken) - ended for ended, _ in enumerate(completed(processes(2), calls()), 1)]
-    assert max(ahead) <= 5  # two running, three waiting, whatever the length of the sweep

@@ -1,4 +1,4 @@
-"""Operators at their edges, and what elimination leaves of a model, against dense algebra."""
+"""Linear models: what they take and say, and how they answer, against dense algebra."""
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from kc2spice.rom.operators import (
     two_sided,
 )  # fmt: skip
 from kc2spice.rom.pencil import Pencil, eliminated
+from kc2spice.rom.response import Response
 
 
 @pytest.mark.parametrize("form", ["piezoelectric", "not symmetric", "first order"])
@@ -37,9 +38,6 @@ def test_elimination_leaves_the_response_as_it_is(form):
         P = s * held + K if form == "first order" else s**2 * held + 0.1 * s * held @ held + K
         exact = C @ np.linalg.solve(P, B) + D
         np.testing.assert_allclose(less.transfer(np.array([s]))[0], exact, rtol=1e-10)
-
-
-# ----------------------------------------------------------------------------------- operators
 
 
 def rng(seed=3):
@@ -211,3 +209,51 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
     np.testing.assert_allclose(
         model.pencil.transfer(np.array([s]))[0], exact, rtol=1e-9, atol=1e-12
     )
+
+
+# --------------------------------------------------------------------------------- responses
+
+
+def full(n, rng):
+    return rng.standard_normal((n, n)) + 3 * n * np.eye(n)
+
+
+@pytest.mark.parametrize("n", [3, 13, 30])
+@pytest.mark.parametrize("form", ["decoupled", "coupled", "first order", "heat", "free"])
+def test_a_response_is_that_of_the_matrices(form, n):
+    rng = np.random.default_rng(n)
+    root, other = rng.standard_normal((2, n, n))
+    K, M = root @ root.T + np.eye(n), other @ other.T + np.eye(n)
+    parts = {
+        "decoupled": (K, 0.01 * K + 0.1 * M, M),
+        "coupled": (K, 0.1 * full(n, rng), M),
+        "first order": (full(n, rng), full(n, rng)),
+        "heat": (K, M),
+        "free": (root[:, 1:] @ root[:, 1:].T, 0 * K, M),
+    }[form]
+    pencil = Pencil(parts, *(rng.standard_normal(s) for s in ((n, 2), (3, n), (3, 2))))
+    response = Response(pencil)
+    assert response.decoupled is (form in ("decoupled", "heat", "free"))
+    assert (response.modes is None) is (n == 3 and not response.decoupled)
+    s = np.array([0.3j, 1.0 + 2j, 20j])
+    P = sum(s[:, None, None] ** k * each for k, each in enumerate(pencil.coefficients))
+    exact = pencil.C @ np.linalg.solve(P, pencil.B.astype(complex)[None]) + pencil.D
+    np.testing.assert_allclose(response.transfer(s), exact, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(
+        pencil.C @ response.states(s) + pencil.D, exact, rtol=1e-8, atol=1e-10
+    )
+
+
+def test_a_defective_model_is_not_taken_apart():
+    """A chain of equal first-order lags has one eigenvector; that of a free mass has two poles."""
+    n = 14
+    lags = Pencil((np.eye(n) - np.eye(n, k=1), np.eye(n)), np.eye(n)[:, [-1]], np.eye(n)[[0]],
+                  np.zeros((1, 1)))  # fmt: skip
+    response = Response(lags)
+    assert response.modes is None
+    np.testing.assert_allclose(response.transfer(np.array([1j]))[0, 0, 0], (1 + 1j) ** -n)
+
+
+def test_a_pole_among_the_frequencies_is_an_error():
+    with pytest.raises(SimulationError, match="pole"):
+        LinearModel(M=np.eye(1), K=np.zeros((1, 1)), B=np.eye(1)).transfer(np.zeros(1))
