@@ -45,7 +45,8 @@ HOME = (ROOT / "build" / "mutants").resolve()  # coverage notes real paths
 COPY, DATA = HOME / "copy", HOME / "recorded"
 ALL = HOME / "all.sqlite"
 FOLDERS = ("unit", "physics", "spice", "gallery")
-PACKAGES = ("fem", "rom", "spice", "reference", "workflow/verify")  # physics, realisation, certificate
+# physics, realisation and certificate
+PACKAGES = ("fem", "rom", "spice", "reference", "workflow/verify")
 NO_PYTHON = "no Python"  # such a mutant is not counted
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip

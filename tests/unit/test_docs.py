@@ -11,9 +11,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 PAGES = [page for page in PAGES if page.name != "CHANGELOG.md"]  # tells of what was
-SOURCES = [*(ROOT / "kc2spice").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
-
-SCRIPTS = [*SOURCES, *(ROOT / "tools").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
+SOURCES = [*(ROOT / "kc2spice").rglob("*.py")]
+SCRIPTS = [*SOURCES, *(s for f in ("tests", "tools", "docs") for s in (ROOT / f).rglob("*.py"))]
 
 
 def prose(page):

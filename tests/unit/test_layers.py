@@ -53,10 +53,17 @@ def package(dotted, known=MODULES):
 
 
 @cache
+def walked(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = ast.Import | ast.ImportFrom | ast.Constant
+    return tree, [node for node in ast.walk(tree) if isinstance(node, kinds)]
+
+
+@cache
 def statements(path):
     """What stands at the top level of a module, by id, and its import statements."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    tree, nodes = walked(path)
+    found = [n for n in nodes if isinstance(n, ast.Import | ast.ImportFrom)]
     return {id(node) for node in tree.body}, found
 
 
@@ -168,7 +175,7 @@ def test_only_parts_name_part_types():
         f"{name}: {node.value!r}"
         for name, path in MODULES.items()
         if asking & set(name.split(".")[1:2]) and name != "kc2spice.scene.short"
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in walked(path)[1]
         if isinstance(node, ast.Constant) and node.value in set(part_types()) - words
     }
     assert not named

@@ -9,11 +9,13 @@ from kc2spice.linalg import factor
 from kc2spice.linalg.factor import factorise, inverses
 from laboratory.reduction_scaling import grid_model
 
+UNKNOWNS = 1500
+
 
 @pytest.fixture(scope="module")
 def solid():
-    """Stiffness of a solid of 6 591 unknowns, three for each node."""
-    return grid_model(6591, 3).K.tocsc()
+    """Stiffness of a solid with three unknowns for each node."""
+    return grid_model(UNKNOWNS, 3).K.tocsc()
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def supernodal(monkeypatch):
 def test_solutions_are_those_of_another_order(solid, kind, supernodal):
     rng = np.random.default_rng(0)
     rhs = rng.standard_normal((solid.shape[0], 3))
-    mass = grid_model(6591, 3).M.tocsc()
+    mass = grid_model(UNKNOWNS, 3).M.tocsc()
     shift = {"definite": 0.0, "complex": 0.2j}[kind]
     matrix = (solid + shift * mass).tocsc()
     exact = splu(matrix).solve(rhs.astype(matrix.dtype))
@@ -41,4 +43,4 @@ def test_solutions_are_those_of_another_order(solid, kind, supernodal):
 
 def test_an_indefinite_matrix_is_not_taken_for_a_definite_one(solid, supernodal):
     with pytest.raises(SimulationError, match="cannot be factorised"):
-        factorise((solid - 20.0 * grid_model(6591, 3).M).tocsc(), definite=True)
+        factorise((solid - 20.0 * grid_model(UNKNOWNS, 3).M).tocsc(), definite=True)
