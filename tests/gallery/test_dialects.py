@@ -8,8 +8,16 @@ import kc2spice as kc
 from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate
 from kc2spice.scene.load import gallery
 
+QUICK = ("buzzer_square", "em_force", "harvester", "impact", "newtons_cradle", "pwm_coil")
 
-@pytest.mark.parametrize("scene", sorted(gallery()))
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in sorted(gallery())
+    ],
+)
 def test_every_scene_speaks_every_dialect(scene):
     deck = kc.deck(scene)
     for dialect in DIALECTS[1:]:

@@ -24,12 +24,12 @@ def test_there_are_enough_and_they_are_short():
         assert code[0].startswith('"""'), path.name
 
 
+SLOW = ("error_budget", "own_driver", "python_controller", "tune")
+
+
 @pytest.mark.parametrize(
     "path",
-    [
-        pytest.param(path, marks=pytest.mark.slow if path.stem == "error_budget" else ())
-        for path in EXAMPLES
-    ],
+    [pytest.param(path, marks=pytest.mark.slow if path.stem in SLOW else ()) for path in EXAMPLES],
     ids=lambda path: path.stem,
 )
 def test_example_runs(path, tmp_path):

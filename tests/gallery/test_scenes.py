@@ -45,7 +45,16 @@ def results(tmp_path_factory):
     return result
 
 
-@pytest.mark.parametrize("name", sorted(gallery()))
+# More of the same parts: plain buzzers but two, long transients.
+MORE = ("amplifier_kick", "coil_rails", "three_cycles", "buzzer_self")
+ONE_OF = re.compile(r"buzzer_7bb_(?!20_6)|buzzer_ft_(?!39t)")
+SCENES = [
+    pytest.param(name, marks=pytest.mark.slow if name in MORE or ONE_OF.match(name) else ())
+    for name in sorted(gallery())
+]
+
+
+@pytest.mark.parametrize("name", SCENES)
 def test_scene_runs_and_leaves_what_it_promises(name, results):
     result, out = results(name)
     assert result.keys() >= CONTRACT

@@ -31,12 +31,14 @@ def page(site, name):
     return (site / name / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_every_public_name_is_on_the_api_page(site):
     text = page(site, "api")
     for name in set(kc.__all__) - {"errors", "Section"}:
         assert re.search(rf'id="kc2spice\.[\w.]*\.{name}"', text), name
 
 
+@pytest.mark.slow
 def test_every_part_scene_and_example_is_shown(site):
     parts, scenes, examples = (page(site, name) for name in ("parts", "scenes", "examples"))
     assert all(f'id="{name}"' in parts for name, kind in part_types().items()
@@ -46,6 +48,7 @@ def test_every_part_scene_and_example_is_shown(site):
         assert path.name in examples
 
 
+@pytest.mark.slow
 def test_site_loads_nothing_from_elsewhere(site):
     loads = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]+)')
     for path in site.rglob("*.html"):

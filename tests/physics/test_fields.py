@@ -231,12 +231,3 @@ def test_file_holds_what_another_reader_finds(tmp_path, kind, cell):
     top = z_at > 0.5e-3 - 1e-9
     assert move[top, 2] == pytest.approx(PZT.d[2, 2] * -7.0, rel=1e-5)
     assert np.abs(found.point_data["stress"]).max() < 1e-3 * 14e3 * abs(PZT.e[2, 0])
-
-
-def test_waveform_of_no_port_is_refused():
-    device = pulled(plate())
-    with pytest.raises(UsageError, match="not a port waveform"):
-        recover(device, np.zeros(2), {"push": np.zeros(2)})
-    motion = recover(device, np.linspace(0, 1e-6, 3), {"pull": np.ones(3)})
-    with pytest.raises(UsageError, match="outside the run"):
-        motion.at(1.0)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.blocks import block_model
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.spice.realize import subcircuit
@@ -240,18 +239,6 @@ def test_foreign_models_are_certified_rightly_or_refused(kind, seed):
 @pytest.mark.parametrize("kind", KINDS)
 def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed):
     check(kind, seed)
-
-
-def test_poles_of_a_lossless_model_stay_on_the_axis_in_any_units():
-    """Entries of 1e12, with a rounding of the last digit that is not skew."""
-    R = 1e12 * np.random.default_rng(1).standard_normal((5, 5))
-    A = R - R.T + 1e-15 * (R + R.T)
-    found = block_model(LinearModel(A=A, E=np.eye(5), B=np.eye(5)[:, :1], C=np.eye(5)[:1]))
-    values = np.concatenate([np.linalg.eigvals(block) for block in found.blocks])
-    assert (values.real == 0).all()
-    np.testing.assert_allclose(
-        np.sort(values.imag), np.sort(np.linalg.eigvals(A).imag), rtol=1e-12, atol=1e-1
-    )
 
 
 def test_a_point_that_adds_nothing_does_not_end_the_search():

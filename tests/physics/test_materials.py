@@ -11,27 +11,9 @@ from scipy.constants import epsilon_0
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem import materials
-from kc2spice.fem.materials import material, names
+from kc2spice.fem.materials import material
 
 PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
-ASKED = [
-    "PZT-4",
-    "PZT-5A",
-    "PZT-5H",
-    "PZT-8",
-    "PIC255",
-    "THP51",
-    "AlN",
-    "quartz",
-    "brass",
-    "steel",
-    "stainless",
-    "aluminium",
-    "titanium",
-    "silicon",
-    "FR4",
-    "epoxy",
-]
 
 
 def full_stiffness(C):
@@ -50,15 +32,6 @@ def full_coupling(e):
     for J, (j, k) in enumerate(PAIRS):
         t[:, j, k] = t[:, k, j] = e[:, J]
     return t
-
-
-def test_every_number_of_the_library_has_a_source():
-    assert set(ASKED) <= set(names())
-    for name in names():
-        sources = material(name).sources
-        assert {"density"} < set(sources)
-        assert all(any(c.isdigit() for c in s) for k, s in sources.items() if k == "density")
-        assert all(sources.values()), name
 
 
 @pytest.mark.parametrize(

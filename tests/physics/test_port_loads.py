@@ -58,28 +58,3 @@ def test_an_open_anode_is_loaded_by_charge(short):
     }
     for name, exact in expected.items():
         np.testing.assert_allclose(G[name], exact, rtol=1e-7, err_msg=name)
-
-
-@pytest.mark.parametrize("electrical", ["short", "open"])
-def test_laws_of_the_loaded_copies_are_those_of_the_reduced_body(electrical):
-    scene = load_scene("harmonic", [*SMALL, f"kick.electrical={electrical}"])
-    build = build_models(scene, Clock(silent))
-    rom = build.models["kick"]
-    frequency = np.array([1e5, 3.3e5])
-    found = solve(build, Waveforms({"frequency": frequency}, {})).results
-    for k, f in enumerate(frequency):
-        s = 2j * np.pi * f
-        E = rom.E if rom.E is not None else rom.rayleigh[0] * rom.M + rom.rayleigh[1] * rom.K
-        H = rom.C @ np.linalg.solve(s**2 * rom.M + s * E + rom.K, rom.B) + rom.D
-        o, i, v = (list(rom.inputs).index(name) for name in ("ring1", "ring0", "anode"))
-        if electrical == "open":
-            expected = {
-                "anode>anode": 1 / H[v, v],
-                "anode>ring1": H[o, v] / H[v, v],
-                "ring0>anode": -H[v, i] / H[v, v],
-                "ring0>ring1": H[o, i] - H[o, v] * H[v, i] / H[v, v],
-            }
-        else:
-            expected = {"anode>anode": H[v, v], "anode>ring1": H[o, v], "ring0>ring1": H[o, i]}
-        for name, exact in expected.items():
-            assert found[name][k] == pytest.approx(exact, rel=1e-6), name
