@@ -6,9 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from kc2spice.cli.main import app
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.bench import plane
 from kc2spice.workflow.bench.evaluate import Run
@@ -81,9 +79,9 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
     assert best["set"][::2] == ["--set"] * len(best["settings"])
 
 
-def test_nothing_within_the_error_is_exit_code_4(monkeypatch, tmp_path):
+def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):
     monkeypatch.setattr(plane, "evaluate", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
-    result = CliRunner().invoke(app, [*called, "--json", "--quiet", "--out", str(tmp_path / "o")])
+    result = cli(*called, "--json", "--quiet", "--out", "o")
     assert result.exit_code == 4
     assert json.loads(result.stdout)["recommended"] is None

@@ -1,7 +1,6 @@
 """The command line: what it prints, its exit codes, and that failures write nothing."""
 
 import json
-import os
 import subprocess
 import sys
 import types
@@ -16,14 +15,6 @@ from kc2spice.cli.console import print_facts
 from kc2spice.cli.main import app
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
 from kc2spice.core.files import staged
-
-
-@pytest.fixture
-def cli(tmp_path, monkeypatch):
-    """Runs a command in an empty directory."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("KC2SPICE_DEBUG", raising=False)
-    return lambda *words: CliRunner().invoke(app, list(words))
 
 
 @pytest.fixture
@@ -214,11 +205,7 @@ def test_the_shell_offers_commands_and_scenes():
         ("kc2spice explain harv", "2", ["harvester", "harvester_bridge"]),
     ):
         asked = {"_KC2SPICE_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": position}
-        code = "import kc2spice.cli.main as m; m.app(prog_name='kc2spice')"
-        command = [sys.executable, "-c", code]
-        done = subprocess.run(
-            command, env=os.environ | asked, capture_output=True, text=True, check=True
-        )
+        done = CliRunner().invoke(app, [], prog_name="kc2spice", env=asked)
         assert done.stdout.split() == offered
 
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
 
 LANGEVIN = """
 name = "own"
@@ -49,13 +47,12 @@ CHAIN = {"M": np.eye(2), "K": 1e6 * np.array([[2.0, -1.0], [-1.0, 2.0]])}
 
 
 @pytest.fixture
-def said(tmp_path, monkeypatch):
+def said(tmp_path, cli):
     """Runs a scene on the command line; its exit code and the message as one line."""
-    monkeypatch.chdir(tmp_path)
 
     def run(text):
         (tmp_path / "own.toml").write_text(text)
-        done = CliRunner().invoke(app, ["run", "own.toml"])
+        done = cli("run", "own.toml")
         return done.exit_code, " ".join(done.stderr.split())
 
     return run

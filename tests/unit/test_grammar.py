@@ -33,18 +33,6 @@ type = "op"
 """
 
 
-@pytest.fixture
-def scene_file(tmp_path):
-    """Writes a scene and returns its path."""
-
-    def write(text):
-        path = tmp_path / "my.toml"
-        path.write_text(text)
-        return path
-
-    return write
-
-
 def test_joined_pins_share_a_net(scene_file):
     scene = load_scene(scene_file(DIVIDER))
     assert scene.net("supply", "out") == scene.net("upper", "a")

@@ -10,9 +10,7 @@ import types
 import numpy as np
 import pytest
 import scipy.io
-from typer.testing import CliRunner
 
-from kc2spice.cli.main import app
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.lint import lint
@@ -96,13 +94,6 @@ def refused(done, place):
     assert "Traceback" not in done.output
     assert "internal error" not in done.output
     assert re.search(place, done.output), done.output
-
-
-@pytest.fixture
-def cli(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("KC2SPICE_DEBUG", raising=False)
-    return lambda *words: CliRunner().invoke(app, list(words))
 
 
 @pytest.mark.parametrize("chunk", seeds("scene"))

@@ -3,9 +3,7 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
 
-from kc2spice.cli.main import app
 from kc2spice.core.toml import parse_toml
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.load import load_scene
@@ -86,8 +84,8 @@ def test_examples_are_scenes_that_load():
             assert scene.of(name), name
 
 
-def test_command_line_lists_them(docs):
-    done = CliRunner().invoke(app, ["scenes", "--parts", "--json"])
+def test_command_line_lists_them(docs, cli):
+    done = cli("scenes", "--parts", "--json")
     listed = {entry["name"]: entry for entry in json.loads(done.stdout)}
     assert list(listed) == list(docs)
     assert [pin["name"] for pin in listed["spring"]["pins"]] == ["a", "b"]

@@ -119,24 +119,6 @@ def test_matrix_market_families(tmp_path, pattern, opened):
     assert np.array_equal(model.C, model.B.T)
 
 
-@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_numpy_archives_dense_and_in_parts(tmp_path, save):
-    coo = sparse.coo_array(K)
-    parts = {"K.data": coo.data, "K.row": coo.row, "K.col": coo.col, "K.shape": coo.shape}
-    nodes, dofs = np.array(ROWS).T
-    save(tmp_path / "m.npz", M=M, nodes=nodes, dofs=dofs, **parts)
-    model = read_model(tmp_path / "m.npz", sidecar(tmp_path, TIP))
-    same(model)
-    assert np.array_equal(np.flatnonzero(model.B), [5])
-
-
-def test_mat_files_with_matrices(tmp_path):
-    nodes, dofs = np.array(ROWS).T.astype(float)
-    scipy_io.savemat(tmp_path / "m.mat", {"K": sparse.csc_array(K), "M": M, "nodes": nodes,
-                                          "dofs": dofs, "note": "text"})  # fmt: skip
-    same(read_model(tmp_path / "m.mat", sidecar(tmp_path, TIP)))
-
-
 def test_comsol_second_order_struct(tmp_path):
     """E u'' + D u' + K u = L: what COMSOL calls E is the mass, and D the damping."""
     load = np.arange(1.0, N + 1)[:, None]

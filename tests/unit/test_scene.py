@@ -151,18 +151,6 @@ def test_mistakes_name_the_key(override, parts):
     assert "Value error" not in text
 
 
-@pytest.fixture
-def scene_file(tmp_path):
-    """Writes a scene and returns its path."""
-
-    def write(text):
-        path = tmp_path / "my.toml"
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return path
-
-    return write
-
-
 TEXT = "[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
 
 
