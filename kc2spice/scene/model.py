@@ -98,9 +98,21 @@ class Probe(Section):
     cycles over the last half of the run. Complex values are taken by magnitude.
     """
 
-    of: str = Field(description="a result such as disc.current, or NETLIST.NODE")
+    of: str = Field(
+        description="a result such as disc.x, NETLIST.NODE, or PART.current, PART.PIN.current, "
+        "PART.power of whatever has electrical pins"
+    )
     take: Literal[
-        "max", "min", "argmax", "final", "rms", "peak_to_peak", "crossing", "frequency", "value"
+        "max",
+        "min",
+        "argmax",
+        "final",
+        "mean",
+        "rms",
+        "peak_to_peak",
+        "crossing",
+        "frequency",
+        "value",
     ] = Field("max", description="value where at is given")
     at: Place | None = Field(
         None, description="of a value: a frequency in ac, a time in a transient"

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
+METER = "meter"  # word of an ammeter's name, behind those of its pin
 TABLE = "_types"  # ends the name of a module with several types
 
 
@@ -190,6 +191,10 @@ class Build:
     def net(self, part: Part, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.scene.net(part.name, pin)
+
+    def meter(self, part: Part, pin: str) -> str | None:
+        """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
+        return self.scene.own.get((part.name, pin, METER))
 
     def own(self, part: Part, *words: str) -> str:
         """Name of a node or card of a part's own, see :meth:`PartType.own_names`."""
@@ -349,9 +354,13 @@ class PartType(ABC):
         return ()
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        """Its lines in the deck: an instance of its subcircuit, unless it says otherwise."""
-        nodes = [build.net(part, pin.name) for pin in self.pins(part, build.scene)]
-        return (f"X{part.name} {' '.join(nodes)} {build.libraries[part.name]}",)
+        """Its lines in the deck: an instance of its subcircuit with the meters that probes ask for,
+        unless it says otherwise."""
+        pins = {pin.name: build.net(part, pin.name) for pin in self.pins(part, build.scene)}
+        meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
+        nodes = " ".join({**pins, **meters}.values())
+        read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
+        return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
 
     def own_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
         """Words of every name that its cards have besides its pins' nodes and ``LETTERname``.
