@@ -210,7 +210,7 @@ def test_the_shell_offers_commands_and_scenes():
 
 
 def test_explain(cli):
-    text = cli("explain", "kick_and_catch").stdout
+    text = cli("explain", "impact").stdout
     assert "left out" in text
     assert "anode" in text
     assert max(map(len, text.splitlines())) <= 80

@@ -1,4 +1,4 @@
-"""A deck as data: analyses, options, vectors; heads of libraries."""
+"""Heads of libraries and decks: signs, units, ranges, bounds, what is left out."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,6 @@ from kc2spice.rom.linear import Certificate
 from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
 from kc2spice.scene.plan import Plan
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
-
-# --------------------------------------------------------------------------------- libraries
 
 
 @pytest.mark.parametrize(
