@@ -60,21 +60,6 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class ErrorRow:
-    """One stage of the computation: the relative error expected of its settings.
-
-    ``share`` is its part of ``error_budget`` (None where it is no part of it), ``expected`` is
-    None where no error is known.
-    """
-
-    stage: str
-    share: float | None
-    expected: float | None
-    settings: str
-    why: str
-
-
-@dataclass(frozen=True)
 class Dents:
     """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
     which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
@@ -158,12 +143,15 @@ class StepLimit:
 class TimeScale:
     """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
     ``content`` [Hz] up to which it excites others. A step that ``decides`` stands whatever else the
-    scene has."""
+    scene has. ``reltol`` and ``chgtol`` are factors, 1 or less, of the solver's tolerances that it
+    needs to be as exact as anything else."""
 
     what: str
     step: float = math.inf
     content: float = 0.0
     decides: bool = False
+    reltol: float = 1.0
+    chgtol: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -218,8 +206,6 @@ class PartType(ABC):
     declares: ClassVar[bool] = False
     #: whether it has inertia, so that it moves on where nothing holds it
     heavy: ClassVar[bool] = False
-    #: its key that sets the number of points of a lookup, if it has one
-    lookup_key: ClassVar[str | None] = None
     #: whether it measures a motion and acts on it, which closes a loop
     controls: ClassVar[bool] = False
     #: type of the analysis that it asks for (:meth:`analysis`)
@@ -389,16 +375,9 @@ class PartType(ABC):
         """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
         return ()
 
-    def speed(self, part: Part, scene: Scene) -> float | None:
-        """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
-        return None
-
-    def closeness(self, part: Part, scene: Scene) -> float:
-        """Factor, 1 or less, of ``solver.reltol`` that its motion needs."""
-        return 1.0
-
     def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
-        """What it does in time: a source's frequency and edges, a carrier, a contact."""
+        """What it does in time: a source's frequency and edges, a carrier, a contact; and how
+        close steps must follow it."""
         return ()
 
     def sampled(self, part: Part, build: Build) -> Sampled | None:
@@ -502,13 +481,10 @@ class PartType(ABC):
         """Effects that it has no model of."""
         return ()
 
-    def errors(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
-        """Errors of its model."""
-        return ()
 
-    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
-        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
-        return ()
+def time_scales(scene: Scene) -> list[TimeScale]:
+    """What all parts of a scene do in time."""
+    return [row for part in scene.parts.values() for row in part.type.time_scales(part, scene)]
 
 
 _types: dict[str, PartType] = {}

@@ -24,7 +24,7 @@ from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Vector
+from kc2spice.scene.parttype import Build, Vector, time_scales
 from kc2spice.scene.plan import plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, without_equilibrium
@@ -263,11 +263,9 @@ def _options(build: Build) -> Iterable[Option]:
     ]
     if scene.analysis.type != "transient":
         return own
-    solver = scene.solver
-    speeds = [s for p in scene.parts.values() if (s := p.type.speed(p, scene)) is not None]
-    # Displacements shrink with the speed of an impact, and so does what a step may miss.
-    chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
-    reltol = solver.reltol * min(p.type.closeness(p, scene) for p in scene.parts.values())
+    solver, rows = scene.solver, time_scales(scene)
+    reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
+    chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
     return [
         Option("reltol", number(reltol), "relative error of a time step"),
         Option(

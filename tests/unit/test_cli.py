@@ -214,7 +214,9 @@ def test_explain(cli):
     assert "left out" in text
     assert "anode" in text
     assert max(map(len, text.splitlines())) <= 80
+    assert "rom.order        30      not estimated" in text
     found = json.loads(cli("explain", "impact", "--json").stdout)
+    assert {"key": "rom.order", "value": 30, "error": None} in found["settings"]
     assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 
