@@ -14,10 +14,12 @@ from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw
 
-# KiCad writes instances in an order of its own, in which sums are rounded otherwise. These scenes
-# have many switching instants that follow from their state; what rounding changes there, a step,
-# stays below 1e-6 with these tolerances.
-RELTOL = {"pwm_coil": 1e-7, "buzzer_self": 1e-6, "harvester_bridge": 1e-6}
+# KiCad writes instances in an order of its own, in which sums are rounded otherwise: so may another
+# processor. These scenes have many switching instants that follow from their state; what rounding
+# changes there, a step, stays below the second number with the first as reltol. The anode of
+# buzzer_self peaks where its transistor switches: 4e-5 below the limit of fine steps at 1e-6, still
+# 7e-6 at 1e-7, and no smaller max_step helps, steps being ten times shorter anyway.
+SETTLED = {"pwm_coil": (1e-7, 1e-6), "buzzer_self": (1e-6, 4e-5), "harvester_bridge": (1e-6, 1e-6)}
 QUICK = "kick_and_catch"
 SCENES = [
     pytest.param(name, marks=() if name == QUICK else pytest.mark.slow)
@@ -37,7 +39,8 @@ def project(deck, folder):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_sheets_are_clean_and_are_the_deck(name, deck_of, kicad, run, tmp_path):
-    solver = {"reltol": RELTOL[name]} if name in RELTOL else {}
+    reltol, near = SETTLED.get(name, (None, 1e-6))
+    solver = {} if reltol is None else {"reltol": reltol}
     if "kick_drive" in load_scene(name).parts:
         solver["stop"] = 0.52e-3  # the kick is at 0.5 ms
     deck = deck_of(name, **solver)
@@ -53,7 +56,7 @@ def test_sheets_are_clean_and_are_the_deck(name, deck_of, kicad, run, tmp_path):
         run(["ngspice", "-b", "-n", "-r", f"{file}.raw", file], tmp_path)
     theirs, ours = (read_raw(tmp_path / f"{file}.raw") for file in ("sheet.cir", deck.main))
     for node in [n for n in nodes if "ring0" in n] or nodes:  # the stroke, where there is one
-        assert peak(theirs, node) == pytest.approx(peak(ours, node), rel=1e-6), node
+        assert peak(theirs, node) == pytest.approx(peak(ours, node), rel=near), node
 
 
 def peak(waves, node):
