@@ -5,7 +5,7 @@ import pytest
 
 from kc2spice.fem.magnetics.table import EMTable
 from kc2spice.scene.load import load_scene
-from laboratory.rails import Launch, largest_speed, rails_figure
+from laboratory.rails import largest_speed
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +33,3 @@ def test_braking_work_is_force_times_way(uniform, scene, rail, current):
     assert largest_speed(rail, scene, uniform, 3000.0) == pytest.approx(
         np.sqrt(2 * work / mass), rel=1e-9
     )
-
-
-def test_figure_is_drawn(uniform, scene, tmp_path):
-    launches = [Launch(15.0, 0.3, 2.5e-3, True), Launch(48.0, 1.5, 9e-3, False)]
-    rails_figure(tmp_path / "rails.png", launches, scene, uniform)
-    assert (tmp_path / "rails.png").read_bytes().startswith(b"\x89PNG")

@@ -179,6 +179,7 @@ def soft():
     return catch_table(SOFT, SOFT_RADIUS)
 
 
+@pytest.mark.slow
 def test_the_moment_of_a_permeable_magnet(soft):
     """A magnetised sphere of any mu_r is a dipole outside, of 3 B_r V / mu0 (mu_r + 2)."""
     moment = 4 * np.pi * SOFT_RADIUS**3 * SOFT.remanence / (MU0 * (SOFT.mu_r + 2))
@@ -188,6 +189,7 @@ def test_the_moment_of_a_permeable_magnet(soft):
     assert np.abs(soft.c1 - force).max() < 5e-4 * np.abs(force).max()  # 8e-5
 
 
+@pytest.mark.slow
 def test_a_permeable_sphere_in_the_field_of_a_coil(soft):
     """It has the moment 4 pi R^3 / mu0 (mu_r - 1) / (mu_r + 2) B, as in a uniform field (Jackson,
     5.11), and the force half its product with B; curvature of the field over its size is left out.

@@ -29,7 +29,9 @@ def bore() -> magmesh.Bore:
     return magmesh.bore(catch, RADIUS, pitch, catch.y_min, catch.y_max)
 
 
-@pytest.mark.parametrize("polarity", ["parallel", "antiparallel"])
+@pytest.mark.parametrize(
+    "polarity", [pytest.param("parallel", marks=pytest.mark.slow), "antiparallel"]
+)
 def test_superposition_equals_brute_force(polarity: str) -> None:
     catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
     cases = current_pairs()[[0, 1, 2, 4, 5]]
@@ -107,6 +109,7 @@ def test_coil_is_pushed_back() -> None:
     assert on_coil == pytest.approx(-c1, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_remanence_and_mounting_need_no_new_field():
     """A stronger actuator mounted higher, solved anew, against the table of the plain one."""
     catch, shift = Catch(remanence=1.0, positions=9), 100e-6

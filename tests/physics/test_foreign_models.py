@@ -241,6 +241,7 @@ def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed):
     check(kind, seed)
 
 
+@pytest.mark.slow
 def test_a_point_that_adds_nothing_does_not_end_the_search():
     """A chain with a dashpot: the fifth point lies beside the fourth and says nothing of the rest,
     where five resonances were missing and responses ten times too large."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.constants import epsilon_0
 from scipy.optimize import brentq
-from skfem.mesh import MeshHex, MeshTet, MeshTet2, MeshTri, MeshTri2
+from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
 from kc2spice.bodies.device import RigidFace, Setup, Shape, make_device, mean
 from kc2spice.bodies.keys import Damping
@@ -82,21 +82,6 @@ def test_patch_of_anisotropic_piezoelectric(kind):
     assert phi @ (full.K_pp @ phi) == pytest.approx(b @ made_of.eps_S @ b, rel=1e-12)
     squares = np.kron(x[0] * x[1], [1, 0, 0])
     assert squares @ (full.M @ squares) == pytest.approx(made_of.density / 9, rel=1e-12)
-
-
-def test_patch_of_axisymmetric():
-    flat = MeshTri.init_tensor(np.linspace(0, 2e-2, 4), np.linspace(0, 1e-2, 3))
-    solid = Solid(MeshTri2.from_mesh(flat), (PZT,), np.zeros(flat.nelements, int), True)
-    full, (r, z) = assemble(solid), places(solid)
-    radial, axial, field = 2e-4, -3e-4, 1e5
-    u, phi = np.column_stack([radial * r, axial * z]).ravel(), -field * z
-    inner = (r > 1e-9) & (r < 2e-2 - 1e-9) & (z > 1e-9) & (z < 1e-2 - 1e-9)
-    force = full.K_uu @ u + full.K_up @ phi
-    assert np.abs(force[np.repeat(inner, 2)]).max() < 1e-12 * np.abs(full.K_uu @ u).max()
-    S = np.array([radial, radial, axial, 0, 0, 0])
-    volume = np.pi * 4e-4 * 1e-2
-    assert u @ (full.K_uu @ u) == pytest.approx(volume * (S @ PZT.C @ S), rel=1e-12)
-    assert full.M.sum() / 2 == pytest.approx(volume * PZT.density, rel=1e-12)
 
 
 def test_cantilever_bends_as_euler_and_bernoulli_say():

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.pressure import ITERATIONS, RIGID, Pressed
+from kc2spice.bodies.pressure import ITERATIONS
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.assembly import free_displacements, ring_shapes
 from kc2spice.fem.piezo.keys import Chip
@@ -103,30 +103,6 @@ def unsettled() -> SimulationError:
         expected="a set that repeats",
         hint="the sphere may move too far in one step: make the step smaller",
     )
-
-
-def with_hats(
-    system: PiezoSystem, own: Pressed, gap: np.ndarray
-) -> tuple[PiezoSystem, ContactSurface]:
-    """``system``, whose mechanical port is the patch, with the hats as unknowns without inertia
-    behind it, damped as stiffness is, and the contact of each of them: what :func:`dented` makes
-    one law of, hat by hat.
-    """
-    n, count = system.sectors * own.compliance, len(gap)
-    size, shapes = np.linalg.eigh(n)
-    stiff = 1.0 / size.max()
-    modes = np.sqrt(stiff * size)[:, None] * shapes.T
-    more = replace(
-        system,
-        M=sparse.block_diag([system.M, sparse.csc_array((count, count))], format="csc"),
-        K_uu=sparse.block_diag([system.K_uu, stiff * sparse.eye_array(count)], format="csc"),
-        K_up=sparse.vstack([system.K_up, sparse.csc_array((count, system.K_up.shape[1]))],
-                           format="csc"),
-        k_uV=np.append(system.k_uV, np.zeros(count)),
-    )  # fmt: skip
-    B = np.vstack([np.repeat(system.B, count, axis=1), modes])
-    rigid = np.full(count, RIGID / n.diagonal().max())
-    return replace(more, B=B), ContactSurface(B, gap, rigid, np.arange(count))
 
 
 def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:
