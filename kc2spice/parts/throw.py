@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import fall, landing, normal, separation, unresolved
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, TimeScale, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
 
 
 class ThrowKeys(Section):
@@ -49,11 +49,9 @@ class Throw(PartType):
     def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
         return {sphere(part, scene).name: (part.keys.velocity, part.keys.gap)}
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
-        """What a step may miss shrinks with the speed of the impact."""
+    def speed(self, part: Part, scene: Scene) -> float | None:
         drop = 2.0 * max(scene.gravity, 0.0) * part.keys.gap
-        speed = max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
-        yield TimeScale(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
+        return max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
 
     def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
         speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import singledispatch
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -47,9 +48,16 @@ class Attached:
     law: L.Device
     inputs: Rows
     into: np.ndarray
-    stores: np.ndarray | None  # (n, states), where the stored quantities are not the states
+    stores: np.ndarray | None  # (n, stored), where the stored quantities are not the states
     raw: np.ndarray  # ``into`` before the reduction
     states: np.ndarray  # their places among the unknowns
+
+    def flowing(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
+        """What the rates of its charges add to ``out`` (k,), for inputs ``e`` of this ``rate``."""
+        law, found = self.law, np.zeros(self.raw.shape[1])
+        if law.charged:
+            found[list(law.charged)] = law.store(e, mode)[1][len(law.states) :] @ rate
+        return found
 
 
 @dataclass(frozen=True)
@@ -140,6 +148,7 @@ class _Assembly:
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
         self.drag = np.zeros((self.nq, self.nq))  # damping of displacements without inertia
+        self.charged = np.zeros((n, n))  # which voltages charges of devices follow
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, int]] = []
@@ -350,7 +359,8 @@ class _Assembly:
         mass = self.M[:nq, vel]
         Nq, moving = self._relaxed(Nq, vel)
         charge = self.M[vol, :]
-        Nv, _ = _split(Nv, charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1)))
+        follows = charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1))
+        Nv, _ = _split(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
         # Sources and resistors alone have no state: one that stays zero spares solvers that case.
@@ -394,8 +404,10 @@ class _Assembly:
             where = np.array([self.own[f"{law.name}.{s}"] for s in law.states], dtype=int)
             small, stores = where - n + size, None
             if has_store(law):
-                stores = W.T @ np.eye(n)[:, where]
+                charges = -into[:, list(law.charged)]
+                stores = W.T @ np.hstack([np.eye(n)[:, where], charges])
                 differential[small] = True
+                differential |= (charges.T @ T).any(axis=0)
             devices.append(Attached(law, reduced(taps), W.T @ into, stores, into, small))
         pins = [(law, pin) for law in self.laws for pin in law.pins]
         across = {f"{o.name}.{q.name}": reduced(self.across(o, q.name)) for o, q in pins}
@@ -452,7 +464,7 @@ def compliant(body: L.LinearBody, k: int) -> bool:
 
 def has_store(law: L.Device) -> bool:
     """Whether the device stores something else than its states."""
-    return type(law).store is not L.Device.store
+    return type(law).store is not L.Device.store and bool(law.states or law.charged)
 
 
 def states_of(law: L.Law) -> list[tuple[str, float]]:
@@ -648,6 +660,8 @@ def _device(law: L.Device, into: _Assembly) -> None:
         for form in own:
             into.M += np.outer(form, form)
     empty = np.zeros((0, into.size))
+    for k in law.charged:
+        into.charged += np.outer(through[k], through[k])
     inputs = np.array([*taps, *own]) if taps or own else empty
     outputs = np.array([*through, *own, *driven])
     into.attached.append((law, inputs, outputs.T))

@@ -141,7 +141,7 @@ class Waves(Mapping[str, np.ndarray]):
             return self._through(*system.through[stem])
         if name in self._extra:
             read = self._extra[name]
-            return np.array([v for piece, t, z, _ in self._states for v in read(piece, t, z)])
+            return np.array([v for piece, t, z, r in self._states for v in read(piece, t, z, r)])
         for k, supply in enumerate(system.supplies):
             if name == f"{supply.law}.out.through":
                 parts = [_supplied(p, t, z, r)[1][k] for p, t, z, r in self._states]
@@ -170,7 +170,7 @@ class Waves(Mapping[str, np.ndarray]):
         return np.concatenate(parts)
 
 
-_Read = Callable[[Piece, np.ndarray, np.ndarray], list[float]]
+_Read = Callable[[Piece, np.ndarray, np.ndarray, np.ndarray], list[float]]
 
 
 def _device_waves(system: System) -> dict[str, _Read]:
@@ -179,15 +179,21 @@ def _device_waves(system: System) -> dict[str, _Read]:
         law = device.law
 
         def outputs(i: int, k: int = k) -> _Read:
-            def read(piece: Piece, t: np.ndarray, z: np.ndarray) -> list[float]:
-                law, mode = piece.system.devices[k].law, piece.modes[k]
+            def read(piece: Piece, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> list[float]:
+                device, mode = piece.system.devices[k], piece.modes[k]
                 e = _columns(piece, k, t, z)
-                return [law.evaluate(a, x, mode)[0][i] for a, x in zip(t, e, strict=True)]
+                out = [device.law.evaluate(a, x, mode)[0][i] for a, x in zip(t, e, strict=True)]
+                if i not in device.law.charged:
+                    return out
+                _, d = piece.system.inputs(t, piece.within)
+                de = (device.inputs.z @ r + device.inputs.s @ d).T
+                rates = [device.flowing(x, dx, mode)[i] for x, dx in zip(e, de, strict=True)]
+                return [a + b for a, b in zip(out, rates, strict=True)]
 
             return read
 
         def state(i: int, k: int = k) -> _Read:
-            return lambda piece, t, z: list(_columns(piece, k, t, z)[:, i])
+            return lambda piece, t, z, r: list(_columns(piece, k, t, z)[:, i])
 
         for i, flow in enumerate(law.flows):
             found[f"{law.name}.{flow.pin}.through"] = outputs(i)
@@ -201,7 +207,7 @@ def _device_waves(system: System) -> dict[str, _Read]:
 
 
 def _more(k: int, key: str) -> _Read:
-    def read(piece: Piece, t: np.ndarray, z: np.ndarray) -> list[float]:
+    def read(piece: Piece, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> list[float]:
         law, mode = piece.system.devices[k].law, piece.modes[k]
         e = _columns(piece, k, t, z)
         return [law.waves(a, x, mode)[key] for a, x in zip(t, e, strict=True)]
@@ -430,7 +436,11 @@ def _supplied(
             left = M @ dy - A @ y - S @ s - const[:, None]
             for device, mode in zip(system.devices, piece.modes, strict=True):
                 e = device.inputs.at(z, s, d)
-                out = [device.law.evaluate(a, x, mode)[0] for a, x in zip(t, e.T, strict=True)]
+                de = device.inputs.z @ r + device.inputs.s @ d
+                out = [
+                    device.law.evaluate(a, x, mode)[0] + device.flowing(x, dx, mode)
+                    for a, x, dx in zip(t, e.T, de.T, strict=True)
+                ]
                 left -= device.raw @ np.array(out).T
             touched = G.any(axis=0)
             force = np.linalg.lstsq(G[:, touched].T, left[touched], rcond=1e-12)[0]

@@ -47,11 +47,13 @@ class Linear:
         s0, d0 = system.inputs(0.0, 0.0)
         M, J = system.M, system.A
         Gs, Gd, Bs, Bd = system.Gs, system.Gd, system.Bs, system.Bd
-        slopes = []
+        slopes, charges = [], []
         for device, mode in zip(system.devices, self.held, strict=True):
             e = device.inputs.at(self.z0, s0, d0)
             slope, kept = device.law.small(at, e, mode)
             slopes.append(slope)
+            charges.append(np.zeros_like(slope))
+            charges[-1][list(device.law.charged)] = kept[len(device.law.states) :]
             z, s, d = (device.into @ slope @ P for P in device.inputs.parts)
             J, Bs, Bd = J + z, Bs + s, Bd + d
             if device.stores is not None:
@@ -59,9 +61,11 @@ class Linear:
                 M, Gs, Gd = M + z, Gs + s, Gd + d
         self.M, self.J = M, J
         self.Gs, self.Gd, self.Bs, self.Bd = Gs, Gd, Bs, Bd
-        self.names, self.C0, self.C1 = self._outputs(slopes)
+        self.names, self.C0, self.C1 = self._outputs(slopes, charges)
 
-    def _outputs(self, slopes: list[np.ndarray]) -> tuple[list[str], np.ndarray, np.ndarray]:
+    def _outputs(
+        self, slopes: list[np.ndarray], charges: list[np.ndarray]
+    ) -> tuple[list[str], np.ndarray, np.ndarray]:
         system, none = self.system, np.zeros(self.z0.size + 2 * len(self.system.sources))
         names: list[str] = []
         now: list[np.ndarray] = []
@@ -80,13 +84,14 @@ class Linear:
             add(f"{name}.through", _row(direct), _row(rate))
         rawM, rawA, S, _, G, T, Ts, Td = system.raw
         expansion = np.hstack([T, Ts, Td])
-        left = -rawA @ expansion
+        left, stored = -rawA @ expansion, rawM @ expansion
         left[:, T.shape[1] : T.shape[1] + S.shape[1]] -= S
-        for device, slope in zip(system.devices, slopes, strict=True):
-            form = slope @ np.hstack([device.inputs.z, device.inputs.s, device.inputs.d])
-            left = left - device.raw @ form
+        for device, slope, charge in zip(system.devices, slopes, charges, strict=True):
+            seen = np.hstack(device.inputs.parts)
+            form, rate = slope @ seen, charge @ seen
+            left, stored = left - device.raw @ form, stored - device.raw @ rate
             for k, flow in enumerate(device.law.flows):
-                add(f"{device.law.name}.{flow.pin}.through", form[k])
+                add(f"{device.law.name}.{flow.pin}.through", form[k], rate[k])
         touched = G.any(axis=0)
         solve = np.linalg.pinv(G[:, touched].T, rcond=1e-12) if G.size else np.zeros((0, 0))
         for supply in system.supplies:
@@ -99,7 +104,7 @@ class Linear:
                 add(
                     f"{supply.law}.out.through",
                     row @ left[touched],
-                    row @ (rawM @ expansion)[touched],
+                    row @ stored[touched],
                 )
         # a name that stands twice keeps its last meaning
         last = {name: k for k, name in enumerate(names)}

@@ -193,7 +193,9 @@ class Radau:
                 continue
             assert self.lu is not None  # ``take`` has factorised
             (lr, pr, _), _ = self.lu
-            ZE = np.where(self.problem.rows, self.M @ (step.increments @ _ERROR) / h, 0.0)
+            # of what is stored, not of ``M`` times the unknowns: that is of an earlier state
+            late = self.problem.stored(self.t + h * NODES, self.z[:, None] + step.increments)
+            ZE = np.where(self.problem.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
             error, _ = lapack.dgetrs(lr, pr, f0 + ZE)
             scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
             size = _norm((error / scale)[active])

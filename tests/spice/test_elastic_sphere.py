@@ -16,7 +16,6 @@ from kc2spice.fem.materials import material
 from kc2spice.parts import contact as contacts
 from kc2spice.parts import elastic_sphere
 from kc2spice.parts.contact import separation
-from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build, Dents
 from kc2spice.sim.ngspice import run_deck
@@ -100,8 +99,8 @@ def bodies(monkeypatch):
 
 def test_the_model_is_that_of_the_sphere_under_its_contacts_hats(bodies):
     part, scene, calls = bodies
-    body, shares, shape = part.type.full(part, scene, Clock(silent))
-    assert [call for call in calls if isinstance(call, tuple)] == [("pressed", 3), ("sphere", 3)]
+    body, shares, shape = part.type.full(part, scene, Clock(silent), 2)
+    assert [call for call in calls if isinstance(call, tuple)] == [("pressed", 3), ("sphere", 6)]
     assert (body.radius, body.material.density) == (2e-3, 7850.0)
     assert (shape.nodes[1], shape.nodes[-1]) == (25e-6, 250e-6)  # the outermost ring of the chip
     assert shares.sum() == pytest.approx(1.0)
@@ -125,6 +124,20 @@ def test_its_dents_follow_the_pressure_within_its_damping(bodies):
     assert (low, high) == (0.0, pytest.approx(2 * 2.65 * sound / 2e-3 / (2 * np.pi), rel=1e-2))
     own = load_scene(scene, {"sphere.elastic.rom.order": 7})
     assert part.type.reduction(own.parts["sphere_elastic"], own).order == 7
+
+
+def test_its_mesh_is_judged_by_cells_half_the_size(bodies):
+    """1 + 0.04 / k^2 at k = 3 and 6: their difference is three quarters of the coarser's error."""
+    part, scene, calls = bodies
+    found = part.type.mesh_error(part, scene)
+    assert [call[1] for call in calls if isinstance(call, tuple)] == [3, 6]
+    exact = (1 + 0.04 / 9) - 1
+    assert 0.7 * exact < found.error < 1.5 * exact
+    (key,) = (call for call in calls if isinstance(call, dict))
+    assert key["full"]["radius"] == 2e-3
+    assert key["full"]["own"] == {"mesh": {"refine": 3}}
+    assert len(key["full"]["hats"]) == hats(25e-6, 250e-6).nodes.size
+    assert part.type.coarse(part, scene)
 
 
 def test_what_it_leaves_out_is_told(bodies, monkeypatch):
@@ -181,15 +194,16 @@ def test_an_elastic_sphere_goes_deeper_by_both_moduli():
     assert depth[1] / depth[0] == pytest.approx((1 + chip / steel) ** 0.4, rel=1e-6)
 
 
-def test_the_hats_are_an_axis_of_the_error_budget_where_there_are_some(monkeypatch):
+def test_the_hats_are_a_row_of_the_error_budget(monkeypatch):
     scene = load_scene("impact", PRESSED[:1])
-    (axis,) = (axis for axis in axes(scene) if axis.name == "contact.spacing")
-    assert axis.at(1) == {"contact.spacing": 5e-6}
+    contact = scene.parts["contact"]
     monkeypatch.setattr(contacts, "spacing_error", lambda *_: 0.05)
-    assert contacts.unresolved(scene.parts["contact"], scene) == pytest.approx(0.15)
+    (row,) = contact.type.estimates(contact, scene)
+    assert (row.stage, row.share, row.expected) == ("hats of contact", None, 0.05)
+    assert row.settings == "contact.spacing 1e-05 m"
+    assert contacts.unresolved(contact, scene) == pytest.approx(0.15)
     plain = load_scene("impact")
     assert contacts.unresolved(plain.parts["contact"], plain) == 0.0
-    assert "contact.spacing" not in {axis.name for axis in axes(plain)}
 
 
 def hertz(mass, radius, speed):

@@ -4,7 +4,14 @@ import operator
 
 import pytest
 
-from kc2spice.netlist.expression import Binary, Choice, Number, Unary, Writer, parse
+from kc2spice.netlist.expression import (
+    Binary,
+    Choice,
+    Number,
+    Unary,
+    Writer,
+    parse,
+)
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,

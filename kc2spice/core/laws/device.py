@@ -39,6 +39,7 @@ class Device(ABC):
         out = [through of every flow, rate of every state's store, value of every signal it drives]
         d/dt store(e) = rate,   store(e) = the states themselves unless said otherwise
 
+    Flows that are ``charged`` are the rates of further entries of ``store`` besides.
     A mode lasts while every guard is positive.
     """
 
@@ -57,6 +58,11 @@ class Device(ABC):
     @property
     def flows(self) -> tuple[Flow, ...]:
         """What it exerts."""
+        return ()
+
+    @property
+    def charged(self) -> tuple[int, ...]:
+        """Places of the flows to which the rate of a stored quantity adds, such as a charge's."""
         return ()
 
     @property
@@ -88,7 +94,7 @@ class Device(ABC):
         """``out`` (k,) and its derivative (k, m) by ``e``."""
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """Stored quantities (len(states),) and their derivative (len(states), m) by ``e``."""
+        """Stored quantities (len(states) + len(charged),) and their derivatives by ``e``."""
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
 

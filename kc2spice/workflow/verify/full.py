@@ -223,6 +223,8 @@ def _outputs(law: Device, time: np.ndarray, inputs: np.ndarray) -> dict[str, np.
         mode = law.mode(t, e)
         out = law.evaluate(t, e, mode)[0]
         for k, flow in enumerate(law.flows):
+            if k in law.charged:
+                continue  # its charge changes over time
             found.setdefault(f"{law.name}.{flow.pin}.through", []).append(out[k])
         for k, state in enumerate(law.states):
             found.setdefault(f"{law.name}.{state}", []).append(e[len(law.taps) + k])

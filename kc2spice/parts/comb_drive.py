@@ -1,0 +1,55 @@
+"""An electrostatic comb drive, with a stop."""
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Length, Ratio, Section, Stiffness
+from kc2spice.core.units import EPSILON_0
+from kc2spice.physics.declaration import Declaration, displacement, voltage
+from kc2spice.physics.part import DeclaredPart
+from kc2spice.scene.parttype import register
+
+
+class CombDriveKeys(Section):
+    """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
+    thickness v^2 / gap``."""
+
+    fingers: Ratio = Field(gt=0, description="of the moving comb, each between two others")
+    thickness: Length = Field(gt=0, description="of the fingers, across the motion")
+    gap: Length = Field(gt=0, description="between neighbouring fingers")
+    overlap: Length = Field(gt=0, description="of the fingers at x = 0")
+    travel: Length = Field(gt=0, description="x at which the stop is met")
+    stop: Stiffness = Field(1e4, gt=0, description="of the stop")
+
+
+register(DeclaredPart(Declaration(
+    "comb_drive", "electrostatic comb drive, with a stop", CombDriveKeys,
+    (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+    constants={"eps0": repr(EPSILON_0)},
+    energy="0.5*stop*max(0, x - travel)^2",
+    coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
+    limits={"the overlap": "overlap + x"},
+    neglected=(
+        ("fringing field", "the field is that between the overlapping fingers",
+         "of the order of gap / thickness"),
+        ("sideways pull-in", "the fingers stay in the middle of their gaps", "not estimated"),
+    ),
+    rating="not known; compare the field v / gap with the breakdown of what is in the gap",
+    example="""
+[comb_drive]
+part = "comb_drive"
+fingers = 50
+thickness = "25 um"
+gap = "2 um"
+overlap = "20 um"
+travel = "30 um"
+pins = { plus = "drive.out", a = "spring.a" }
+
+[spring]
+part = "spring"
+stiffness = "1 N/m"
+
+[drive]
+part = "source"
+dc = "10 V"
+""",
+)))  # fmt: skip

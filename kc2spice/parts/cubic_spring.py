@@ -1,0 +1,38 @@
+"""A spring whose force has a cubic term, between two displacement pins."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Section, Stiffness, si
+from kc2spice.physics.declaration import Declaration, displacement
+from kc2spice.physics.part import DeclaredPart
+from kc2spice.scene.parttype import register
+
+
+class CubicSpringKeys(Section):
+    """``F = stiffness x + cubic x^3``; ``cubic`` below zero softens."""
+
+    stiffness: Stiffness = Field(gt=0, description="at small stretch")
+    cubic: Annotated[float, si("N/m3")] = Field(0.0, description="times the stretch cubed")
+
+
+register(DeclaredPart(Declaration(
+    "cubic_spring", "spring with a cubic term between two displacement pins", CubicSpringKeys,
+    (displacement("x", "a", "b"),),
+    energy="0.5*stiffness*x^2 + 0.25*cubic*x^4",
+    limits={"the stretch at which it gives way": "stiffness + 3*cubic*x^2"},
+    neglected=(("mass of the spring", "it joins two pins without inertia", "not estimated"),),
+    example="""
+[cubic_spring]
+part = "cubic_spring"
+stiffness = "100 N/m"
+cubic = "1e10 N/m3"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "force"
+dc = "10 mN"
+""",
+)))  # fmt: skip

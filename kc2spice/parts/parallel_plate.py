@@ -1,0 +1,57 @@
+"""An electrostatic actuator of two parallel plates, with a stop."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Length, Ratio, Section, Stiffness, si
+from kc2spice.core.units import EPSILON_0
+from kc2spice.physics.declaration import Declaration, displacement, voltage
+from kc2spice.physics.part import DeclaredPart
+from kc2spice.scene.parttype import register
+
+
+class ParallelPlateKeys(Section):
+    """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
+
+    A spring of stiffness ``k`` between its plates snaps in at ``sqrt(8 k gap^3 / (27 eps area))``.
+    """
+
+    area: Annotated[float, si("m2")] = Field(gt=0, description="of the plates")
+    gap: Length = Field(gt=0, description="between the plates at x = 0")
+    permittivity: Ratio = Field(1.0, gt=0, description="relative, of what is between the plates")
+    travel: Length = Field(gt=0, description="x at which the stop is met, less than the gap")
+    stop: Stiffness = Field(1e5, gt=0, description="of the stop")
+
+
+register(DeclaredPart(Declaration(
+    "parallel_plate", "electrostatic actuator of two parallel plates, with a stop",
+    ParallelPlateKeys,
+    (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+    constants={"eps0": repr(EPSILON_0)},
+    energy="0.5*stop*max(0, x - travel)^2",
+    coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
+    limits={"the gap": "gap - x"},
+    neglected=(
+        ("fringing field", "the field is that of infinite plates", "of the order of gap / width"),
+        ("squeezed air", "a damper between a and b stands for it", "not estimated"),
+        ("rebound losses of the stop", "it is elastic", "not estimated"),
+    ),
+    rating="not known; compare the field v / (gap - x) with the breakdown of what is in the gap",
+    example="""
+[parallel_plate]
+part = "parallel_plate"
+area = "0.01 mm2"
+gap = "2 um"
+travel = "1.5 um"
+pins = { plus = "drive.out", a = "spring.a" }
+
+[spring]
+part = "spring"
+stiffness = "1 N/m"
+
+[drive]
+part = "source"
+dc = "3 V"
+""",
+)))  # fmt: skip

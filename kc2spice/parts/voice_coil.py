@@ -1,0 +1,65 @@
+"""A voice coil on a suspension, both of which depend on the stroke."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, Section, si
+from kc2spice.physics.declaration import Declaration, current, displacement
+from kc2spice.physics.part import DeclaredPart
+from kc2spice.scene.parttype import register
+
+
+class VoiceCoilKeys(Section):
+    """``Bl(x) = bl + bl1 x + bl2 x^2``, ``Cms(x) = cms + cms1 x + cms2 x^2``: the force of the coil
+    is ``Bl(x) i``, that of the suspension ``x / Cms(x)``, and the coil's voltage is
+    ``resistance i + inductance i' + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
+
+    resistance: Resistance = Field(gt=0, description="of the coil")
+    inductance: Inductance = Field(gt=0, description="of the coil")
+    bl: Annotated[float, si("N/A")] = Field(description="force factor at rest")
+    bl1: Annotated[float, si("N/(A m)")] = Field(0.0, description="its slope by the stroke")
+    bl2: Annotated[float, si("N/(A m2)")] = Field(0.0, description="times the stroke squared")
+    cms: Annotated[float, si("m/N")] = Field(gt=0, description="compliance at rest")
+    cms1: Annotated[float, si("1/N")] = Field(0.0, description="its slope by the stroke")
+    cms2: Annotated[float, si("1/(N m)")] = Field(0.0, description="times the stroke squared")
+    damping: MechanicalDamping = Field(0.0, ge=0, description="of the suspension")
+
+
+register(DeclaredPart(Declaration(
+    "voice_coil", "voice coil on a suspension that depends on the stroke", VoiceCoilKeys,
+    (current("i", "plus", "minus"), displacement("x", "a", "b")),
+    energy="integral(x/(cms + cms1*x + cms2*x^2), x)",
+    coenergy="0.5*inductance*i^2 + i*(bl*x + bl1*x^2/2 + bl2*x^3/3)",
+    content="0.5*resistance*i^2 + 0.5*damping*x_rate^2",
+    limits={"the compliance": "cms + cms1*x + cms2*x^2"},
+    neglected=(
+        ("inductance that depends on the stroke", "its slope gives a force of i^2",
+         "not estimated"),
+        ("heating of the coil", "its resistance is constant", "0.4 % a kelvin, of copper"),
+        ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
+    ),
+    rating="not known; i^2 resistance is the power that heats the coil",
+    example="""
+[voice_coil]
+part = "voice_coil"
+resistance = "6 Ohm"
+inductance = "0.5 mH"
+bl = "5 N/A"
+bl1 = "-100 N/(A m)"
+bl2 = "-5e4 N/(A m2)"
+cms = "1 mm/N"
+cms1 = "0.02 1/N"
+cms2 = "-10 1/(N m)"
+damping = "1 N s/m"
+pins = { plus = "drive.out", a = "cone.a" }
+
+[cone]
+part = "mass"
+mass = "10 g"
+
+[drive]
+part = "source"
+sine = { amplitude = "1 V", frequency = "50 Hz" }
+""",
+)))  # fmt: skip

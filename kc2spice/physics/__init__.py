@@ -1,0 +1,1 @@
+"""Physics stated once, as expressions, and what is generated from it."""

@@ -1,0 +1,149 @@
+"""A declaration as a subcircuit: one source of current or voltage a branch.
+
+Inside, 1 V between displacement pins is 1 um, other nodes are in SI. What changes over time is
+differentiated by the current of a capacitor that a source charges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from kc2spice.netlist.expression import Binary, Name, Number, Probe, Tree
+from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.expression import ZERO, derivative, kinks, names, replaced, text
+
+_MICRO, _FARAD = Number("1e-6"), "1e-06"
+_EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"
+_HEAD = {
+    "force": "force into {plus}, out of {minus}, 1 V = 1 N on {node}; x = 1e-6 V({plus},{minus})",
+    "rate": "velocity of {plus} less that of {minus} [m/s]: the current of 1 uF on that voltage",
+    "charge": "charge between {plus} and {minus} on the node {node}, 1 V = {scale} coulombs; its "
+    "rate flows from {plus} to {minus}",
+    "flux": "flux of the current from {plus} to {minus} on the node {node}, 1 V = {scale} webers; "
+    "its rate is a part of the voltage",
+    "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
+}  # fmt: skip
+
+
+def body(declaration: Declaration) -> str:
+    """Cards between ``.subckt`` and ``.ends``, with their comments."""
+    return "\n".join(_lines(declaration)) + "\n"
+
+
+def _lines(declaration: Declaration) -> Iterator[str]:
+    for name, tree in declaration.fixed.items():
+        yield f".param {name}={{{text(tree)}}}"
+    nodes = _probes(declaration)
+    for branch in declaration.damped:
+        yield from _velocity(branch)
+    for branch in declaration.branches:
+        make = {"displacement": _force, "voltage": _charge, "current": _flux}[branch.kind]
+        yield from make(declaration, branch, nodes)
+    yield from _edges(declaration, nodes)
+
+
+def _probes(declaration: Declaration) -> Mapping[str, Tree]:
+    """What stands for each coordinate and rate."""
+    found: dict[str, Tree] = {}
+    for b in declaration.branches:
+        across = Probe("v", (b.plus, b.minus))
+        found[b.name] = {
+            "displacement": Binary("*", _MICRO, across),
+            "voltage": across,
+            "current": Probe("i", (meter(b),)),
+        }[b.kind]
+        found[b.name + RATE] = Probe("i", (f"Vrate_{b.name}",))
+    return found
+
+
+def meter(branch: Branch) -> str:
+    """The source of no voltage through which the current of an electrical branch flows."""
+    return f"Vmeter_{branch.name}"
+
+
+def force_node(branch: Branch) -> str:
+    """The node on which the force of a displacement is."""
+    return f"f_{branch.name}"
+
+
+def _comment(kind: str, branch: Branch, **words: str) -> str:
+    return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
+
+
+def _placed(tree: Tree, nodes: Mapping[str, Tree]) -> str:
+    return text(replaced(tree, nodes))
+
+
+def _differentiated(name: str, node: str, minus: str) -> Iterator[str]:
+    """The current of ``Vrate_NAME`` is 1e-6 of the rate of the node's voltage."""
+    yield f"Crate_{name} {node} sense_{name} {_FARAD}"
+    yield f"Vrate_{name} sense_{name} {minus} 0"
+
+
+def _velocity(b: Branch) -> Iterator[str]:
+    yield _comment("rate", b)
+    yield f"Ecopy_{b.name} copy_{b.name} {b.minus} {b.plus} {b.minus} 1"
+    yield from _differentiated(b.name, f"copy_{b.name}", b.minus)
+
+
+def _force(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+    node = force_node(b)
+    yield _comment("force", b, node=node)
+    yield f"*   {b.through} = {text(declaration.direct(b))}"
+    yield f"B{node} {b.minus} {node} I={{{_placed(declaration.direct(b), nodes)}}}"
+    yield f"R{node} {node} {b.minus} 1"
+    yield f"G{node} {b.plus} {b.minus} {node} {b.minus} 1"
+
+
+def _scaled(
+    declaration: Declaration, b: Branch, kept: Tree, node: str, nodes: Mapping[str, Tree]
+) -> Iterator[str]:
+    """What is kept, in units of its derivative at rest, so that its voltages are those of ``b``."""
+    scale = declaration.at_rest(derivative(kept, b.name))
+    yield f".param scale_{b.name}={{{text(scale if scale != ZERO else Number('1e-12'))}}}"
+    amount = Binary("/", replaced(kept, nodes), Name(f"scale_{b.name}"))
+    yield f"B{node} {node} {b.minus} V={{{text(amount)}}}"
+    yield from _differentiated(b.name, node, b.minus)
+
+
+def _charge(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+    kept, direct, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
+    yield f"{meter(b)} {b.plus} {inner} 0"
+    if kept != ZERO:
+        yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
+        yield f"*   charge = {text(kept)}"
+        yield from _scaled(declaration, b, kept, f"q_{b.name}", nodes)
+        yield f"Fq_{b.name} {inner} {b.minus} Vrate_{b.name} {{scale_{b.name}*1e6}}"
+    if direct != ZERO or kept == ZERO:
+        yield f"*   {b.through} = {text(direct)}"
+        yield f"Bi_{b.name} {inner} {b.minus} I={{{_placed(direct, nodes)}}}"
+
+
+def _flux(declaration: Declaration, b: Branch, nodes: Mapping[str, Tree]) -> Iterator[str]:
+    kept, drop, inner = declaration.kept(b), declaration.direct(b), f"in_{b.name}"
+    yield f"{meter(b)} {b.plus} {inner} 0"
+    if kept != ZERO:
+        yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
+        yield f"*   flux = {text(kept)}"
+        yield from _scaled(declaration, b, kept, f"l_{b.name}", nodes)
+        yield f"Hl_{b.name} {inner} rest_{b.name} Vrate_{b.name} {{scale_{b.name}*1e6}}"
+        inner = f"rest_{b.name}"
+    yield f"*   voltage besides that of the flux = {text(drop)}"
+    yield f"Bv_{b.name} {inner} {b.minus} V={{{_placed(drop, nodes)}}}"
+
+
+def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[str]:
+    """Watches of displacements against thresholds."""
+    moving = [b for b in declaration.branches if b.kind == "displacement"]
+    coordinates = {b.name: b for b in moving}
+    found = [e for b in moving for e in kinks(declaration.direct(b))]
+    for k, argument in enumerate(dict.fromkeys(found)):
+        seen = names(argument) & set(declaration.coordinates)
+        if len(seen) != 1 or not seen <= set(coordinates):
+            continue
+        b = coordinates[next(iter(seen))]
+        yield _comment("edge", b, argument=text(argument))
+        yield _EDGE if not k else f"* edge {k + 1}"
+        watched = Binary("*", Number("1e10"), replaced(argument, nodes))
+        yield f"Bedge{k} edge{k} {b.minus} V={{{text(watched)}}}"
+        yield f"Sedge{k} edge{k} {b.minus} edge{k} {b.minus} edge"

@@ -1,0 +1,217 @@
+"""A part's physics as data: energies and losses as expressions of what lies across its pins.
+
+======================  ===================  =========================  =====================
+branch                  coordinate           through, into ``plus``     its rate
+======================  ===================  =========================  =====================
+:func:`displacement`    x [m]                force [N]                  ``x_rate`` [m/s]
+:func:`voltage`         v [V]                current [A]
+:func:`current`         i [A]                the coordinate itself
+======================  ===================  =========================  =====================
+
+With the energy ``U`` (of displacements), the coenergy ``W`` (of displacements, voltages, currents)
+and the content ``R`` (of rates, voltages, currents)::
+
+    force  = dU/dx - dW/dx + dR/dx_rate
+    i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
+    v      = d/dt (dW/di) + dR/di           flux   l = dW/di
+
+The energy that is stored is ``U - W + sum v q + sum i l``, the power that becomes heat
+``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
+is lost, whatever the expressions say. (J. Meisel, Principles of Electromechanical Energy
+Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Section
+from kc2spice.netlist.expression import Name, Tree
+from kc2spice.physics.expression import (
+    ZERO,
+    derivative,
+    expression,
+    minus,
+    names,
+    plus,
+    replaced,
+    times,
+)
+
+Kind = Literal["displacement", "voltage", "current"]
+RATE = "_rate"  # ends the name of a displacement's velocity
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A coordinate between two pins; ``through`` names the result that flows into ``plus``."""
+
+    kind: Kind
+    name: str
+    plus: str
+    minus: str
+    through: str
+
+
+def displacement(
+    name: str = "x", plus: str = "a", minus: str = "b", force: str = "force"
+) -> Branch:
+    """``name`` [m] is the displacement of ``plus`` less that of ``minus``."""
+    return Branch("displacement", name, plus, minus, force)
+
+
+def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str = "i") -> Branch:
+    """``name`` [V] is the voltage from ``plus`` to ``minus``; a charge follows it."""
+    return Branch("voltage", name, plus, minus, flow)
+
+
+def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
+    """``name`` [A] flows from ``plus`` to ``minus``; a flux follows it."""
+    return Branch("current", name, plus, minus, name)
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """The physics of a part type: everything else is generated.
+
+    ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name; ``constants``
+    are further names with their expressions of keys and of constants before them. ``limits`` maps
+    words for a limit to an expression that must stay above zero. ``neglected`` are rows of an
+    effect, why it has no model, and what its absence changes.
+    """
+
+    name: str
+    title: str
+    keys: type[Section]
+    branches: tuple[Branch, ...]
+    energy: str = "0"
+    coenergy: str = "0"
+    content: str = "0"
+    constants: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, str] = field(default_factory=dict)
+    neglected: tuple[tuple[str, str, str], ...] = ()
+    rating: str = "not known"
+    validity: str = "constant temperature; nothing here heats up, ages or breaks"
+    example: str = ""
+
+    def __post_init__(self) -> None:
+        known = {*self.parameters, *self.coordinates, *self.rates}
+        for what, tree in self._stated():
+            if unknown := sorted(names(tree) - known):
+                raise UsageError(
+                    "a name that nothing gives a value", where=f"{self.name}: {what}",
+                    got=", ".join(unknown), expected=", ".join(sorted(known)),
+                )  # fmt: skip
+        allowed = {"energy": "displacement", "coenergy": "displacement voltage current"}
+        for what, kinds in allowed.items():
+            coordinates = {b.name for b in self.branches if b.kind in kinds.split()}
+            strange = names(getattr(self, f"_{what}")) - coordinates - set(self.parameters)
+            if strange:
+                raise UsageError(
+                    f"the {what} does not depend on this", where=self.name,
+                    got=", ".join(sorted(strange)), expected=", ".join(sorted(coordinates)),
+                )  # fmt: skip
+
+    def _stated(self) -> Iterable[tuple[str, Tree]]:
+        yield from (("energy", self._energy), ("coenergy", self._coenergy))
+        yield from (("content", self._content), *self.bounds.items(), *self.fixed.items())
+
+    # --- names ------------------------------------------------------------------------------
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the branches' coordinates."""
+        return tuple(branch.name for branch in self.branches)
+
+    @cached_property
+    def rates(self) -> tuple[str, ...]:
+        """Names of the velocities."""
+        return tuple(b.name + RATE for b in self.branches if b.kind == "displacement")
+
+    @cached_property
+    def numbers(self) -> tuple[str, ...]:
+        """Keys that are numbers."""
+        fields = self.keys.model_fields
+        return tuple(name for name, found in fields.items() if found.annotation is float)
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Keys that are numbers, and constants."""
+        return (*self.numbers, *self.constants)
+
+    @cached_property
+    def fixed(self) -> dict[str, Tree]:
+        """The constants' expressions."""
+        return {
+            name: expression(text, f"{self.name}.{name}") for name, text in self.constants.items()
+        }
+
+    # --- what follows -----------------------------------------------------------------------
+
+    @cached_property
+    def _energy(self) -> Tree:
+        return expression(self.energy, f"energy of {self.name}")
+
+    @cached_property
+    def _coenergy(self) -> Tree:
+        return expression(self.coenergy, f"coenergy of {self.name}")
+
+    @cached_property
+    def _content(self) -> Tree:
+        return expression(self.content, f"content of {self.name}")
+
+    @cached_property
+    def bounds(self) -> dict[str, Tree]:
+        """The limits' expressions."""
+        return {
+            name: expression(text, f"limit of {self.name}") for name, text in self.limits.items()
+        }
+
+    def direct(self, branch: Branch) -> Tree:
+        """What is through a branch at once: force, or current besides that of the charge; of a
+        current, the voltage besides that of the flux."""
+        if branch.kind != "displacement":
+            return derivative(self._content, branch.name)
+        stored = minus(
+            derivative(self._energy, branch.name), derivative(self._coenergy, branch.name)
+        )
+        return plus(stored, derivative(self._content, branch.name + RATE))
+
+    def kept(self, branch: Branch) -> Tree:
+        """Charge or flux of a branch, whose rate adds to :meth:`direct`."""
+        return ZERO if branch.kind == "displacement" else derivative(self._coenergy, branch.name)
+
+    @cached_property
+    def stored(self) -> Tree:
+        """The stored energy [J]."""
+        both = [times(Name(b.name), self.kept(b)) for b in self.branches]
+        return plus(minus(self._energy, self._coenergy), *both)
+
+    @cached_property
+    def lost(self) -> Tree:
+        """The power [W] that becomes heat."""
+        rates = [b.name + (RATE if b.kind == "displacement" else "") for b in self.branches]
+        return plus(*(times(Name(rate), derivative(self._content, rate)) for rate in rates))
+
+    def at_rest(self, tree: Tree) -> Tree:
+        """``tree`` where all coordinates and rates are zero."""
+        return plus(replaced(tree, dict.fromkeys((*self.coordinates, *self.rates), ZERO)))
+
+    @cached_property
+    def damped(self) -> tuple[Branch, ...]:
+        """Displacements whose velocities matter."""
+        found = names(self._content)
+        return tuple(b for b in self.branches if b.name + RATE in found)
+
+    def values(self, keys: Section) -> dict[str, float]:
+        """Parameters of a part by name, in SI."""
+        from kc2spice.physics.expression import function
+
+        found = {name: float(getattr(keys, name)) for name in self.numbers}
+        for name, tree in self.fixed.items():
+            found[name] = float(function((tree,), found)(*found.values())[0])
+        return found

@@ -1,0 +1,336 @@
+"""What physics does with expressions: exact derivatives, plain forms, functions of numpy.
+
+The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
+``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
+``max(0, e)`` and ``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number
+and by its derivative but has no text in a netlist.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache, reduce
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.expression import (
+    Binary,
+    Call,
+    Choice,
+    Name,
+    Number,
+    Probe,
+    Tree,
+    Unary,
+    Writer,
+    children,
+    parse,
+    walk,
+)
+
+ZERO, ONE = Number("0"), Number("1")
+_DIGITS = 11  # that ngspice keeps of a literal in an expression
+# Derivatives by the argument u.
+_CHAIN = {
+    "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
+    "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
+}  # fmt: skip
+_NUMPY = {"ln": "log", "atan": "arctan"}
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(30)
+
+
+@cache
+def expression(text: str, where: str = "expression") -> Tree:
+    """The plain form of ``text``.
+
+    Raises
+    ------
+    UsageError : not an expression, or a function or operator without a derivative here.
+    """
+    tree = parse(text, where=where)
+    for node in walk(tree):
+        match node:
+            case Call("max", (first, _)) if tidy(first) == ZERO:
+                continue
+            case Call("integral", (_, Name(_))):
+                continue
+            case Call(name, (_,)) if name in _CHAIN:
+                continue
+            case Call(name, _):
+                raise UsageError(
+                    "no such function in physics", where=where, got=name,
+                    expected=f"max(0, …), integral(…, x), {', '.join(_CHAIN)}",
+                )  # fmt: skip
+            case Choice() | Probe():
+                raise UsageError(
+                    "physics has names and functions alone", where=where, got=text,
+                    hint="max(0, …) is one-sided",
+                )  # fmt: skip
+    return tidy(tree)
+
+
+def text(tree: Tree) -> str:
+    """``tree`` as it stands on a card.
+
+    Raises
+    ------
+    UsageError : an integral, which has no text.
+    """
+    for node in walk(tree):
+        if isinstance(node, Call) and node.function == "integral":
+            raise UsageError(
+                "a netlist has no integrals", got=Writer().write(node),
+                hint="write its closed form",
+            )  # fmt: skip
+    return Writer().write(tree)
+
+
+def names(tree: Tree) -> frozenset[str]:
+    """Names that occur in ``tree``."""
+    return frozenset(node.text for node in walk(tree) if isinstance(node, Name))
+
+
+def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
+    """``tree`` with trees in place of names."""
+    if isinstance(tree, Name):
+        return values.get(tree.text, tree)
+    return _rebuilt(tree, lambda node: replaced(node, values))
+
+
+def plus(*trees: Tree) -> Tree:
+    """Their sum in plain form."""
+    return tidy(reduce(lambda a, b: Binary("+", a, b), trees, ZERO))
+
+
+def minus(first: Tree, second: Tree) -> Tree:
+    """Their difference in plain form."""
+    return tidy(Binary("-", first, second))
+
+
+def times(*trees: Tree) -> Tree:
+    """Their product in plain form."""
+    return tidy(reduce(lambda a, b: Binary("*", a, b), trees, ONE))
+
+
+def over(first: Tree, second: Tree) -> Tree:
+    """Their quotient in plain form."""
+    return tidy(Binary("/", first, second))
+
+
+def _rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
+    match tree:
+        case Call(name, arguments):
+            return Call(name, tuple(change(each) for each in arguments))
+        case Unary(op, value):
+            return Unary(op, change(value))
+        case Binary(op, left, right):
+            return Binary(op, change(left), change(right))
+        case Choice(test, yes, no):
+            return Choice(change(test), change(yes), change(no))
+    return tree
+
+
+# --- derivatives ----------------------------------------------------------------------------------
+
+
+def derivative(tree: Tree, name: str) -> Tree:
+    """The exact derivative by a name, in plain form."""
+    return tidy(_derivative(tree, name))
+
+
+def _derivative(tree: Tree, name: str) -> Tree:
+    match tree:
+        case Name(found):
+            return ONE if found == name else ZERO
+        case Unary(op, value):
+            return Unary(op, _derivative(value, name))
+        case Binary("+" | "-" as op, left, right):
+            return Binary(op, _derivative(left, name), _derivative(right, name))
+        case Binary("*", left, right):
+            first = Binary("*", _derivative(left, name), right)
+            return Binary("+", first, Binary("*", left, _derivative(right, name)))
+        case Binary("/", above, below):
+            slope = _derivative(below, name)
+            fall = Binary("/", Binary("*", above, slope), Binary("*", below, below))
+            return Binary("-", Binary("/", _derivative(above, name), below), fall)
+        case Call("integral", (f, Name(x))):
+            inner = Call("integral", (derivative(f, name), Name(x)))
+            return f if x == name else inner if name in names(f) else ZERO
+        case Call("max", (_, value)):
+            return Binary("*", _step(value), _derivative(value, name))
+        case Call(function, (value,)):
+            outer = replaced(parse(_CHAIN[function]), {"u": value})
+            return Binary("*", outer, _derivative(value, name))
+    return ZERO  # numbers, and steps, which are level on either side
+
+
+def _step(value: Tree) -> Tree:
+    """1 where ``value`` is above zero."""
+    return Choice(Binary(">", value, ZERO), ONE, ZERO)
+
+
+# --- plain forms: a sum of products, each with its rational coefficient ---------------------------
+
+
+@dataclass(frozen=True)
+class _Product:
+    size: Fraction
+    above: tuple[Tree, ...] = ()
+    below: tuple[Tree, ...] = ()
+
+    def times(self, other: _Product) -> _Product:
+        both = Counter(self.above + other.above), Counter(self.below + other.below)
+        above, below = (_kept(one - two) for one, two in (both, both[::-1]))
+        return _Product(self.size * other.size, above, below)
+
+    def inverse(self) -> _Product:
+        if not self.size:
+            raise UsageError("a division by zero in physics")
+        return _Product(1 / self.size, self.below, self.above)
+
+    def tree(self) -> Tree:
+        """Of the absolute value of the coefficient."""
+        size, below = abs(self.size), self.below
+        if Fraction(f"{float(size):.{_DIGITS}g}") != size:
+            size, below = Fraction(size.numerator), (_number(size.denominator), *below)
+        above = (_number(size), *self.above) if size != 1 or not self.above else self.above
+        whole = reduce(lambda a, b: Binary("*", a, b), above)
+        return Binary("/", whole, reduce(lambda a, b: Binary("*", a, b), below)) if below else whole
+
+
+def _number(value: Fraction | int) -> Number:
+    return Number(f"{float(value):.{_DIGITS}g}")
+
+
+def _kept(found: Counter[Tree]) -> tuple[Tree, ...]:
+    """Factors; a step beside ``max(0, e)`` of the same e, or beside itself, says nothing."""
+    kept: list[Tree] = []
+    for factor in found.elements():
+        match factor:
+            case Choice(Binary(">", value, _), _, _):
+                if factor not in kept and Call("max", (ZERO, value)) not in found:
+                    kept.append(factor)
+            case _:
+                kept.append(factor)
+    return tuple(kept)
+
+
+@cache
+def tidy(tree: Tree) -> Tree:
+    """Equal terms added, equal factors cancelled, numbers worked out exactly."""
+    found = [term for term in _terms(tree) if term.size]
+    if not found:
+        return ZERO
+    first, *rest = sorted(found, key=lambda term: term.size < 0)
+    whole: Tree = first.tree() if first.size > 0 else Unary("-", first.tree())
+    for term in rest:
+        whole = Binary("+" if term.size > 0 else "-", whole, term.tree())
+    return whole
+
+
+def _terms(tree: Tree) -> list[_Product]:
+    match tree:
+        case Number(value):
+            return [_Product(Fraction(value))]
+        case Unary("-", value):
+            return [_Product(-t.size, t.above, t.below) for t in _terms(value)]
+        case Unary("+", value):
+            return _terms(value)
+        case Binary("+", left, right):
+            return _merged([*_terms(left), *_terms(right)])
+        case Binary("-", left, right):
+            return _terms(Binary("+", left, Unary("-", right)))
+        case Binary("*", left, right):
+            return [_single(left).times(_single(right))]
+        case Binary("/", left, right):
+            return [_single(left).times(_single(right).inverse())]
+        case Binary("^", base, Number(power)) if float(power).is_integer():
+            return [reduce(_Product.times, [_single(base)] * int(float(power)))]
+        case Binary("^", _, _):
+            raise UsageError(
+                "a power that is no whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
+            )
+    return [_Product(Fraction(1), (_rebuilt(tree, tidy),))] if _lives(tree) else []
+
+
+def _lives(tree: Tree) -> bool:
+    """Whether a function of numbers alone is not known to be zero."""
+    return not (
+        isinstance(tree, Call) and tree.function == "max" and tidy(tree.arguments[1]) == ZERO
+    )
+
+
+def _single(tree: Tree) -> _Product:
+    """The tree as one product; a sum is a factor of it."""
+    found = [term for term in _terms(tree) if term.size]
+    if len(found) == 1:
+        return found[0]
+    return _Product(Fraction(1), (tidy(tree),)) if found else _Product(Fraction(0))
+
+
+def _merged(found: Iterable[_Product]) -> list[_Product]:
+    sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
+    for term in found:
+        key = tuple(frozenset(Counter(part).items()) for part in (term.above, term.below))
+        before = sums.get(key)  # type: ignore[call-overload]
+        size = term.size + (before.size if before else 0)
+        first = before or term
+        sums[key] = _Product(size, first.above, first.below)  # type: ignore[index]
+    return list(sums.values())
+
+
+# --- functions ------------------------------------------------------------------------------------
+
+
+def kinks(tree: Tree) -> tuple[Tree, ...]:
+    """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
+    found = [each for child in children(tree) for each in kinks(child)]
+    match tree:
+        case Call("max", (_, value)) | Choice(Binary(">", value, _), _, _):
+            found.append(value)
+    return tuple(dict.fromkeys(found))
+
+
+def flagged(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
+    """``tree`` with the names ``flag0``, … for which of its ``corners`` are above zero: smooth."""
+    match tree:
+        case Call("max", (_, value)):
+            flag = Name(f"flag{corners.index(value)}")
+            return Binary("*", flag, flagged(value, corners))
+        case Choice(Binary(">", value, _), _, _):
+            return Name(f"flag{corners.index(value)}")
+    return _rebuilt(tree, lambda node: flagged(node, corners))
+
+
+class _Python(Writer):
+    def name(self, text: str) -> str:
+        return f"_{text}"  # a key may be a word of Python
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        if function == "integral":
+            f, x = arguments
+            return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
+        return super().call(_NUMPY.get(function, function), arguments)
+
+
+def _integral(f: Callable[[Any], Any], x: Any) -> Any:
+    """From zero to ``x``, by 30 points of Gauss."""
+    half = 0.5 * x
+    return sum(w * f(half * (1.0 + n)) for n, w in zip(_NODES, _WEIGHTS, strict=True)) * half
+
+
+_SCOPE = {name: getattr(np, _NUMPY.get(name, name)) for name in _CHAIN}
+_SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integral}
+
+
+def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., tuple[Any, ...]]:
+    """The values of ``trees`` by those of ``arguments``, numbers or arrays; no kinks are left."""
+    heads = ", ".join(f"_{name}" for name in arguments)
+    values = "".join(f"{_Python().write(tree)}, " for tree in trees)
+    made: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", dict(_SCOPE))
+    return made

@@ -1,0 +1,167 @@
+"""A declaration as a law of the independent integrator: residual, exact Jacobian, modes, energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.laws import Device, Flow, Pin, Tap
+from kc2spice.netlist.expression import Name, Tree
+from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.expression import derivative, flagged, function, kinks, minus, text
+
+_KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
+_Made = Callable[..., tuple[Any, ...]]
+_SMALL = 1e-3  # A, by which errors of a current are judged
+
+
+@dataclass(frozen=True)
+class DeclaredLaw(Device):
+    """The law of a part with these ``values`` of its parameters."""
+
+    name: str
+    declaration: Declaration
+    values: tuple[float, ...]
+
+    def _of(self, *kinds: str) -> tuple[Branch, ...]:
+        return tuple(b for b in self.declaration.branches if b.kind in kinds)
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """Both pins of every branch."""
+        found: dict[str, Pin] = {}
+        for b in self.declaration.branches:
+            found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind]))
+            found.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
+        return tuple(found.values())
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        """What lies across every branch, and the velocities that matter."""
+        across = [Tap(b.plus, b.minus) for b in self.declaration.branches]
+        return (*across, *(Tap(b.plus, b.minus, rate=True) for b in self.declaration.damped))
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        """One a branch."""
+        return tuple(Flow(b.plus, b.minus) for b in self.declaration.branches)
+
+    @property
+    def charged(self) -> tuple[int, ...]:
+        """Flows that are the rates of charges besides."""
+        return tuple(
+            k for k, b in enumerate(self.declaration.branches) if b.kind == "voltage"
+        )  # fmt: skip
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The currents."""
+        return tuple(b.name for b in self._of("current"))
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Of the currents."""
+        return (_SMALL,) * len(self.states)
+
+    @cached_property
+    def _seen(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        d = self.declaration
+        across = [f"{b.name}_drop" if b.kind == "current" else b.name for b in d.branches]
+        return (*across, *(b.name + RATE for b in d.damped), *self.states)
+
+    @cached_property
+    def _corners(self) -> tuple[Tree, ...]:
+        """Arguments of all one-sided expressions, whose signs make modes."""
+        d = self.declaration
+        trees = [d.stored, *(x for b in d.branches for x in (d.direct(b), d.kept(b)))]
+        return tuple(dict.fromkeys(e for tree in trees for e in kinks(tree)))
+
+    def _made(self, trees: Iterable[Tree], slopes: bool = False) -> _Made:
+        """Values of ``trees``, then the derivatives of each by all inputs."""
+        flags = [f"flag{k}" for k in range(len(self._corners))]
+        trees = list(trees)
+        rows = [derivative(tree, name) for tree in trees for name in self._seen if slopes]
+        smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
+        return function(smooth, (*self._seen, *flags, *self.declaration.parameters))
+
+    @cached_property
+    def _out(self) -> _Made:
+        d = self.declaration
+        flows = [Name(b.name) if b.kind == "current" else d.direct(b) for b in d.branches]
+        rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._of("current")]
+        return self._made([*flows, *rates], slopes=True)
+
+    @cached_property
+    def _kept(self) -> _Made:
+        stored = (*self._of("current"), *self._of("voltage"))
+        return self._made([self.declaration.kept(b) for b in stored], slopes=True)
+
+    @cached_property
+    def _energies(self) -> _Made:
+        return self._made([self.declaration.stored, self.declaration.lost])
+
+    @cached_property
+    def _guards(self) -> _Made:
+        return self._made(self._corners)
+
+    @cached_property
+    def _bounds(self) -> _Made:
+        return self._made(self.declaration.bounds.values())
+
+    def _called(self, made: _Made, e: np.ndarray, mode: Any) -> np.ndarray:
+        return np.array(made(*e.tolist(), *mode, *self.values), dtype=float)
+
+    def _split(self, made: _Made, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        found = self._called(made, e, mode)
+        count = found.size // (1 + e.size)
+        return found[:count], found[count:].reshape(count, e.size)
+
+    def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Through quantities but for those of charges, and voltages that change fluxes."""
+        return self._split(self._out, e, mode)
+
+    def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """Fluxes of the currents, then charges of the voltages."""
+        return self._split(self._kept, e, mode or self.mode(0.0, e))
+
+    def mode(self, t: float, e: np.ndarray, before: Any = None) -> tuple[int, ...]:
+        """Which one-sided expressions are above zero."""
+        flags: tuple[int, ...] = (0,) * len(self._corners)
+        for k in range(len(flags)):  # one may depend on those before
+            above = self._called(self._guards, e, flags)[k] > 0.0
+            flags = (*flags[:k], int(above), *flags[k + 1 :])
+        return flags
+
+    def guards(self, t: float, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Positive while every one-sided expression stays on its side."""
+        return self._called(self._guards, e, mode) * np.where(np.array(mode) > 0, 1.0, -1.0)
+
+    def switch(self, mode: Any, guard: int) -> tuple[Any, str]:
+        """One expression changes its sign."""
+        now = (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
+        side = "above" if now[guard] else "below"
+        return now, f"{text(self._corners[guard])} {side} zero"
+
+    def check(self, t: float, e: np.ndarray) -> None:
+        """Raise SimulationError beyond a limit."""
+        found = self._called(self._bounds, e, self.mode(t, e))
+        for what, value in zip(self.declaration.bounds, found, strict=True):
+            if value <= 0.0:
+                raise SimulationError(
+                    f"{what} is exceeded", where=f"{self.name} at t = {t:.6e} s",
+                    got=f"{self.declaration.limits[what]} = {value:g}", expected="above zero",
+                )  # fmt: skip
+
+    def energy(self, e: np.ndarray, mode: Any) -> float:
+        """Energy stored [J]."""
+        return float(self._called(self._energies, e, mode)[0])
+
+    def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
+        """Power that becomes heat [W]."""
+        return float(self._called(self._energies, e, mode)[1])

@@ -1,0 +1,224 @@
+"""A part type made from a declaration: its pins, netlist, results, law, limits and balance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core import laws
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.cards import name as checked
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
+from kc2spice.netlist.expression import Tree
+from kc2spice.physics.cards import body, force_node, meter
+from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.expression import derivative, flagged, function, kinks, names
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.keys import model_keys
+from kc2spice.scene.model import Part, Scene, Terminal
+from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Vector
+from kc2spice.spice.header import Header, parameter_list, part_header
+
+_NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
+_SIGN = "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
+_UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
+
+
+class DeclaredPart(PartType):
+    """The part type of a declaration."""
+
+    def __init__(self, declaration: Declaration) -> None:
+        self.declaration = declaration
+        # Names of a type are constants of its class elsewhere; here of its one instance.
+        vars(self).update(
+            name=declaration.name, title=declaration.title, schema=declaration.keys,
+            example=declaration.example,
+        )  # fmt: skip
+
+    # --- pins and netlist -------------------------------------------------------------------
+
+    @cached_property
+    def _pins(self) -> tuple[Pin, ...]:
+        found: dict[str, Pin] = {}
+        for b in self.declaration.branches:
+            for pin in (b.plus, b.minus):
+                found.setdefault(checked(pin), Pin(pin, *_NODE[b.kind]))
+        return tuple(found.values())
+
+    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
+        plus = {b.plus for b in self.declaration.branches}
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, required=True)
+            if p.name in plus or scene.named(part.name, p.name)
+            else Terminal(p.name, p.unit, p.flow, "gnd")
+            for p in self._pins
+        )
+
+    def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterator[tuple[str, str]]:
+        """Displacements with a stiffness at rest."""
+        values = self.declaration.values(part.keys)
+        for b in self.declaration.branches:
+            if b.kind == "displacement":
+                slope = self.declaration.at_rest(derivative(self.declaration.direct(b), b.name))
+                if float(_value(slope, values)):
+                    yield b.plus, b.minus
+
+    def _parameters(self, part: Part) -> tuple[Param, ...]:
+        units = {
+            key.name: ((key.unit or "-").replace(" ", "*"), key.doc)
+            for key in model_keys(self.schema)
+        }
+        return tuple(
+            Param(name, float(getattr(part.keys, name)), *units[name])
+            for name in self.declaration.numbers
+        )
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
+        d, name, params = self.declaration, build.libraries[part.name], self._parameters(part)
+        head = part_header(
+            header, f"{name}: {d.title}", self._pins, params, rating=d.rating,
+            validity=d.validity, sign=_SIGN,
+        )  # fmt: skip
+        pins = " ".join(pin.name for pin in self._pins)
+        cards = f".subckt {name} {pins} {parameter_list(params)}\n{body(d)}.ends {name}\n"
+        return (Subcircuit(name, self._pins, params, head + cards),)
+
+    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+        """Where a sweep begins each point at the one before, Newton's method stops at once."""
+        if scene.analysis.type not in ("dc", "op"):
+            return {}
+        return {"reltol": ("1e-6", "change at which Newton's method stops: nonlinear parts")}
+
+    # --- results ----------------------------------------------------------------------------
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        found = {}
+        for b in self.declaration.branches:
+            unit, flow = _NODE[b.kind]
+            across = across_pins(build, part, b)
+            if b.kind == "displacement":
+                found[f"{part.name}.{b.name}"] = Vector(across, 1e-6, "m")
+                through = f"v(x{part.name}.{force_node(b)})"
+                if (minus := build.net(part, b.minus)) != "0":
+                    through += f"-v({minus})"
+            else:
+                found[f"{part.name}.{'v' if b.kind == 'current' else b.name}"] = Vector(
+                    across, 1.0, unit
+                )
+                through = f"i(v.x{part.name}.{meter(b)})"
+            found[f"{part.name}.{b.through}"] = Vector(through.lower(), 1.0, flow)
+        return found
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        found = [b for b in self.declaration.branches if pin in (b.plus, b.minus)]
+        if len(found) != 1 or found[0].kind == "displacement":
+            return None
+        vector = self.vectors(part, build)[f"{part.name}.{found[0].through}"]
+        sign = -1.0 if pin == found[0].plus else 1.0
+        return Vector(vector.expression, sign * vector.factor, "A")
+
+    def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
+        total = None
+        for b in self.declaration.branches:
+            wave = waves.data.get(f"{part.name}.{b.through}")
+            if b.kind == "displacement" and pin in (b.plus, b.minus) and wave is not None:
+                total = (0.0 if total is None else total) + (-wave if pin == b.plus else wave)
+        return total
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, d = part.name, self.declaration
+        results = {}
+        for b in d.branches:
+            across = "v" if b.kind == "current" else b.name
+            results[f"{n}.{across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
+        law = DeclaredLaw(n, d, tuple(d.values(part.keys).values()))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in self._pins)
+        return laws.Equations((law,), pins, results)
+
+    # --- what a run says --------------------------------------------------------------------
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        d = self.declaration
+        known = {} if "frequency" in waves else self._seen(part, waves)
+        for what, tree in d.bounds.items():
+            if names(tree) - set(d.parameters) <= set(known):
+                value = float(np.min(_value(tree, d.values(part.keys) | known)))
+                yield Check(
+                    f"{what} of {part.name}", -value, 0.0, "over the limit",
+                    f"{d.limits[what]} must stay above zero",
+                )  # fmt: skip
+
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
+        """What the pins bring in against what is stored and lost, by the declared physics."""
+        found = energies(self.declaration, part, self._seen(part, waves), waves)
+        return {} if found is None else {part.name: found}
+
+    def _seen(self, part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
+        """Coordinates over time, as far as the run has them."""
+        found = {b.name: waves.data.get(f"{part.name}.{b.name}") for b in self.declaration.branches}
+        return {name: wave for name, wave in found.items() if wave is not None}
+
+    # --- what explain says ------------------------------------------------------------------
+
+    def modelled(self, part: Part, scene: Scene) -> Modelled:
+        d = self.declaration
+        stated = {"energy": d.energy, "coenergy": d.coenergy, "content": d.content}
+        detail = "; ".join(f"{what} {text}" for what, text in stated.items() if text != "0")
+        return Modelled(part.name, "closed form", detail)
+
+    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+        yield from (LeftOut(*row) for row in self.declaration.neglected)
+
+
+def across_pins(build: Build, part: Part, branch: Branch) -> str:
+    """The voltage from ``plus`` to ``minus`` of a branch."""
+    a, b = build.net(part, branch.plus), build.net(part, branch.minus)
+    return f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
+
+
+def _value(tree: Tree, known: Mapping[str, Any]) -> Any:
+    """``tree`` by the names of what it depends on; numbers or arrays."""
+    corners = kinks(tree)
+    names = (*known, *(f"flag{k}" for k in range(len(corners))))
+    flags: list[Any] = [0.0] * len(corners)
+    for k, corner in enumerate(corners):
+        made = function((flagged(corner, corners),), names)
+        flags[k] = np.where(np.asarray(made(*known.values(), *flags)[0]) > 0.0, 1.0, 0.0)
+    return np.asarray(function((flagged(tree, corners),), names)(*known.values(), *flags)[0])
+
+
+def energies(
+    declaration: Declaration, part: Part, seen: Mapping[str, np.ndarray], waves: Waveforms
+) -> Balance | None:
+    """The balance of a transient, where all coordinates were recorded."""
+    if "time" not in waves or set(seen) != set(declaration.coordinates):
+        return None
+    time, rated = waves["time"], dict(seen)
+    for b in declaration.damped:
+        rated[b.name + RATE] = np.gradient(seen[b.name], time)
+    known = declaration.values(part.keys) | rated
+    stored = _value(declaration.stored, known) * np.ones_like(time)
+    lost = _value(declaration.lost, known) * np.ones_like(time)
+    heat, brought = _integral(lost, time), np.zeros_like(time)
+    for b in declaration.branches:
+        through, across = waves[f"{part.name}.{b.through}"], seen[b.name]
+        if b.kind == "current":
+            across = waves[f"{part.name}.v"]
+        brought += _integral(through, across) if b.kind == "displacement" else _integral(
+            through * across, time
+        )  # fmt: skip
+    missing = brought - heat - (stored - stored[0])
+    turned = float(np.abs(np.diff(brought)).sum() + np.abs(heat[-1]))
+    entries = {"brought in by pins": float(brought[-1]), "heat": float(heat[-1]),
+               "stored": float(stored[-1] - stored[0])}  # fmt: skip
+    return Balance(entries, float(np.abs(missing).max()), turned, _UNEXPLAINED)
+
+
+def _integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Running trapezoidal integral, zero at the first point."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(over))])

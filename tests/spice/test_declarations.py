@@ -1,0 +1,392 @@
+"""Every part type that states its physics as expressions, by one test for all of them.
+
+What is printed in each dialect is read back by the few lines below and evaluated at random states;
+so is the law of the independent integrator. Both are compared with derivatives of the stated
+energies, taken by complex steps of their text. None of this shares code with the generators.
+"""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.toml import parse_toml
+from kc2spice.netlist.dialect import dialect_files
+from kc2spice.netlist.expression import Number
+from kc2spice.physics import cards, law
+from kc2spice.physics.part import DeclaredPart
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build, part_types
+
+DECLARED = {n: kind for n, kind in part_types().items() if isinstance(kind, DeclaredPart)}
+DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")
+H = 1e-40  # a complex step has no difference that could lose digits
+SIZES = {"displacement": (-7.0, -3.0), "voltage": (-1.0, 1.5), "current": (-3.0, 0.5)}
+every = pytest.mark.parametrize("name", sorted(DECLARED))
+
+
+# --- what is stated, by complex steps of its text ----------------------------------------------
+
+
+def quad(f, x):
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    return sum(w * f(x * (n + 1) / 2) for n, w in zip(nodes, weights, strict=True)) * x / 2
+
+
+def positive(_, x):
+    return x if np.real(x) > 0 else 0.0 * x
+
+
+def stated(text, values):
+    text = re.sub(r"integral\((.*), (\w+)\)", r"quad(lambda \2: \1, \2)", text.replace("^", "**"))
+    scope = {"quad": quad, "max": positive, "exp": np.exp, "ln": np.log, "sqrt": np.sqrt}
+    return eval(text, scope | values)
+
+
+def slope(text, values, name):
+    return np.imag(stated(text, values | {name: values[name] + 1j * H})) / H
+
+
+class Stated:
+    """Through quantities of a declaration at a state and its rates."""
+
+    def __init__(self, declaration, keys):
+        self.d = declaration
+        fields = type(keys).model_fields
+        self.keys = {n: getattr(keys, n) for n in fields if isinstance(getattr(keys, n), float)}
+        for name, text in declaration.constants.items():
+            self.keys[name] = stated(text, self.keys)
+
+    def inside(self, state):
+        return all(stated(text, self.keys | state) > 0 for text in self.d.limits.values())
+
+    def kept(self, branch, state):
+        return slope(self.d.coenergy, self.keys | state, branch.name)
+
+    def answer(self, branch, state, rates):
+        """Force, current, or of a current branch its voltage."""
+        known = self.keys | state | {f"{b.name}_rate": rates[b.name] for b in self.d.branches}
+        if branch.kind == "displacement":
+            held = slope(self.d.energy, known, branch.name)
+            held -= slope(self.d.coenergy, known, branch.name)
+            return held + slope(self.d.content, known, f"{branch.name}_rate")
+        rise = 0.0
+        for name, x in state.items():
+            places = [{**state, name: x * (1 + 1e-4 * k)} for k in (-2, -1, 1, 2)]
+            kept = [self.kept(branch, place) for place in places]
+            rise += (kept[0] - 8 * kept[1] + 8 * kept[2] - kept[3]) / (12e-4 * x) * rates[name]
+        return rise + slope(self.d.content, known, branch.name)
+
+
+# --- what is printed, read back ------------------------------------------------------------------
+
+
+class Network:
+    """Sources between nodes: ``(kind, name, a, b, text)``; a current I, a charge Q, a voltage V."""
+
+    def __init__(self, text, parameters):
+        self.values, self.parts = dict(parameters), []
+        (self.verilog if "endmodule" in text else self.spice)(text)
+        self.programs = [compile(probes(t), t, "eval") for *_, t in self.parts]
+
+    def number(self, text):
+        return eval(text.strip("{}'"), {"max": positive, **self.values})
+
+    def spice(self, text):
+        for line in text.splitlines():
+            words = line.split()
+            if not words or line[0] in "*.S":
+                for name, value in re.findall(r"^\.param (\w+)=(.*)", line):
+                    self.values[name] = self.number(value)
+                continue
+            name, a, b, *rest = words
+            across = f"V({a},{b})"
+            match name[0]:
+                case "B":
+                    kind, _, value = line.split(None, 3)[3].partition("=")
+                    self.parts.append((kind, name, a, b, value.strip("{}")))
+                case "R":
+                    self.parts.append(("I", name, a, b, f"{across}/({rest[0].strip('{}')})"))
+                case "C":
+                    self.parts.append(("Q", name, a, b, f"({rest[0].strip('{}')})*{across}"))
+                case "V":
+                    self.parts.append(("V", name, a, b, f"{rest[0]}+0*{across}"))
+                case "E" | "G":
+                    kind = "V" if name[0] == "E" else "I"
+                    gain = f"({rest[2].strip('{}')})*V({rest[0]},{rest[1]})"
+                    self.parts.append((kind, name, a, b, gain))
+                case "F" | "H":
+                    kind, gain = "V" if name[0] == "H" else "I", rest[1].strip("{}")
+                    self.parts.append((kind, name, a, b, f"({gain})*I({rest[0]})"))
+                case _:
+                    raise AssertionError(line)
+
+    def verilog(self, text):
+        branches, charges = {}, {}
+        lines = [line.split("//")[0].strip() for line in text.splitlines()]
+        for line in (each for each in lines if "?" not in each):
+            if found := re.fullmatch(r"branch \((\w+),(\w+)\) (\w+);", line):
+                branches[found[3]] = found[1], found[2]
+            elif found := re.fullmatch(r"parameter real (\w+) = (.*);", line):
+                self.values.setdefault(found[1], float(found[2]))
+            elif found := re.fullmatch(r"(charge_\w+) = (.*);", line):
+                charges[found[1]] = found[2]
+            elif found := re.fullmatch(r"(\w+) = (.*);", line):
+                self.values[found[1]] = self.number(found[2])
+            elif found := re.fullmatch(r"([VI])\(([\w,]+)\) <\+ (.*);", line):
+                kind, where, value = found.groups()
+                if rated := re.fullmatch(r"ddt\((\w+)\)", value):
+                    kind, value = "Q", charges[rated[1]]
+                a, b = branches.get(where) or where.split(",")
+                self.parts.append((kind, where, a, b, value))
+
+    def evaluated(self, values):
+        """Currents, charges and voltages of all sources where unknowns are ``values``."""
+        known = {**self.values, "max": positive, "exp": np.exp, "ln": np.log, "sqrt": np.sqrt}
+
+        def V(*nodes):
+            return values[nodes[0]] - (values[nodes[1]] if nodes[1:] else 0.0)
+
+        known |= {"V": V, "I": lambda name: values[f"I {name.lower()}"]}
+        return [eval(program, known) for program in self.programs]
+
+    def answers(self, drives, rates):
+        """Unknowns where pins have the voltages ``drives`` (or take the current: ``("I", pin)``)
+        that change by ``rates``."""
+        parts = [*self.parts]
+        own = [f"I {name.lower()}" for kind, name, *_ in parts if kind == "V"]
+        pins = [key for key in drives if isinstance(key, str)]
+        nodes = sorted({n for _, _, a, b, _ in parts for n in (a, b)} | set(pins))
+        names = [*nodes, *own, *(f"I pin {pin}" for pin in pins)]
+        place = {n: k for k, n in enumerate(names)}
+
+        def residual(y, charging, driven):
+            values = dict(zip(names, y, strict=True))
+            out = np.zeros(len(names), dtype=complex)
+            for (kind, name, a, b, _), value, extra in zip(
+                parts, self.evaluated(values), charging, strict=True
+            ):
+                through = value
+                if kind == "Q":
+                    through = extra
+                elif kind == "V":
+                    row = place[f"I {name.lower()}"]
+                    through = y[row]
+                    out[row] = values[a] - values[b] - value
+                out[place[a]] += through
+                out[place[b]] -= through
+            for key, value in driven.items():
+                if isinstance(key, str):
+                    out[place[key]] -= y[place[f"I pin {key}"]]
+                    out[place[f"I pin {key}"]] = values[key] - value
+                else:
+                    out[place[key[1]]] -= value
+            return out
+
+        y, speed, charging = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(parts))
+        for _ in range(8):
+            for _ in range(3):
+                f = np.real(residual(y.astype(complex), charging, drives))
+                J = np.array([np.imag(residual(y + 1j * H * u, charging, drives)) / H
+                              for u in np.eye(len(names))]).T  # fmt: skip
+                size = np.abs(J).max(axis=1)
+                y = y - np.linalg.solve(J / size[:, None], f / size)
+            ahead = {key: drives[key] + 1j * H * rates[key] for key in drives}
+            forced = np.imag(residual(y.astype(complex), charging, ahead)) / H
+            speed = -np.linalg.solve(J / size[:, None], forced / size)
+            moved = self.evaluated(dict(zip(names, y + 1j * H * speed, strict=True)))
+            charging = np.imag(moved) / H
+        return dict(zip(names, y, strict=True))
+
+
+def probes(text):
+    def quoted(found):
+        return f"{found[1]}({', '.join(map(repr, found[2].split(',')))})"
+
+    return re.sub(r"([VI])\(([\w,]+)\)", quoted, text.replace("{", "(").replace("}", ")"))
+
+
+# --- the comparison ------------------------------------------------------------------------------
+
+
+def example(name):
+    scene = load_scene({"name": "example", **parse_toml(part_types()[name].example)})
+    return scene, scene.of(name)[0]
+
+
+def printed(name, dialect):
+    scene, _ = example(name)
+    deck = kc.deck(scene)
+    files = deck.files if dialect == "ngspice" else dialect_files(deck, deck.parts, dialect)
+    return next(text for file, text in files.items() if file.startswith(f"{name}."))
+
+
+def states(name, count=6):
+    """Random states and rates within the limits, of all orders of size."""
+    _, part = example(name)
+    rng = np.random.default_rng(sum(map(ord, name)))
+    stated_, found = Stated(part.type.declaration, part.keys), []
+    while len(found) < count:
+        state = {b.name: rng.choice([-1, 1]) * 10 ** rng.uniform(*SIZES[b.kind])
+                 for b in part.type.declaration.branches}  # fmt: skip
+        rates = {n: x * rng.uniform(-1e3, 1e3) for n, x in state.items()}
+        if stated_.inside(state):
+            found.append((state, rates))
+    return stated_, found
+
+
+def driven(branches, state, rates, rng):
+    """Voltages and currents of the pins in the units of a netlist; ``minus`` is anywhere."""
+    drives, changes = {}, {}
+    for b in branches:
+        micro = 1e6 if b.kind == "displacement" else 1.0
+        drives[b.minus], changes[b.minus] = rng.uniform(-1, 1), rng.uniform(-1, 1)
+        key = ("I", b.plus) if b.kind == "current" else b.plus
+        base = (0.0, 0.0) if b.kind == "current" else (drives[b.minus], changes[b.minus])
+        drives[key], changes[key] = base[0] + micro * state[b.name], base[1] + micro * rates[b.name]
+    return drives, changes
+
+
+def worst_printed(name, dialect):
+    """Largest relative difference of a part's printed text from what it states."""
+    stated_, found = states(name)
+    branches, rng = stated_.d.branches, np.random.default_rng(1)
+    keys = {n: stated_.keys[n] for n in stated_.keys if n not in stated_.d.constants}
+    network, errors = Network(printed(name, dialect), keys), []
+    for state, rates in found:
+        answers = network.answers(*driven(branches, state, rates, rng))
+        for b in branches:
+            exact = stated_.answer(b, state, rates)
+            got = answers.get(f"I pin {b.plus}")
+            if b.kind == "current":
+                got = answers[b.plus] - answers[b.minus]
+            errors.append(abs(got / exact - 1))
+    return max(errors)
+
+
+@every
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_the_printed_text_is_what_is_stated(name, dialect):
+    """1e-6: a displacement of 0.1 um beside a pin at 1 um has lost a digit, and the oracle's
+    difference of charges some more."""
+    assert worst_printed(name, dialect) < 1e-6
+
+
+def inputs(own, state, rates, drops):
+    """What a law sees, by the order of its taps and states, and the rates of that."""
+    rows = [
+        (drops[b.name], 0.0) if b.kind == "current" else (state[b.name], rates[b.name])
+        for b in own.declaration.branches
+    ]
+    rows += [(rates[b.name], 0.0) for b in own.declaration.damped]
+    rows += [(state[n], rates[n]) for n in own.states]
+    return np.array(rows).T
+
+
+def law_of(name):
+    scene, part = example(name)
+    (found,) = part.type.law(part, Build(scene, {})).laws
+    return found
+
+
+def worst_law(name):
+    """Largest relative difference of a part's law from what it states, and of its powers from each
+    other."""
+    own, (stated_, found) = law_of(name), states(name)
+    errors, powers = [], []
+    for state, rates in found:
+        drops = {b.name: stated_.answer(b, state, rates) for b in stated_.d.branches
+                 if b.kind == "current"}  # fmt: skip
+        e, de = inputs(own, state, rates, drops)
+        mode = own.mode(0.0, e)
+        out, _ = own.evaluate(0.0, e, mode)
+        _, by = own.store(e, mode)
+        rises, n = by @ de, len(own.states)
+        through = out[: len(own.flows)].copy()
+        through[list(own.charged)] += rises[n:]
+        # a current's voltage changes its flux and drops: that is the residual of its row
+        errors += [abs(out[len(own.flows) + k] / rises[k] - 1) for k in range(n)]
+        brought = 0.0
+        for k, b in enumerate(stated_.d.branches):
+            exact = state[b.name] if b.kind == "current" else stated_.answer(b, state, rates)
+            errors.append(abs(through[k] / exact - 1))
+            across = rates[b.name] if b.kind == "displacement" else state[b.name]
+            if b.kind == "current":  # what its flux takes and what it drops
+                place = own.states.index(b.name)
+                across = rises[place] + drops[b.name] - out[len(own.flows) + place]
+            brought += through[k] * across
+        stored, _ = own._energies(*(e + 1j * H * de), *mode, *own.values)
+        rise, lost = np.imag(stored) / H, own.loss(0.0, e, mode)
+        size = abs(brought) + abs(lost) + abs(rise)
+        powers.append(abs(brought - rise - lost) / size)
+    return max(errors), max(powers)
+
+
+def worst_slope(name):
+    """Largest relative difference of a law's Jacobians from complex steps of its functions."""
+    own, (stated_, found) = law_of(name), states(name)
+    errors = []
+    for state, rates in found:
+        drops = {b.name: 1.0 for b in stated_.d.branches}
+        e, _ = inputs(own, state, rates, drops)
+        mode = own.mode(0.0, e)
+        for made, (value, by) in (
+            (own._out, own.evaluate(0.0, e, mode)), (own._kept, own.store(e, mode)),
+        ):  # fmt: skip
+            for j in range(e.size):
+                moved = made(*(e + 1j * H * np.eye(e.size)[j]), *mode, *own.values)
+                exact = np.imag(np.array(moved[: len(value)], dtype=complex)) / H
+                size = np.abs(by).max(initial=1e-300, axis=1)
+                errors += list(np.abs(by[:, j] - exact) / size)
+    return max(errors, default=0.0)
+
+
+@every
+def test_the_law_is_what_is_stated(name):
+    """1e-10: the oracle's differences of charges; the energy is complete to rounding."""
+    through, powers = worst_law(name)
+    assert through < 1e-10
+    assert powers < 1e-12
+    assert worst_slope(name) < 1e-12
+
+
+# --- that all this can fail ----------------------------------------------------------------------
+
+
+def test_a_wrong_unit_on_a_card_is_seen(monkeypatch):
+    monkeypatch.setattr(cards, "_MICRO", Number("1.00001e-6"))
+    assert worst_printed("cubic_spring", "ngspice") > 1e-6
+
+
+def test_a_charge_that_is_scaled_wrongly_is_seen(monkeypatch):
+    monkeypatch.setattr(cards, "_FARAD", "1.00001e-06")
+    assert worst_printed("comb_drive", "xyce") > 1e-6
+
+
+def test_a_force_that_acts_the_wrong_way_is_seen(monkeypatch):
+    good = cards._force
+
+    def turned(declaration, b, nodes):
+        return good(declaration, replace(b, plus=b.minus, minus=b.plus), nodes)
+
+    monkeypatch.setattr(cards, "_force", turned)
+    assert worst_printed("cubic_spring", "verilog-a") > 1.0
+
+
+def test_a_lost_term_of_a_derivative_is_seen(monkeypatch):
+    """Of the product rule in the generator, which printed text and law share."""
+    own = part_types()["cubic_spring"].declaration
+    fresh = replace(own)
+    monkeypatch.setattr(law, "derivative", lambda tree, name: Number("0"))
+    monkeypatch.setattr(part_types()["cubic_spring"], "declaration", fresh)
+    assert worst_slope("cubic_spring") > 0.1
+
+
+def test_energy_that_is_made_is_seen(monkeypatch):
+    good = law.DeclaredLaw.loss
+    monkeypatch.setattr(
+        law.DeclaredLaw, "loss", lambda self, t, e, mode: 1.001 * good(self, t, e, mode)
+    )
+    assert worst_law("voice_coil")[1] > 1e-6

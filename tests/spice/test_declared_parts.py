@@ -1,0 +1,141 @@
+"""Parts that state their physics as expressions, in ngspice and in the independent integrator,
+against closed forms of textbooks."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import kc2spice as kc
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.parttype import Build
+from kc2spice.workflow.verify.circuit import solve
+
+EPS = 8.8541878188e-12
+AREA, GAP, K = 1e-8, 2e-6, 1.5
+
+
+def both(scene, name):
+    """A wave of a scene by ngspice and by the laws."""
+    waves = kc.run(scene).waves
+    scale = next(iter(waves))
+    law = solve(Build(load_scene(scene), {}), Waveforms({scale: waves[scale]}, {})).results
+    return waves[scale], waves[name], law[name]
+
+
+def plate(last):
+    return {
+        "name": "plate",
+        "plate": {"part": "parallel_plate", "area": AREA, "gap": GAP, "travel": 1.5e-6,
+                  "stop": 1e4, "pins": {"plus": "drive.out", "a": "spring.a"}},
+        "spring": {"part": "spring", "stiffness": K},
+        "drive": {"part": "source", "dc": 0.0},
+        "analysis": {"type": "dc", "sweep": "drive.dc", "from": 0.0, "to": last, "points": 100},
+        "solver": {"reltol": 1e-7},
+    }  # fmt: skip
+
+
+def test_a_plate_closes_a_third_of_its_gap_and_snaps_in():
+    pull_in = np.sqrt(8 * K * GAP**3 / (27 * EPS * AREA))
+    volts, *found = both(plate(0.999 * pull_in), "plate.x")
+    for x in found:
+        np.testing.assert_allclose(K * x * (GAP - x) ** 2, EPS * AREA * volts**2 / 2, rtol=1e-5)
+        assert 0.3 * GAP < x[-1] < GAP / 3
+    beyond = kc.run(plate(1.01 * pull_in)).waves["plate.x"]
+    assert beyond[-2] < GAP / 2 < 1.5e-6 < beyond[-1]
+
+
+def test_a_comb_moves_by_the_square_of_its_voltage():
+    scene = {
+        "name": "comb",
+        "comb": {"part": "comb_drive", "fingers": 100, "thickness": 20e-6, "gap": 2e-6,
+                 "overlap": 10e-6, "travel": 8e-6, "pins": {"plus": "drive.out", "a": "spring.a"}},
+        "spring": {"part": "spring", "stiffness": 1.0},
+        "drive": {"part": "source", "dc": 0.0},
+        "analysis": {"type": "dc", "sweep": "drive.dc", "from": 0.0, "to": 25.0, "points": 26},
+    }  # fmt: skip
+    volts, *found = both(scene, "comb.x")
+    for x in found:
+        np.testing.assert_allclose(x, 100 * EPS * 20e-6 * volts**2 / 2e-6, rtol=1e-6, atol=1e-15)
+
+
+COIL = {"part": "voice_coil", "resistance": 6.0, "inductance": 5e-4, "bl": 5.0, "cms": 1e-3,
+        "damping": 0.5}  # fmt: skip
+
+
+def test_a_voice_coil_at_small_signals():
+    """Its impedance is ``R + s L + s Bl^2 / (m s^2 + c s + 1 / Cms)``."""
+    scene = {
+        "name": "coil",
+        "coil": {**COIL, "pins": {"plus": "drive.out", "a": "cone.a"}},
+        "cone": {"part": "mass", "mass": 0.01},
+        "drive": {"part": "source", "kind": "voltage", "dc": 0.0, "ac": 1.0},
+        "analysis": {"type": "ac", "start": 5.0, "stop": 5e3, "points": 60},
+    }
+    f, *found = both(scene, "coil.i")
+    s = 2j * np.pi * f.real
+    impedance = 6.0 + s * 5e-4 + s * 25.0 / (0.01 * s**2 + 0.5 * s + 1e3)
+    for i in found:
+        np.testing.assert_allclose(1 / i, impedance, rtol=1e-8)
+
+
+def test_a_voice_coil_at_rest_with_a_current_through_it():
+    """``F = x / Cms(x) - Bl(x) i`` along the stroke."""
+    shape = {"bl1": -100.0, "bl2": -5e4, "cms1": 0.02, "cms2": -10.0}
+    scene = {
+        "name": "stroke",
+        "coil": {**COIL, **shape, "pins": {"plus": "drive.out", "a": "push.out"}},
+        "drive": {"part": "source", "kind": "current", "dc": 0.2},
+        "push": {"part": "source", "kind": "displacement", "dc": 0.0},
+        "analysis": {"type": "dc", "sweep": "push.dc", "from": -4e-3, "to": 4e-3, "points": 17},
+    }
+    _, *found = both(scene, "coil.force")
+    x = np.linspace(-4e-3, 4e-3, 17)
+    bl, cms = 5.0 - 100.0 * x - 5e4 * x**2, 1e-3 + 0.02 * x - 10.0 * x**2
+    for force in found:
+        np.testing.assert_allclose(force, x / cms - 0.2 * bl, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("amplitude", [1e-5, 1e-4, 3e-4])
+def test_a_cubic_spring_swings_faster_the_further_it_swings(amplitude):
+    """Duffing's period without damping: ``4 K(m) / sqrt(w0^2 + b A^2)``, a complete elliptic
+    integral; 2e-5 is the phase that 400 steps a period lose by the trapezoidal rule."""
+    k, h, mass = 100.0, 5e9, 25e-6
+    stiff = k + h * amplitude**2
+    period = 4 * ellipk(h * amplitude**2 / (2 * stiff)) / np.sqrt(stiff / mass)
+    scene = {
+        "name": "duffing",
+        "spring": {"part": "cubic_spring", "stiffness": k, "cubic": h, "pins": {"a": "mass.a"}},
+        "mass": {"part": "mass", "mass": mass, "position": amplitude},
+        "solver": {"reltol": 1e-6, "max_step": period / 400, "stop": 5.1 * period},
+        "gravity": 0.0,
+    }
+    times, *found = both(scene, "spring.x")
+    for x in found:
+        t = np.interp(np.linspace(0, 1, x.size), np.linspace(0, 1, times.size), times)
+        down = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
+        crossed = t[down] + (t[down + 1] - t[down]) * x[down] / (x[down] - x[down + 1])
+        assert np.diff(crossed).mean() == pytest.approx(period, rel=1e-4)
+
+
+def test_a_force_that_is_off_is_in_the_balance():
+    """Of the stop of a plate, by a hundredth; the run itself keeps 1e-3 of what is turned over."""
+    scene = load_scene("plate_pull_in", {"solver.stop": "6 ms"})
+    waves = kc.run(scene).waves
+    part, build = scene.parts["plate"], Build(scene, {})
+    good = part.type.energy(part, build, Waveforms(dict(waves), {}))["plate"]
+    wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
+    bad = part.type.energy(part, build, Waveforms(wrong, {}))["plate"]
+    assert good.share < good.limit < bad.share
+
+
+def test_beyond_its_limit_a_part_fails_by_name():
+    scene = {
+        "name": "soft",
+        "spring": {"part": "cubic_spring", "stiffness": 100.0, "cubic": -1e9,
+                   "pins": {"a": "push.out"}},
+        "push": {"part": "source", "kind": "displacement", "dc": "0.3 mm"},
+        "analysis": {"type": "op"},
+    }  # fmt: skip
+    with pytest.raises(kc.errors.SimulationError, match="the stretch at which it gives way"):
+        kc.run(scene)
