@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
+from kc2spice.parts.pid import Control, pid_subcircuit
+from kc2spice.parts.ring_magnet_coils import catch_subcircuit, coil_subcircuit
+from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.rom.modal import Resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.spice.header import Header
+from kc2spice.spice.realize import subcircuit
 
 sys.path.insert(0, str(Path(__file__).parent))
 import device
@@ -41,6 +48,23 @@ def table() -> EMTable:
 @pytest.fixture(scope="session")
 def header() -> Header:
     return Header("test", "0")
+
+
+@pytest.fixture(scope="session")
+def parts(header, model, radii, table) -> dict[str, Subcircuit]:
+    """The subcircuits of kick and catch, by name."""
+    ball = SphereKeys()
+    rings = tuple(f"ring{i}" for i in range(6))
+    made = (
+        subcircuit(model.linear(), "kick", header),
+        sphere_subcircuit(header, ball.mass, ball.radius, 9.81),
+        contact_subcircuit(header, rings, ring_gaps(radii, ball.radius), Normal(4e8)),
+        catch_subcircuit(header, table, 0.1, points=81),
+        coil_subcircuit(header, table, points=81),
+        opamp_subcircuit(header),
+        pid_subcircuit(header, Control()),
+    )
+    return {part.name: part for part in made}
 
 
 @pytest.fixture(scope="session")

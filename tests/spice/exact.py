@@ -102,10 +102,10 @@ def loop(scene, model, table):
 
     x = np.concatenate((rest_at(p)[0], np.zeros(n), (p, 0.0, 0.0)))
     scale = np.abs(case.rings).max(axis=1)
-    atol = 1e-10 * np.concatenate((1e-6 / scale, 1e-6 / scale * case.omega, (1e-6, 1.0, 1e-9)))
+    atol = 1e-8 * np.concatenate((1e-6 / scale, 1e-6 / scale * case.omega, (1e-6, 1.0, 1e-9)))
     times, height, speed, launch = [], [], [], None
     for a, b in zip(corners, [*corners[1:], corners[-1] + 20e-6], strict=True):
-        done = solve_ivp(near, (a, b), x, method="DOP853", rtol=1e-10, atol=atol)
+        done = solve_ivp(near, (a, b), x, method="DOP853", rtol=1e-8, atol=atol)
         assert done.success
         x = done.y[:, -1]
         closed = [case.forces(y[:n], y[n : 2 * n], y[-3], y[-2]).sum() > 0 for y in done.y.T]
@@ -119,7 +119,7 @@ def loop(scene, model, table):
         return [x[1], coils / case.mass - case.gravity, error]
 
     begin = [x[-3] + radius, x[-2], x[-1]]
-    done = solve_ivp(flying, (times[-1][-1], scene.stop), begin, method="DOP853", rtol=1e-10,
-                     atol=1e-13, max_step=2e-6)  # fmt: skip
+    done = solve_ivp(flying, (times[-1][-1], scene.stop), begin, method="DOP853", rtol=1e-8,
+                     atol=1e-13, max_step=5e-6)  # fmt: skip
     times.append(done.t), height.append(done.y[0]), speed.append(done.y[1])
     return np.concatenate(times), np.concatenate(height), np.concatenate(speed), launch

@@ -39,8 +39,7 @@ def bounce(**keys):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("damping", [0.1, 1.0])
-@pytest.mark.parametrize("law", ["linear", "hertz"])
+@pytest.mark.parametrize(("law", "damping"), [("linear", 0.1), ("hertz", 1.0)])
 def test_restitution_is_that_of_hunt_and_crossley(damping, law, tmp_path):
     """``ln((1 + c v) / (1 - c e v)) = c v (1 + e)`` at any exponent (Marhefka and Orin 1999)."""
     keys = {"modulus": 100e9} if law == "hertz" else {"penalty": 1e7}
@@ -66,7 +65,7 @@ def test_hertz_takes_the_time_of_hertz(tmp_path):
     assert not failed
 
 
-@pytest.mark.parametrize("angle", [60.0, 90.0, 180.0])
+@pytest.mark.parametrize("angle", [60.0, 180.0])
 def test_a_sphere_in_a_groove_leans_on_both_flanks(angle, tmp_path):
     """Its weight is held by flanks that are approached by s x and push along the axis with s."""
     scene = load_scene({
@@ -82,11 +81,10 @@ def test_a_sphere_in_a_groove_leans_on_both_flanks(angle, tmp_path):
         assert found["contact.flank"][-1] == pytest.approx(MASS * 9.81 / (2 * s), rel=1e-6)
 
 
-@pytest.mark.parametrize("law", ["linear", "hertz"])
-def test_flanks_of_a_groove_are_damped_by_their_own_closing_speed(law, tmp_path):
+def test_flanks_of_a_groove_are_damped_by_their_own_closing_speed(tmp_path):
     """Restitution as on a plane, at ``sin(30 deg)`` of the speed."""
-    keys = {"modulus": 100e9} if law == "hertz" else {"penalty": 1e7}
-    waves, exact, failed = ran(bounce(law=law, damping=1.0, groove=60.0, **keys), tmp_path)
+    keys = {"law": "hertz", "modulus": 100e9, "damping": 1.0, "groove": 60.0}
+    waves, exact, failed = ran(bounce(**keys), tmp_path)
     c = 0.5
     e = brentq(lambda e: np.log((1 + c) / (1 - c * e)) - c * (1 + e), 1e-3, 1.0)
     assert exact["sphere.v"][-1] == pytest.approx(e, rel=1e-8)
@@ -94,26 +92,9 @@ def test_flanks_of_a_groove_are_damped_by_their_own_closing_speed(law, tmp_path)
     assert not failed
 
 
-def test_a_block_in_a_groove_is_held_by_friction_on_both_flanks(tmp_path):
-    """``2 mu W / (2 sin(g/2))``: at 60 degrees twice that of a floor. It slides as far as that
-    says, and the report states the coefficient that was given."""
-    scene = load_scene(block(0.1, 5e-3, 30e-3).tables, {"floor.groove": 60.0, "floor.creep": 1e-5})
-    waves, exact, failed = ran(scene, tmp_path)
-    drag = 2 * 0.3 * 9.81
-    a = 0.1 / 10e-3 - drag
-    slid = a * 5e-3**2 / 2 + (a * 5e-3) ** 2 / (2 * drag)
-    assert exact["block.x"][-1] == pytest.approx(slid, rel=2e-3)
-    assert waves["block.x"][-1] == pytest.approx(exact["block.x"][-1], rel=1e-3)
-    assert waves["floor.friction"].max() == pytest.approx(10e-3 * drag, rel=1e-4)
-    assert not failed
-    floor = scene.parts["floor"]
-    assert "friction 0.3," in floor.type.modelled(floor, scene).detail
-
-
-@pytest.mark.parametrize("angle", [None, 60.0])
-def test_verify_compares_what_only_rests(angle, tmp_path):
+def test_verify_compares_what_only_rests(tmp_path):
     """A sphere at rest travels nowhere: no travel is there to compare with."""
-    contact = {"part": "contact", "a": "gnd", "penalty": 1e6} | ({"groove": angle} if angle else {})
+    contact = {"part": "contact", "a": "gnd", "penalty": 1e6, "groove": 60.0}
     scene = load_scene({"name": "rest", "sphere": {"part": "sphere"}, "contact": contact,
                         "solver": {"stop": 1e-3, "max_step": 1e-4}})  # fmt: skip
     record = verify([scene], tmp_path)["rest"]

@@ -163,25 +163,20 @@ def pressing(law):
     return contact_subcircuit(header, ("patch",), np.zeros(1), law)
 
 
-@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_every_law_of_a_contact_is_in_the_grammar(dialect, law):
-    part, card = pressing(LAWS[law]), grammar(dialect)
-    text = translate_text(part.text, part.filename, dialect)
-    assert len(cards(text)) == len(cards(part.text))
-    for line in cards(text):
-        card.parse_string(line)
+def test_every_law_of_a_contact_is_in_the_grammar(dialect):
+    card = grammar(dialect)
+    for law in LAWS.values():
+        part = pressing(law)
+        text = translate_text(part.text, part.filename, dialect)
+        assert len(cards(text)) == len(cards(part.text))
+        for line in cards(text):
+            card.parse_string(line)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_every_law_of_a_contact_is_a_module_but_friction(law):
-    part = pressing(LAWS[law])
-    if law == "dry":
-        with pytest.raises(UsageError, match="friction"):
-            library([part])
-    else:
-        (text,) = library([part]).values()
-        assert "endmodule" in text
+def test_friction_is_no_module():
+    with pytest.raises(UsageError, match="friction"):
+        library([pressing(LAWS["dry"])])
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
@@ -200,203 +195,36 @@ def test_the_grammar_refuses_ngspice(loop, dialect):
 
 # ------------------------------------------------------------------------------- constructs
 
-CONSTRUCTS = [
-    (".subckt a b c r=1 k=2\nR1 b c {r*k}\n.ends", ".subckt a b c PARAMS: r=1 k=2", "params: r=1"),
-    ("X1 in 0 part r=2", "X1 in 0 part PARAMS: r=2", "X1 in 0 part params: r=2"),
-    ("B1 a 0 I={k*max(0, V(b)-V(c))}", "I={k*max(0, V(b)-V(c))}", "I=({k})*max(0, V(b)-V(c))"),
-    ("B1 a 0 I=V(b)*pwl(V(c), 0, 1, 1, 1, 2, 3, 4, 3)", "table(V(c),\n+ 0,1,", "table(V(c),\n+ 0"),
-    ("B1 a 0 V=log(V(b))", "V={ln(V(b))}", "V=ln(V(b))"),
-    ("B1 a 0 V=V(b) > 1 ? 2 : 3", "V={if(V(b)>1, 2, 3)}", "V=if(V(b)>1, 2, 3)"),
-    ("B1 a 0 V=a-(b-c)", "V={a-(b-c)}", "V=({a})-(({b})-({c}))"),
-    ("B1 a 0 V=-(a+b)*-2", "V={(-(a+b))*(-2)}", "V=(-(({a})+({b})))*(-2)"),
-    ("B1 a 0 V=2k*V(b)", "V={2000.0*V(b)}", "V=2000.0*V(b)"),
-    (".model m SW(VT=0.5 VH=0)", "VSWITCH(VON=0.501 VOFF=0.499 RON=1 ROFF=1e12)", "SW(VT=0.5 VH=0"),
-    ("L1 a 0 1e-3", "L1 a 0 1e-3\n", "L1 a 0 1e-3 Rser=0"),
-    (".options reltol=1e-4 trtol=1", ".options timeint reltol=1e-05\n* Xyce has no option trtol=1",
-     ".options reltol=1e-4 trtol=1"),
-    (".save v(a)\n.save i(v1)", ".print TRAN format=raw\n+ V(a)\n+ I(v1)",
-     ".save\n+ V(a)\n+ I(v1)"),
-    (".save @b.xc.bring0[i]", "I(xc:bring0)", "I(b:c:ring0)"),
-    (".save v(xa.xb.n)", "V(xa:xb:n)", "V(a:b:n)"),
-    (".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n",
-     ".model n NMOS(LEVEL=1 VTO=3 KP={k} IS=1e-14)\nM1 a b c c n", "KP={k} IS=1e-14)\nM1 a b"),
-    ("D1 a 0 d\n.model d D(IS=1e-14 RS=1)", "D1 a 0 d\n.model d D(", "D1 a 0 d\n.model d D("),
-    ("C1 a 0 1u IC=2", "C1 a 0 1u\n", "C1 a 0 1u IC=2"),
-    (".model m SW(VT=2)", "VSWITCH(VON=2.001 VOFF=1.999 RON=1 ROFF=1e12)",
-     "SW(VT=2 VH=0 RON=1 ROFF=1e12)"),
-    (".model m SW(VT=-2m)", "VSWITCH(VON=-0.001 VOFF=-0.003 ", "SW(VT=-2m VH=0"),
-    (".model m SW(RON=2 ROFF=3)", "VSWITCH(VON=0.001 VOFF=-0.001 RON=2 ROFF=3)", "RON=2 ROFF=3)"),
-    (".model d D(IS=1 RS=1 N=1 TT=1 CJO=1 VJ=1 M=1 EG=1 XTI=1 FC=1 BV=1 IBV=1)",
-     "IBV=1)", "IBV=1)"),
-    ("B1 a 0 I=pwl(V(c), 0, 1, 2, 1)", "{table(V(c),\n+ 0,1,\n+ 2,1)}",
-     "table(V(c),\n+ 0,1,\n+ 2,1)"),
-    ("B1 a 0 I=uramp(V(b))", "I={max(0, V(b))}", "I=uramp(V(b))"),
-    ("B1 a 0 V=time*pi*K", "V={time*pi*K}", "V=time*pi*({K})"),
-    (".save i(v1) i(v.xa.v1) v(n)", "I(v1)\n+ I(v:xa:v1)\n+ V(n)", "I(v1)\n"),
-    ("E1 a 0 b 0 2\nG1 a 0 b 0 {k}", "E1 a 0 b 0 2\nG1 a 0 b 0 {k}\n", "E1 a 0 b 0 2\nG1 a 0 b"),
-    ("S1 a 0 b 0 m\n.model m SW(VT=1)", "S1 a 0 b 0 m\n.model m VSWITCH(VON=1.001 ",
-     "S1 a 0 b 0 m\n.model m SW(VT=1 "),
-    (".param a=1\n.param b=2", ".param a=1\n.param b=2\n", ".param a=1\n.param b=2\n"),
-    (".save v(a)\nR9 a 0 1", "+ V(a)\nR9 a 0 1\n", "+ V(a)\nR9 a 0 1\n"),
-    (".save v(a)\n.include zz.lib", "+ V(a)\n.include zz.lib\n", "+ V(a)\n.include zz.lib\n"),
-    (".save v(a)\n.op\n.ac lin 1 1 2", ".print AC format=raw", "+ V(a)\n.op\n.ac lin 1 1 2\n"),
-    (".options trtol=1", "* Xyce has no option trtol=1\n", ".options trtol=1\n"),
-]  # fmt: skip
-
 
 def one(cards_):
     text = f"* title\n{cards_}\n.tran 1 1\n.end\n"
     return Deck(name="one", text=text)
 
 
-@pytest.mark.parametrize(("source", "xyce", "ltspice"), CONSTRUCTS)
-def test_constructs(source, xyce, ltspice):
-    assert xyce in translate(one(source), "xyce").files["one.cir"]
-    assert ltspice in translate(one(source), "ltspice").files["one.cir"]
-
-
-DECK = """a title
-* Run it with:  ngspice -b one.cir
-* or ngspice -i one.cir
-*        a reason of an option
-.options reltol=1e-4 trtol=1
-R1 a 0 1
-.print tran v(a)
-.include zz.lib
-.save v(a)
-.save i(v1) v(b)
-* why
-.save v(c)
-*        another
-.options method=gear
-.tran 1u 1m uic
-.end
-"""
-XYCE = """a title
-* Run it with:  Xyce one.cir
-.options timeint reltol=1e-05 method=gear
-* Xyce has no option trtol=1
-R1 a 0 1
-.include zz.lib
-.print TRAN format=raw
-+ V(a)
-+ I(v1)
-+ V(b)
-* why
-.print TRAN format=raw
-+ V(c)
-.tran 1u 1m 0 1e-06 uic
-.end
-"""
-LTSPICE = """a title
-* Run it with:  LTspice -b one.cir
-*        a reason of an option
-.options reltol=1e-4 trtol=1
-R1 a 0 1
-.include zz.lib
-.save
-+ V(a)
-+ I(v1)
-+ V(b)
-* why
-.save
-+ V(c)
-*        another
-.options method=gear
-.tran 1u 1m uic
-.end
-"""
-
-
-@pytest.mark.parametrize(("dialect", "expected"), [("xyce", XYCE), ("ltspice", LTSPICE)])
-def test_a_whole_deck_line_by_line(dialect, expected):
-    library = dict.fromkeys(["zz.lib", "aa.lib"], "B1 a 0 V=log(V(b))\nR2 a 0 1\n")
-    vectors = {"sum": ("v(a)+i(v1)", 2.0)}
-    deck = translate(Deck(name="one", text=DECK, more=library, vectors=vectors), dialect)
-    assert deck.files["one.cir"] == expected
-    law = "{ln(V(b))}" if dialect == "xyce" else "ln(V(b))"
-    for name in library:
-        assert deck.files[name] == f"B1 a 0 V={law}\nR2 a 0 1\n"
-    assert deck.vectors == {"sum": ("V(a)+I(v1)", 2.0)}
-
-
-def test_a_library_has_no_title():
-    assert translate_text("L1 a 0 1\n", "coil.lib", "ltspice") == "L1 a 0 1 Rser=0\n"
-
-
 REFUSED = [
     "B1 a 0 I=pwl(V(c), 0, 0, 1, 1)",  # ngspice goes on with the slope, a table stays flat
-    "B1 a 0 I=limit(V(c), 0, 1)",
-    "B1 a 0 I=V(b)^2",
-    ".param a={b**2}",
-    "R1 a 0 {b^2}",
-    "B1 a 0 I=V(b)*temper",
-    "B1 a 0 I=V(b)==1 ? 1 : 2",
-    "E1 a 0 POLY(1) b 0 1 2 3",
-    "E1 a 0 vol='V(b)'",
-    ".model d D(IS=1e-14 LEVEL=3)",
-    ".model n NMOS(LEVEL=49)",
-    ".model v VDMOS(VTO=3)",
-    ".control\n.endc",
-    ".func f(x) {x}",
-    "Z1 a b c d",
-    "Z1 a b c d m=2",
-    "T1 a b c d Z0=50 TD=1n",
-    ".width out=80",
-    ".model n NMOS(LEVEL=0)",
-    "A1 a b c",
-    ".save @m1[gm]",
-    "V1 a 0 PWL(file=x)",
-    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 2, 3)",
-    "B1 a 0 I=pwl(V(c), 0, 0, 1, 1, 2, 1)",
-    "B1 a 0 I=pwl(V(c), 0, 1)",
-    "B1 a 0 I=pwl(V(c), 0, 1, 2)",
-    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 1)",
-    "B1 a 0 I=zeta(V(c))",
-    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 2)",
-    "B1 a 0 I=V(b) && V(c) ? 1 : 2",
-    "B1 a 0 I=e*V(b)",
-    ".model d D(IS=1e-14 XX=3)",
-    ".save nothing",
-]
+    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 1)", "B1 a 0 I=limit(V(c), 0, 1)", "B1 a 0 I=V(b)^2",
+    ".param a={b**2}", "B1 a 0 I=V(b)*temper", "B1 a 0 I=V(b)==1 ? 1 : 2", "B1 a 0 I=e*V(b)",
+    "E1 a 0 POLY(1) b 0 1 2 3", "E1 a 0 vol='V(b)'", ".model d D(IS=1e-14 LEVEL=3)",
+    ".model n NMOS(LEVEL=49)", ".control\n.endc", ".func f(x) {x}", "Z1 a b c d", ".width out=80",
+    ".save @m1[gm]", "V1 a 0 PWL(file=x)",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("source", REFUSED)
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_what_a_dialect_cannot_say_is_refused(source, dialect):
-    with pytest.raises(UsageError) as caught:
-        translate(one(source), dialect)
-    assert "one.cir:2" in str(caught.value)
+def test_what_a_dialect_cannot_say_is_refused(dialect):
+    for source in REFUSED:
+        with pytest.raises(UsageError) as caught:
+            translate(one(source), dialect)
+        assert "one.cir:2" in str(caught.value), source
 
 
-@pytest.mark.parametrize(
-    ("card", "expected"),
-    [
-        (".tran 1u 1m", ".tran 1u 1m 0 1e-06"),
-        (".tran 1u 1m 2u", ".tran 1u 1m 2u 1e-06"),
-        (".tran 1u 1m 0 5e-7 uic", ".tran 1u 1m 0 5e-7 uic"),
-        (".tran 1u 1m 0 2e-6", ".tran 1u 1m 0 1e-06"),
-        (".tran 1u 1m 0 1u", ".tran 1u 1m 0 1u"),
-        (".tran 1u 1m 0 2u uic", ".tran 1u 1m 0 1e-06 uic"),
-        (".tran .5u {stop} UIC", ".tran .5u {stop} 0 1e-06 UIC"),
-        (".tran 1u 1m 0 {most}", ".tran 1u 1m 0 1e-06"),
-    ],
-)
-def test_xyce_never_steps_further_than_a_microsecond(card, expected):
-    deck = translate(Deck(name="one", text=f"* title\n{card}\n.end\n"), "xyce")
-    assert deck.files["one.cir"] == f"* title\n{expected}\n.end\n"
-
-
-@pytest.mark.parametrize(
-    ("values", "what"),
-    [("VT=0.5 VH=0.1", "hysteresis"), ("VT=0.5 VH=-0.1", "hysteresis"), ("VH={k}", "hysteresis"),
-     ("VT={k}", "threshold")],
-)  # fmt: skip
-def test_switches_that_xyce_does_not_have_are_refused(values, what):
-    deck = one(f".model m SW({values})")
-    with pytest.raises(UsageError, match=what):
-        translate(deck, "xyce")
-    assert values in translate(deck, "ltspice").files["one.cir"]
+def test_switches_that_xyce_does_not_have_are_refused():
+    for values in ("VT=0.5 VH=0.1", "VT={k}"):
+        deck = one(f".model m SW({values})")
+        with pytest.raises(UsageError, match=r"hysteresis|threshold"):
+            translate(deck, "xyce")
+        assert values in translate(deck, "ltspice").files["one.cir"]
 
 
 def test_unknown_dialects_are_refused(loop):
@@ -405,68 +233,20 @@ def test_unknown_dialects_are_refused(loop):
     assert caught.value.expected == ", ".join(DIALECTS)
 
 
-def test_xyce_gets_one_line_of_options_and_its_own_largest_step(loop):
-    text = translate(loop, "xyce").files["loop.cir"]
-    (line,) = re.findall(r"(?mi)^\.options timeint .*", text)
-    assert loop_reltol(loop) == "0.0001"
+def test_xyce_keeps_to_the_error_and_the_steps_that_it_needs(loop):
+    """A tenth of the tolerance; a microsecond where a controller is."""
+
+    def said(deck):
+        text = translate(deck, "xyce").files["loop.cir"]
+        (line,) = re.findall(r"(?mi)^\.options timeint .*", text)
+        (tran,) = re.findall(r"(?mi)^\.tran .*", text)
+        return line, float(tran.split()[4])
+
+    line, ceiling = said(loop)
     assert "reltol=1e-05" in line
     assert "method=trap" in line
-    (tran,) = re.findall(r"(?mi)^\.tran .*", text)
-    assert float(tran.split()[4]) == 1e-6
-    own = translate(one(".tran 1e-9 1e-6 0 10n uic"), "xyce").files["one.cir"]
-    assert ".tran 1e-9 1e-6 0 10n uic\n" in own
-
-
-def loop_reltol(deck):
-    return re.search(r"(?m)^\.options reltol=(\S+)", deck.files[deck.main])[1]
-
-
-@pytest.mark.parametrize(("dialect", "command"), [("xyce", "Xyce"), ("ltspice", "LTspice -b")])
-def test_the_head_names_the_program_that_runs_the_deck(loop, dialect, command):
-    head = translate(loop, dialect).files["loop.cir"]
-    assert f"* Run it with:  {command} loop.cir\n" in head
-    assert not re.search(r"ngspice -", head)
-
-
-def test_ngspice_is_left_alone(loop):
-    assert translate(loop, "ngspice") == loop
-
-
-def test_result_names_follow(loop):
-    assert translate(loop, "xyce").vectors["contact.force.ring1"] == ("I(xcontact:bring1)", 1.0)
-    assert translate(loop, "ltspice").vectors["coil.lower.current"] == ("V(catch:i)", -1.0)
-    whole, _ = translate(loop, "xyce").vectors["contact.force"]
-    assert whole.count("+") == 5
-
-
-def test_every_term_of_a_result_is_translated():
-    vectors = {
-        "rise": ("v(a)-v(b)", 1.0),
-        "fall": ("-v(a)", 2.0),
-        "net": ("i(v1)+v(x.n)-v(b)", 1.0),
-    }
-    deck = Deck(name="one", text="* title\n.end\n", vectors=vectors)
-    assert translate(deck, "xyce").vectors == {
-        "rise": ("V(a)-V(b)", 1.0), "fall": ("-V(a)", 2.0), "net": ("I(v1)+V(x:n)-V(b)", 1.0),
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize(("given", "written"), [("1e-3", 1e-5), ("1e-4", 1e-5), ("1e-6", 1e-7)])
-def test_xyce_is_asked_for_a_tenth_of_the_error_and_at_most_1e_5(given, written):
-    text = translate(one(f".options reltol={given}"), "xyce").files["one.cir"]
-    assert float(re.search(r"reltol=(\S+)", text)[1]) == pytest.approx(written)
-    ac = Deck(name="one", text=f"* t\n.options reltol={given}\n.ac lin 2 1 2\n.end\n")
-    assert f"reltol={given}" in translate(ac, "xyce").files["one.cir"]
-
-
-def test_xyce_takes_short_steps_only_where_a_controller_is(loop):
-    def ceiling(deck):
-        (tran,) = re.findall(r"(?mi)^\.tran .*", translate(deck, "xyce").files["loop.cir"])
-        return float(tran.split()[4])
-
-    assert ceiling(loop) == 1e-6
     own = float(re.search(r"(?m)^\.tran \S+ \S+ \S+ (\S+)", loop.files["loop.cir"])[1])
-    assert ceiling(replace(loop, controlled=False)) == own > 1e-6
+    assert ceiling == 1e-6 < own == said(replace(loop, controlled=False))[1]
 
 
 def test_xyce_gets_initial_states_only_where_they_count(loop):
@@ -484,9 +264,7 @@ def test_xyce_gets_initial_states_only_where_they_count(loop):
     assert ".nodeset" not in spoken.files["loop.cir"]
 
 
-@pytest.mark.parametrize(
-    "card", ["dec 45 630 14000", "dec 10 1 1000", "oct 3 5 1k", "dec 7 1 9.99"]
-)
+@pytest.mark.parametrize("card", ["dec 45 630 14000", "oct 3 5 1k"])
 def test_xyce_reaches_the_last_frequency(card):
     """It takes points ``start 10^(k / n)`` while they do not exceed the end."""
     deck = Deck(name="one", text=f"* title\n.ac {card}\n.end\n")

@@ -2,19 +2,13 @@
 
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from device import built
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, silent
-from kc2spice.parts._driver_checks import Stage, slewing
-from kc2spice.parts._drivers import CARRIER, Load
-from kc2spice.parts.pwm_drive import PwmKeys
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import part_types
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
@@ -56,18 +50,14 @@ DRIVERS = {
     ]),
     "charge": (("charge_drive", 50.0, {}, True), [
         ("{capacitance/sense*0.001}", "{capacitance/sense*0.00102}", FOLLOWS),
-        ("gbw={", "gbw={0.5*", FOLLOWS), ("slew={slew}", "slew={slew*1e-2}", FOLLOWS),
-        ("ref {rail}", "ref {0.2*rail}", FOLLOWS),
     ]),
     "half_bridge": (("half_bridge", 100.0, {}), [
-        ("ref {rail}", "ref {1.02*rail}", FOLLOWS),
         ("ref {reservoir}", "ref {reservoir/4}", FOLLOWS),
         ("kp={2*", "kp={3*", CURRENT), ("ref {rail}", "ref {1.05*rail}", RAILS),
     ]),
     "linear": ("coil_rails", [
         ("R1 ret n 1000", "R1 ret n 1200", FOLLOWS),
         ("vcc ref {rail}", "vcc ref {1.02*rail}", RAILS),
-        ("slew={slew}", "slew={0.1*slew}", FOLLOWS),
     ]),
     "pwm": ("pwm_coil", [
         ("{frequency}", "{1.2*frequency}", FOLLOWS), ("V={0.5*rail*(1+", "V={0.52*rail*(1+", RAILS),
@@ -148,7 +138,6 @@ Rout buffered out 1
     [
         ({"low": "-1 V", "high": "101 V", "slew": 6e8}, None),
         ({"high": "90 V"}, "mine.out within its rails"),
-        ({"low": "1 V"}, "mine.out within its rails"),
         ({"slew": 3e8}, "mine.out within its slew rate"),
     ],
 )
@@ -182,64 +171,3 @@ def test_a_rating_of_no_pin_is_an_error(tmp_path):
     )
     with pytest.raises(UsageError, match="no such pin"):
         load_scene(tmp_path / "a.toml")
-
-
-def test_the_arithmetic_of_the_checks():
-    """A first-order lag by its closed form; a ramp that is a tenth too steep for 1 us."""
-    t = np.linspace(0.0, 2e-6, 2001)
-    tau = 80e-9
-    out = 100 * (1 - np.exp(-t / tau))
-    stage = Stage(
-        t, 100 - out, out, 0 * t, -10.0, 120.0, 1e10, 1.0, 1 / (2 * np.pi * tau), rout=0.0
-    )
-    found = {c.name: c for c in stage.checks("d")}
-    assert found["d follows its command"].value < 1e-4
-    slow = replace(stage, gbw=0.9 * stage.gbw)
-    lag = {c.name: c for c in slow.checks("d")}["d follows its command"].value
-    # a tenth of the slope, averaged over one time constant from the start, of the span
-    assert lag == pytest.approx(0.111 * (1 - np.exp(-1)) / (1 - np.exp(-2e-6 / tau)), rel=0.1)
-    ramp = np.minimum(1.1e8 * t, 110.0)
-    assert slewing("d", t, ramp, 1e8, 1.0).value == pytest.approx(10.0, rel=1e-3)
-
-
-def test_the_duty_that_a_modulator_is_judged_by(monkeypatch):
-    """Of a constant error ``e`` the controller makes ``u = c + k e (1 + t R / L)``, ``k = 2 pi f L
-    CARRIER / (100 Ohm rail)``; its mean against the triangle is ``(1 + u / CARRIER) / 2``."""
-    kind, keys = part_types()["pwm_drive"], PwmKeys(edge=2e-7)
-    coil = Load(73e-3, 3192.0)
-    monkeypatch.setattr(type(kind), "load", lambda *_: coil)
-    part = SimpleNamespace(keys=keys)
-    count, periods = 400, 5
-    time = np.arange(count * periods) / count / keys.frequency
-    command, error = 0.2, 0.02
-
-    def duty(error):
-        wave = {"i": np.full(time.size, (command - error) / 100), "command": time * 0 + command}
-        return kind._duty(part, None, time, wave)
-
-    found = duty(error)
-    assert (found.min(), found.max()) == (0.0, 1.0)
-    ramp = (found > 0) & (found < 1)
-    assert ramp.sum() / (2 * periods) == pytest.approx(count * keys.frequency * keys.edge, rel=0.25)
-    k = 2 * np.pi * keys.bandwidth * coil.inductance * CARRIER / (100 * keys.rail)
-    u = command + k * error * (1 + time * (coil.resistance + 2 * keys.resistance + 1) / 73e-3)
-    mean = (1 + u / CARRIER).reshape(periods, count).mean(axis=1) / 2
-    np.testing.assert_allclose(found.reshape(periods, count).mean(axis=1), mean, atol=2e-3)
-    # the triangle begins at zero and rises 4 CARRIER a period; an edge takes as long as told
-    assert found[0] == pytest.approx(0.5 + u[0] / (4 * CARRIER * keys.frequency * keys.edge))
-    assert found[count // 4] == 0.0
-    assert duty(100.0).min() == 1.0
-    assert duty(-100.0).max() == 0.0
-
-
-@pytest.mark.parametrize(("beyond", "kept"), [(0.9e-3, True), (1.1e-3, False)])
-def test_legs_of_a_modulator_stay_within_a_thousandth_of_its_rail(monkeypatch, beyond, kept):
-    kind, keys = part_types()["pwm_drive"], PwmKeys()
-    monkeypatch.setattr(type(kind), "_duty", lambda *_: np.ones(3))
-    still = np.zeros(3)
-    rail = keys.rail
-    wave = {"i": still, "drive": still + (1 + beyond) * rail, "ret": still, "command": still}
-    part = SimpleNamespace(keys=keys, name="d")
-    found = {c.name: c for c in kind.limits(part, None, np.arange(3.0), wave)}
-    assert found["d within its rails"].passed is kept
-    assert found["d within its rails"].value == pytest.approx(beyond * rail)

@@ -1,12 +1,10 @@
 """Drivers against closed forms, and all parts for passivity, in decks that include libraries."""
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from device import bench, built, deck_of
-from scipy.signal import lsim
+from device import bench
 
 from kc2spice.parts._drivers import Load
 from kc2spice.parts._opamp import opamp_subcircuit
@@ -15,11 +13,7 @@ from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
 from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
 from kc2spice.parts.linear_drive import LinearKeys, linear_subcircuit
 from kc2spice.parts.pwm_drive import PwmKeys, pwm_subcircuit
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import part_types
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
 
 LOAD = Load(73e-3, 3192.0)
 
@@ -205,60 +199,3 @@ def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
 
 
 # --------------------------------------------------------------------------------- in the loop
-
-
-@pytest.mark.parametrize("limit", [5.0, 1.0])
-def test_amplifier_kick_shows_slew_rate_and_current_limit(model, table, tmp_path,
-                                                          limit):  # fmt: skip
-    """The voltage rises at the slew rate, or as the largest current charges clamped C and modes."""
-    scene = load_scene("amplifier_kick", [f"kick.driver.amplifier.current_limit={limit}",
-                                          "contact.rings=all", "solver.stop=0.51 ms"])  # fmt: skip
-    amplifier, clamped = scene.parts["kick_driver"].keys, model.D[6, 6]
-    start = scene.parts["kick"].keys.drive.start
-    waves = run_deck(deck_of(scene, model, table), tmp_path)
-    t, u, i = waves["time"] - start, waves["kick.voltage"], waves["kick.current"]
-    assert i.max() == pytest.approx(limit, rel=1e-3)
-    begin = (t > 0.1e-6) & (t < 0.25e-6)
-    if limit / clamped > amplifier.slew:
-        inner = u + amplifier.resistance * i  # the amplifier's own voltage, behind its resistance
-        assert np.polyfit(t[begin], inner[begin], 1)[0] == pytest.approx(amplifier.slew, rel=0.02)
-        assert np.ptp(t[i > 0.999 * limit]) > 1e-6  # reached when the chip's modes give way
-        return
-    assert i[begin] == pytest.approx(limit, rel=1e-3)
-    first = np.interp(0.5 * limit, i[t < 0.1e-6], t[t < 0.1e-6])  # the current's step: 20 ns
-    grid, want = charged(model, limit, 1.5e-6)
-    assert np.diff(want[:20]).mean() / grid[1] == pytest.approx(limit / clamped, rel=0.03)  # I/C
-    have = np.interp(first + grid, t, u)
-    np.testing.assert_allclose(have, want, atol=0.04 * want.max())  # the sphere is no part of it
-
-
-def charged(model, current, stop):
-    """Voltage of the resting device under a constant current, from its modal equations."""
-    gain, q = model.gain[:, 6], model.order
-    stiff = np.diag(model.omega**2) + np.outer(gain, gain) / model.D[6, 6]
-    matrix = np.block([[np.zeros((q, q)), np.eye(q)], [-stiff, -np.diag(model.damp)]])
-    drive = np.concatenate([np.zeros(q), gain / model.D[6, 6]])[:, None]  # by the charge I t
-    out = np.concatenate([-gain, np.zeros(q)])[None] / model.D[6, 6]
-    t = np.linspace(0.0, stop, 601)
-    _, u, _ = lsim((matrix, drive, out, [[1 / model.D[6, 6]]]), current * t, t)
-    return t, u
-
-
-@pytest.mark.parametrize("name", ["half_bridge_kick", "amplifier_kick", "charge_kick",
-                                  "bring_your_own"])  # fmt: skip
-def test_driven_kicks_launch_and_are_caught(model, table, tmp_path, name):
-    build = built(load_scene(name, ["contact.rings=all"]), model, table)
-    waves = run_deck(make_deck(build), tmp_path)
-    found = metrics(waves, build)
-    assert 0.5 < found["launch_velocity_m_s"] < 1.5
-    assert found["caught"]
-
-
-@pytest.mark.parametrize(
-    ("kind", "file"), [("charge_drive", "charge"), ("pwm_drive", "pwm"), ("linear_drive", "linear")]
-)
-def test_a_driver_alone_has_a_plain_name(kind, file):
-    part = SimpleNamespace(name="mine")
-    for several, name in ((1, file), (2, "mine")):
-        scene = SimpleNamespace(of=lambda found, several=several: [found] * several)
-        assert part_types()[kind].library(part, scene) == name

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts import matrices
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
@@ -81,12 +78,6 @@ def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):
         np.testing.assert_allclose(apart, np.sin(w * t) / w, atol=error / w)
 
 
-def test_masses_that_a_pin_joins_move_as_one(tmp_path):
-    other = {"part": "mass", "mass": 2 * MASS, "pins": {"a": "box.a"}}
-    for found in both({"box": BOX, "other": other, "push": push(dc=0.01), **STEPS}, tmp_path):
-        assert found["other.x"][-1] == pytest.approx(0.01 / (3 * MASS) * 0.1**2 / 2, rel=1e-8)
-
-
 def test_a_falling_weight_in_oil_ends_at_its_weight_over_the_damping(tmp_path):
     box = {"part": "mass", "mass": 1e-3, "weight": True}
     oil = {"part": "damper", "damping": 0.02, "pins": {"a": "box.a"}}
@@ -139,67 +130,3 @@ def test_what_touches_the_ground_rests_on_it(tmp_path):
     tables = {"box": BOX | {"weight": True}, "floor": floor, "analysis": {"type": "op"}}
     for found in both(tables, tmp_path):
         assert found["floor.force"][-1] == pytest.approx(MASS * G, rel=1e-9)
-
-
-@pytest.mark.parametrize("other", ["mass", "shaker"])
-def test_what_is_fixed_to_something_has_no_start_of_its_own(other):
-    tables = {
-        "mass": {"other": BOX | {"pins": {"a": "box.a"}}},
-        "shaker": {"other": push(kind="displacement")},
-    }[other]
-    scene = load_scene({"name": "free", "box": BOX | {"velocity": 1.0}, **tables})
-    with pytest.raises(UsageError, match="what it is fixed to") as caught:
-        make_deck(Build(scene, {}, libraries(scene)))
-    assert caught.value.where == "box"
-    with pytest.raises(UsageError, match="begins a transient"):
-        load_scene({"name": "free", "box": BOX | {"position": 1.0}, "seen": SEEN,
-                    "analysis": {"type": "ac", "start": 1.0, "stop": 1e3}})  # fmt: skip
-
-
-@pytest.fixture
-def dumbbell(monkeypatch):
-    """A scene with the part ``bar``: two masses of 1 g on a spring, free or clamped."""
-
-    def made(clamped=0.0, **tables):
-        K = 1e4 * np.array([[1.0, -1.0], [-1.0, 1.0 + clamped]])
-        ports = tuple(kc.Port(n, "mechanical", "um", "N") for n in ("tip", "foot"))
-        model = kc.LinearModel(M=1e-3 * np.eye(2), E=0 * K, K=K, B=np.eye(2), ports=ports)
-        monkeypatch.setattr(matrices, "_read", lambda *_: model)
-        monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("bar.mtx",))
-        scene = load_scene({"name": "free", "bar": {"part": "matrices", "file": "bar.mtx"},
-                            **tables})  # fmt: skip
-        return Build(scene, {"bar": model.select(["tip"])}, libraries(scene))
-
-    return made
-
-
-def test_a_free_body_is_not_pushed_at_rest(dumbbell, tmp_path):
-    def at_tip(**keys):
-        return push(**keys) | {"pins": {"out": "bar.tip"}}
-
-    stop = {"solver": {"stop": 1e-3, "max_step": 1e-6}}
-    for more in (stop, {"analysis": {"type": "op"}}):
-        with pytest.raises(UsageError, match="nothing holds bar"):
-            make_deck(dumbbell(push=at_tip(dc=1.0), **more))
-        make_deck(dumbbell(clamped=1.0, push=at_tip(dc=1.0), **more))
-    pulse = {"high": 1.0, "width": 1.0, "edge": 1e-9}
-    build = dumbbell(push=at_tip(pulse=pulse), **stop)
-    found = run_deck(make_deck(build), tmp_path)
-    w, t = np.sqrt(2e4 / 1e-3), 1e-3  # half of the force moves the centre, half the mode
-    exact = t**2 / 4e-3 + (1 - np.cos(w * t)) / (2e-3 * w**2)
-    assert found["bar.u.tip"][-1] == pytest.approx(exact, rel=1e-3)
-
-
-def test_a_small_capacitance_that_would_lose_its_charge_is_told(monkeypatch):
-    """1 pF under the netlist's leak of 1e-12 S forgets a tenth of its charge in 0.1 s."""
-    port = kc.Port("anode", "electrical", "V", "A", ("anode", "cathode"))
-    model = kc.LinearModel(M=np.eye(1), E=np.eye(1), K=np.eye(1), B=np.zeros((1, 1)),
-                           D=np.full((1, 1), 1e-12), ports=(port,))  # fmt: skip
-    monkeypatch.setattr(matrices, "_read", lambda *_: model)
-    monkeypatch.setattr(matrices.Matrices, "files", lambda *_: ("bar.mtx",))
-    scene = load_scene({"name": "leak", "bar": {"part": "matrices", "file": "bar.mtx"}, **STEPS})
-    waves = Waveforms({"time": np.array([0.0, 0.1])}, {})
-    build = Build(scene, {"bar": model}, libraries(scene))
-    (check,) = scene.parts["bar"].type.checks(scene.parts["bar"], build, waves)
-    assert check.value == pytest.approx(1 - np.exp(-0.1), rel=1e-12)
-    assert not check.passed

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -52,42 +53,53 @@ def mesh_scene(home, mesh, more=""):
     (home / "hostile.toml").write_text(meshes.SCENE.format(mesh=name, more=more))
 
 
-SCRIPTS = sorted(meshes.scripts("x"))
+# one file a hole: a script as a mesh, as CAD, behind a good head, compressed, under another suffix
+DECISIVE = ("comment.msh", "behind the header.msh", "a.step", "a.geo", "gz a.msh", "refers.step")
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_no_mesh_is_run_as_a_program(name, home):
+def unrun(name, home, *commands):
+    """Every command refuses the file, runs nothing of it and writes nothing."""
     victim = home.parent / "pwned"
     (home / name).write_bytes(meshes.scripts(victim)[name])
     (home / "other.geo").write_text(f'SystemCall "touch {victim}";\n')
     mesh_scene(home, name)
     before = sorted(home.iterdir())
-    for command in READING if name == "comment.msh" else ("explain", "export", "reduce"):
+    for command in commands:
         code, said = ask(command, home)
-        if name in ("behind a mesh.msh",) and code == 0:
+        if name == "behind a mesh.msh" and code == 0:
             continue  # a good mesh, and what follows it is no part of it
-        assert code == 2, (command, said)
+        assert code == 2, (name, command, said)
         assert not victim.exists()
         assert sorted(home.iterdir()) == before
-    assert not victim.exists()
+    (home / name).unlink()
 
 
-@pytest.mark.parametrize("index", range(len(meshes.names(""))))
-def test_a_mesh_lies_beside_its_scene(index, home):
+@pytest.mark.parametrize("name", DECISIVE)
+def test_no_mesh_is_run_as_a_program(name, home):
+    unrun(name, home, *(READING if name == "comment.msh" else ("explain",)))
+
+
+@pytest.mark.slow
+def test_no_mesh_of_all_is_run_as_a_program(home):
+    for name in sorted(meshes.scripts("x")):
+        unrun(name, home, "explain", "reduce")
+
+
+def test_a_mesh_lies_beside_its_scene(home):
     outside = home.parent / "outside" / "bar.msh"
     outside.parent.mkdir()
-    outside.write_bytes(meshes.msh4())
+    outside.write_bytes(meshes.mesh())
     (home / "folder").mkdir()
     (home / "folder.msh").mkdir()
     (home / "link.msh").symlink_to(outside)
     (home / "linked").symlink_to(outside.parent)
     (home / "circle.msh").symlink_to("circle.msh")
     os.mkfifo(home / "pipe.msh")
-    mesh_scene(home, meshes.names(outside)[index])
-    for command in ("run", "explain", "export", "verify", "reduce", "sweep"):
-        code, said = ask(command, home)
-        assert code == 2, (command, said)
-    assert any(word in said for word in ("hostile.toml", "bar", "mesh", ".msh"))
+    for name in meshes.names(outside):
+        mesh_scene(home, name)
+        code, said = ask("explain", home)
+        assert code == 2, (name, said)
+        assert any(word in said for word in ("hostile.toml", "bar", "mesh", ".msh"))
 
 
 @pytest.mark.parametrize("table", [
@@ -95,17 +107,16 @@ def test_a_mesh_lies_beside_its_scene(index, home):
     'part = "matrices"\nfile = "{}"',
     'part = "matrices"\nfile = "model.npz"\nsidecar = "{}"',
 ])  # fmt: skip
-@pytest.mark.parametrize("name", ["../x", "link", "{home}/../x"])
+@pytest.mark.parametrize("name", ["../x", "link"])
 def test_every_other_file_lies_beside_its_scene(table, name, home):
     (home.parent / "x").write_text("0, 0\n1, 1\n")
     (home / "link").symlink_to("../x")
     load = '[load]\npart = "resistor"\nresistance = 1.0\n'
     text = table.format(name.format(home=home))
     (home / "hostile.toml").write_text(f'name = "hostile"\n{load}[bar]\n{text}\n')
-    for command in ("explain", "export"):
-        code, said = ask(command, home)
-        assert code == 2, said
-        assert "leads out of the scene's folder" in said
+    code, said = ask("explain", home)
+    assert code == 2, said
+    assert "leads out of the scene's folder" in said
 
 
 @pytest.mark.parametrize("name", sorted(meshes.good()))
@@ -114,10 +125,6 @@ def test_an_honest_mesh_is_read_in_every_format(name, home):
     data, more = meshes.good()[name]
     (home / name).write_bytes(data)
     mesh_scene(home, name, more)
-    code, said = ask("reduce", home)
-    assert code == 0, said
-    code, said = ask("explain", home)
-    assert code == 0, said
     model = api.build(str(home / "hostile.toml"))["bar"]
     expected = meshes.VOLUME * material("steel").density
     assert model.facts["mass_kg"] == pytest.approx(expected, rel=1e-9)
@@ -129,7 +136,7 @@ def test_meshes_on_a_dask_worker(name, home):
     """Workers read what travels with the sweep; a header that is right brings nothing to act."""
     pytest.importorskip("distributed")
     victim = home.parent / "pwned"
-    (home / name).write_bytes({**meshes.scripts(victim), "good.msh": meshes.msh4()}[name])
+    (home / name).write_bytes({**meshes.scripts(victim), "good.msh": meshes.mesh()}[name])
     mesh_scene(home, name)
     options = ("--set", "push.ac=1,2", "--dask", "local", "--workers", "1", "-o", "out")
     command = [sys.executable, "-m", "kc2spice", "sweep", "hostile.toml", *options]
@@ -143,45 +150,35 @@ def test_meshes_on_a_dask_worker(name, home):
 def test_a_program_may_name_a_mesh_anywhere(home):
     """Tables that a Python program hands over are its own words."""
     outside = home.parent / "bar.msh"
-    outside.write_bytes(meshes.msh4())
+    outside.write_bytes(meshes.mesh())
     tables = tomllib.loads(meshes.SCENE.format(mesh="bar.msh", more=""))
     tables["bar"]["mesh"] = str(outside)
     assert api.build(tables)["bar"].facts["mass_kg"] > 0
 
 
-@pytest.mark.parametrize(("name", "more"), [("bar.msh", ""), ("bar.brep", meshes.GROUPS)])
-def test_a_file_without_unit_needs_one(name, more, home):
+def test_a_file_without_unit_needs_one(home):
     """A mesh in metres is no device of micrometres: the error has its size in each unit."""
-    (home / name).write_bytes(meshes.msh4() if name == "bar.msh" else meshes.cad(".brep"))
-    mesh_scene(home, name, more)
+    (home / "bar.msh").write_bytes(meshes.mesh())
+    mesh_scene(home, "bar.msh")
     scene = home / "hostile.toml"
     stated = scene.read_text()
     scene.write_text(stated.replace('unit = "mm"\n', ""))
-    for command in ("run", "explain", "export", "verify", "reduce", "sweep"):
-        code, said = ask(command, home)
-        assert code == 2
-        words = ("bar.unit", "12 x 3 x 2 in", '"mm" if it is 12 x 3 x 2 mm',
-                 '"m" if it is 1.2e+04 x 3000 x 2000 mm')  # fmt: skip
-        assert [word for word in words if word not in said] == []
-    sizes = {"mm": "12 x 3 x 2 mm", "cm": "120 x 30 x 20 mm"}
-    for unit, size in list(sizes.items())[: 1 if more else 2]:  # what it picks is in mm
-        scene.write_text(stated.replace('unit = "mm"', f'unit = "{unit}"'))
-        code, said = ask("explain", home)
-        assert code == 0
-        assert size in " ".join(said.split())
-    scene.write_text(stated)
     code, said = ask("run", home)
-    assert code == 0, said
-    record = json.loads((home / "out" / "result.json").read_text())["model"]["bar"]
-    assert [record[f"extent_{axis}_mm"] for axis in "xyz"] == pytest.approx([12, 3, 2])
-    assert "extent x" in (home / "out" / "report.html").read_text()
+    assert code == 2
+    words = ("bar.unit", "12 x 3 x 2 in", '"mm" if it is 12 x 3 x 2 mm',
+             '"m" if it is 1.2e+04 x 3000 x 2000 mm')  # fmt: skip
+    assert [word for word in words if word not in said] == []
+    scene.write_text(stated.replace('unit = "mm"', 'unit = "cm"'))
+    code, said = ask("explain", home)
+    assert code == 0
+    assert "120 x 30 x 20 mm" in " ".join(said.split())
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "/", "./", "//", ":", "home:bar", "./.toml"])
-def test_a_folder_is_no_model(name, home):
-    result = CliRunner().invoke(app, ["reduce", name])
-    assert result.exit_code == 2
-    assert "internal error" not in result.output
+def test_a_folder_is_no_model(home):
+    for name in ("", ".", "..", "/", ":", "home:bar", "./.toml"):
+        result = CliRunner().invoke(app, ["reduce", name])
+        assert result.exit_code == 2, name
+        assert "internal error" not in result.output
     assert not list(home.iterdir())
 
 
@@ -197,10 +194,9 @@ def command(home, *words, limit=None, stdout=subprocess.PIPE):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("words", [("--help",), ("scenes",), ("explain", "imprint", "--json")])
-def test_a_full_stdout_is_one_clear_error(words, home):
+def test_a_full_stdout_is_one_clear_error(home):
     with open("/dev/full", "w") as full:
-        ran = command(home, *words, stdout=full)
+        ran = command(home, "scenes", stdout=full)
     assert ran.returncode == 2
     assert ran.stderr.startswith("kc2spice: error: cannot be written: No space left")
     assert "Traceback" not in ran.stderr
@@ -223,25 +219,33 @@ def test_exhausted_memory_is_one_clear_error(home):
     assert sorted(path.name for path in home.iterdir()) == ["m.npz"]
 
 
-@pytest.mark.parametrize("mutation", sorted(files.MUTATIONS))
-@pytest.mark.parametrize("kind", [
-    pytest.param(kind, marks=[pytest.mark.slow] if kind in files.SLOW else [])
-    for kind in sorted(files.models())
-])  # fmt: skip
-def test_what_becomes_of_a_model_is_told(kind, mutation, home):
-    """Right or refused, never a crash, and nothing of it acts."""
+def told(kind, mutation, home):
+    """Right or refused, never a crash, and nothing of the model acts."""
     model = files.models()[kind]
     name, *_ = model
     for other, data in model.items():
         (home / other).write_bytes(data if other != name else files.MUTATIONS[mutation](data))
     before = sorted(home.rglob("*"))
-    found = CliRunner().invoke(
-        app, ["reduce", files.opened(model), "--order", "1", "-q", "-o", "o"]
-    )
+    words = ["reduce", files.opened(model), "--order", "1", "-q", "-o", "o"]
+    found = CliRunner().invoke(app, words)
     assert found.exception is None or isinstance(found.exception, SystemExit), found.exc_info
-    assert found.exit_code in (0, 2, 3, 4, 5), found.output
+    assert found.exit_code in (0, 2, 3, 4, 5), (kind, mutation, found.output)
     assert "internal error" not in found.output
     assert "Traceback" not in found.output
     assert not (home / "pwned").exists()
     if found.exit_code not in (0, 4):  # an unstable model is written as it is
         assert sorted(home.rglob("*")) == before
+    shutil.rmtree(home / "o", ignore_errors=True)
+
+
+@pytest.mark.parametrize("mutation", ["half", "pickle", "huge second"])
+def test_what_becomes_of_a_model_is_told(mutation, home):
+    for kind in sorted(set(files.models()) - set(files.SLOW)):
+        told(kind, mutation, home)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", sorted(files.models()))
+def test_whatever_becomes_of_a_model_is_told(kind, home):
+    for mutation in files.MUTATIONS:
+        told(kind, mutation, home)

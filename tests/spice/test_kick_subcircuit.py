@@ -1,13 +1,9 @@
 """The emitted kick against the model that it was made from, solved in numpy."""
 
-import dataclasses
-import re
-
 import numpy as np
 import pytest
 from device import bench, deck_of
 
-from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
@@ -75,63 +71,3 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
     static = response(model, np.array([0.0]))[0].real
     assert waves["V"][0] == pytest.approx(-static[6, 0] / static[6, 6], rel=1e-9)
     assert not classify((tmp_path / "bench.log").read_text()).struggles
-
-
-def test_only_the_ports_asked_for(model, header, tmp_path):
-    part = subcircuit(model.linear(), "kick", header, ports=("anode", "ring2"))
-    assert [pin.name for pin in part.pins] == ["anode", "cathode", "ring2", "base"]
-    assert "ring0" not in part.text.split(".subckt", 1)[1]
-    cards = "Va anode 0 AC 1\nXkick anode 0 ring2 0 kick\n.ac lin 5 1e5 5e5"
-    waves = run_deck(bench([part], cards, {"u": ("v(ring2)", 1e-6)}), tmp_path)
-    np.testing.assert_allclose(waves["u"], response(model, waves["frequency"])[:, 2, 6], rtol=1e-10)
-
-
-def test_unknown_port_is_refused(model, header):
-    with pytest.raises(UsageError, match="no such port"):
-        subcircuit(model.linear(), "kick", header, ports=("ring9",))
-
-
-def test_header_agrees_with_the_card(model, header):
-    part = subcircuit(model.linear(), "kick", header)
-    pins = re.findall(r"^\* @pin (\d+) (\S+) unit=\S+ flow=\S+$", part.text, re.M)
-    card = re.search(r"^\.subckt kick (.*)$", part.text, re.M)
-    assert card is not None
-    nodes = [word for word in card.group(1).split() if "=" not in word]
-    assert [name for _, name in pins] == nodes == [p.name for p in part.pins]
-    assert [int(i) for i, _ in pins] == list(range(1, len(pins) + 1))
-    assert "error=0.001" in part.text
-    assert "order=30" in part.text
-    assert not re.search(r"\bnp\.|\bnan\b|\binf\b", part.text)
-
-
-def test_undamped_modes_are_written_without_damping(model, header, tmp_path):
-    from dataclasses import replace
-
-    part = subcircuit(replace(model, damp=np.zeros_like(model.damp)).linear(), "kick", header)
-    assert "Gd1 " not in part.text
-    cards = f"Va anode 0 AC 1\nXkick anode 0 {' '.join(RINGS)} 0 kick\n.ac lin 3 1e5 2e5"
-    waves = run_deck(bench([part], cards, {"u": ("v(ring0)", 1e-6)}), tmp_path)
-    exact = response(replace(model, damp=0 * model.damp), waves["frequency"])[:, 0, 6]
-    np.testing.assert_allclose(waves["u"], exact, rtol=1e-9)
-
-
-def test_a_mode_that_no_port_hears_is_left_out(model, header):
-    """Rounding makes such modes in a reduction; the others keep their cards to the last digit."""
-    extra = dataclasses.replace(
-        model,
-        omega=np.append(model.omega, 3e6),
-        damp=np.append(model.damp, 1e4),
-        gain=np.vstack([model.gain, 1e-12 * model.gain[:1]]),
-    )
-    cards, kept = (
-        [
-            line
-            for line in subcircuit(each.linear(), "kick", header).text.splitlines()
-            if not line.startswith("*")
-        ]
-        for each in (model, extra)
-    )
-    assert cards == kept
-    assert "Left out: 1 of" in subcircuit(extra.linear(), "kick", header).text
-    louder = dataclasses.replace(extra, gain=np.vstack([model.gain, 1e-6 * model.gain[:1]]))
-    assert "Left out" not in subcircuit(louder.linear(), "kick", header).text

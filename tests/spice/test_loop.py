@@ -5,17 +5,11 @@ import subprocess
 import exact
 import numpy as np
 import pytest
-from device import deck_of, edited
+from device import deck_of
 
-from kc2spice.core.errors import SimulationError
-from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
-
-TICK = "Vtick tick base PWL(0 0 1e-12 0 2e-12 0)\nRtick tick base 1\n"
 
 
 def launch(waves):
@@ -72,35 +66,6 @@ def test_operating_point_is_silent_with_the_contact_closed(run, scene):
     assert abs(waves["sphere.v"][0]) < 1e-12
 
 
-def test_statistics_and_progress(run):
-    _, directory, waves, shares = run
-    assert waves.stats["accepted"] == waves["time"].size
-    assert waves.stats["iterations"] > waves.stats["accepted"]
-    assert waves.stats["cpu_s"] > 0
-    assert all(0 <= share <= 1 for share in shares)
-    assert (directory / "loop.raw").is_file()
-    assert not (directory / "loop.raw.part").exists()
-
-
-@pytest.mark.slow
-def test_stiff_contact_fails_without_the_breakpoints_at_a_picosecond(varied, tmp_path):
-    """The pivot defect is real and our cure is what cures it; three loops that show it."""
-    outcomes = []
-    for voltage, edge, penalty in ((120, 2e-8, 2e10), (140, 2e-7, 2e10), (160, 1e-7, 2e10)):
-        keys = {"kick.drive.voltage": voltage, "kick.drive.edge": edge}
-        keys |= {"contact.penalty": penalty, "solver.stop": 0.51e-3, "contact.inertia": "lumped"}
-        deck = make_deck(build_models(varied(**keys), Clock(silent)))
-        assert TICK in deck.files["kick.lib"]
-        run_deck(deck, tmp_path, timeout=120)
-        try:
-            run_deck(edited(deck, lambda text: text.replace(TICK, "")), tmp_path, timeout=120)
-        except SimulationError as error:
-            outcomes.append(error.message)
-            break
-        outcomes.append("passed")
-    assert any("Timestep too small" in outcome for outcome in outcomes), outcomes
-
-
 def thrown(electrical, **keys):
     """An impact on the made-up device."""
     tables = {
@@ -139,18 +104,6 @@ def test_imprint_agrees_with_the_static_solution(model, electrical, tmp_path):
     np.testing.assert_allclose(waves["imprint.depth"], depth, atol=1e-18)
     found = exact.imprint(scene, model, depth)
     np.testing.assert_allclose(waves["contact.force"], found, rtol=1e-9)
-
-
-def test_absent_parts_leave_no_trace(model, varied):
-    deck = deck_of(varied(dict.fromkeys(("contact", "sphere", "catch", "control"))), model)
-    assert set(deck.files) == {"loop.cir", "kick.lib"}
-    for word in ("xsphere", "xcatch", "xcontact", "xcontrol", "bottom"):
-        assert word not in deck.files["loop.cir"].lower()
-    assert "sphere.y" not in deck.vectors
-
-
-def test_ngspice_is_found():
-    assert find_ngspice().name == "ngspice"
 
 
 STUDIES = {

@@ -5,7 +5,6 @@ import pytest
 from device import bench, deck_of
 from scipy.interpolate import CubicSpline
 
-from kc2spice.core.errors import UsageError
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.current_cases import cases
@@ -20,11 +19,6 @@ MASS = SphereKeys().mass
 
 
 # ---------------------------------------------------------------------------------- contact
-
-
-def test_gaps_are_those_of_the_circle():
-    r = np.array([0.0, 50e-6, 250e-6])
-    np.testing.assert_allclose(ring_gaps(r, 1e-3), 1e-3 - np.sqrt(1e-6 - r**2), atol=1e-18)
 
 
 def test_contact_law_and_reaction(header, radii, tmp_path):
@@ -80,37 +74,6 @@ def test_free_fall_is_a_parabola(header, tmp_path):
     assert np.abs(waves["bottom"] - (t - 9.81 * t**2 / 2)).max() < 1e-11
 
 
-def test_elastic_bounce_keeps_its_energy(header, tmp_path):
-    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), Normal(4e8))
-    deck = flight(
-        header, 0.0, 4e-6, -1.0, 1e-6, "reltol=1e-5 trtol=1 chgtol=1e-10",
-        "Vground ring0 0 0\nXcontact ring0 v bottom 0 contact", [ground],
-    )  # fmt: skip
-    waves = run_deck(deck, tmp_path)
-    energy = MASS * waves["v"] ** 2 / 2 + 4e8 * np.minimum(0.0, waves["bottom"]) ** 2 / 2
-    assert waves["v"][-1] > 0
-    # deepest point sqrt(m/k) and energy to the tolerance of the steps
-    assert waves["bottom"].min() == pytest.approx(-np.sqrt(MASS / 4e8), rel=2e-4)
-    assert np.abs(energy / energy[0] - 1).max() < 2e-3
-    assert energy[-1] / energy[0] == pytest.approx(1.0, abs=2e-4)
-
-
-def test_resting_contact_rests(header, tmp_path):
-    ground = contact_subcircuit(header, ("ring0",), np.zeros(1), Normal(4e8))
-    sphere = sphere_subcircuit(header, MASS, 1e-3, 9.81)
-    cards = """Xsphere v bottom y 0 sphere
-Vground ring0 0 0
-Xcontact ring0 v bottom 0 contact
-.options reltol=1e-4 trtol=1
-.tran 1e-05 0.005 0 1e-05"""
-    vectors = {"bottom": ("v(bottom)", 1e-6), "v": ("v(v)", 1.0)}
-    waves = run_deck(bench([sphere, ground], cards, vectors, 5e-3), tmp_path)
-    # less than a picometre deep, and ngspice must resolve it
-    np.testing.assert_allclose(waves["bottom"], -MASS * 9.81 / 4e8, rtol=1e-6)
-    assert np.abs(waves["v"]).max() < 1e-12
-    assert not classify((tmp_path / "bench.log").read_text()).struggles
-
-
 # ------------------------------------------------------------------------------------ catch
 
 
@@ -123,24 +86,6 @@ def test_lookup_follows_the_spline(header, table, tmp_path):
         law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
         # 201 cubic pieces through a smooth curve; measured 6e-6 on the paper's system
         assert np.abs(waves[f"catch.force.{k}"] - law).max() < 2e-5 * 0.065
-
-
-def test_force_is_flat_beyond_the_table(header, table, tmp_path):
-    part = catch_subcircuit(header, table, 0.1)
-    cards = """Xcatch lp 0 up 0 y f 0 catch
-Ilp 0 lp 0
-Iup 0 up 0.1
-Rf f 0 1
-Vy y 0 0
-.dc Vy 7400 9000 100"""
-    waves = run_deck(
-        bench([part], cards, {"y": ("v(y)", 1e-6), "f": ("v(f)", 1.0), "v": ("v(up)", 1.0)}),
-        tmp_path,
-    )
-    # the smooth lookup levels out over two cells of 50 um
-    beyond = waves["f"][waves["y"] > 7.7e-3]
-    np.testing.assert_allclose(beyond, beyond[0], rtol=1e-12)
-    np.testing.assert_allclose(waves["v"], 159.6, rtol=1e-9)
 
 
 def test_coils_in_series_pull_as_two_coils_with_opposite_currents(header, table, tmp_path):
@@ -164,13 +109,6 @@ Vy y 0 0
     # c12, which the series form keeps in d2, is left out of the separate one: 2e-6 of the largest
     np.testing.assert_allclose(waves["b"], waves["a"], atol=3e-6 * np.abs(waves["a"]).max())
     np.testing.assert_allclose(waves["va"], waves["vb"], rtol=1e-12)
-
-
-def test_coefficients_that_do_not_matter_leave_no_trace(header, table):
-    text = catch_subcircuit(header, table, 0.1).text
-    assert "Bc12" not in text
-    assert "c12 is left out" in text
-    assert "Bc22" in text
 
 
 # --------------------------------------------------------------------------------------- pid
@@ -230,8 +168,7 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
     assert not classify((tmp_path / "bench.log").read_text()).struggles
 
 
-@pytest.mark.parametrize("kp", [200.0, 5e4])
-@pytest.mark.parametrize("limit", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize(("kp", "limit"), [(200.0, 1.0), (5e4, 0.1)])
 def test_every_current_limit_acts(header, kp, limit, tmp_path):
     """Neither the supply of the output stage nor the signal amplifiers' rails come first."""
     control = Control(kp=kp, ki=0.0, kd=0.0, current_limit=limit)
@@ -244,29 +181,7 @@ def test_every_current_limit_acts(header, kp, limit, tmp_path):
     assert np.abs(waves["i"] - law)[late].max() < 5e-4 * limit
 
 
-@FORMS
-@pytest.mark.parametrize("limit", [0.1, 1.0])
-def test_command_to_a_driver_reaches_every_limit(header, limit, form, tmp_path):
-    control = Control(kp=200.0, ki=0.0, kd=0.0, current_limit=limit, form=form)
-    cards = """Vy y 0 DC 0
-Venable enable 0 1
-Xpid y enable command 0 pid
-.dc Vy -20000 25000 45000"""
-    parts = [opamp_subcircuit(header), pid_subcircuit(header, control, output=False)]
-    waves = run_deck(bench(parts, cards, {"out": ("v(command)", 1e-2)}), tmp_path)
-    np.testing.assert_allclose(waves["out"], [limit, -limit], rtol=1e-4)
-
-
-@pytest.mark.parametrize("gains", [(5e4, 0.0, 0.0), (5e4, 10.0, 0.0), (0.0, 0.0, 20.0)])
-def test_stages_without_gain_are_left_out(header, gains, tmp_path):
-    control = Control(kp=gains[0], ki=gains[1], kd=gains[2])
-    text = pid_subcircuit(header, control).text
-    stages = ("Xproportional", "Xintegral", "Xderivative")
-    assert [stage in text for stage in stages] == [gain > 0 for gain in gains]
-
-
-@FORMS
-@pytest.mark.parametrize("how", ["export", "instance"])
+@pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])
 def test_controller_has_the_gains_asked_for(header, how, form, tmp_path):
     """Small signals by ``KP + KI / s + KD s / (1 + s rolloff)``, exported or set in the deck."""
     control = Control(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7, form=form)
@@ -286,20 +201,3 @@ Xpid y enable command 0 pid {given if how == "instance" else ""}
         assert error.max() < 5e-6
     assert error[0] < 1e-3
     assert (error / waves["frequency"]).max() < 2 * np.pi * 40e-9 + 1e-5
-
-
-def test_offset_of_the_error_amplifier_moves_the_zero(header, tmp_path):
-    control = Control(ki=0.0, kd=0.0)
-    cards = """Vy y 0 DC 2500
-Venable enable 0 1
-Xpid y enable command 0 pid offset=0.001
-.dc Vy 2499 2501 1"""
-    parts = [opamp_subcircuit(header), pid_subcircuit(header, control, output=False)]
-    waves = run_deck(bench(parts, cards, {"out": ("v(command)", 1e-2)}), tmp_path)
-    height = np.interp(0.0, -waves["out"], [2499.0, 2500.0, 2501.0])
-    assert height == pytest.approx(2501.0, abs=1e-3)  # 1 mV, gain 2, 2 kV/m
-
-
-def test_negative_gain_is_refused(header):
-    with pytest.raises(UsageError, match="one sign"):
-        pid_subcircuit(header, Control(kp=-1.0))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from kc2spice.core.progress import Clock, silent
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import separation
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
@@ -43,19 +41,3 @@ def test_contact_ends_where_the_law_says(solved):
     assert time == pytest.approx(exact_time, abs=5e-10)
     assert speed == pytest.approx(exact_speed, rel=4e-5)
     assert solved[1].imbalance < 2e-11  # where a dent begins and ends included
-
-
-@pytest.mark.parametrize(("depth", "carried"), [(3e-6, True), (0.3e-6, False)])
-def test_a_contact_a_few_hats_wide_is_said(depth, carried):
-    """Hertz: its radius is ``sqrt(R depth)``, 5.5 and 1.7 hats of 10 um."""
-    build = build_models(load_scene("impact", KEYS), Clock(silent))
-    part = build.scene.parts["contact"]
-    still = np.zeros(2)
-    waves = Waveforms({
-        "time": np.array([0.0, 1e-6]), "sphere.y": 1e-3 - np.array([0.0, depth]),
-        "sphere.v": still, "kick.u.patch": still, "contact.force": still,
-        "contact.force.patch": still,
-    }, {})  # fmt: skip
-    (check,) = (c for c in part.type.checks(part, build, waves) if c.name == "hats of the contact")
-    assert check.passed == carried
-    assert not check.fatal

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from device import built, deck_of
 
-from kc2spice.core.errors import MissingToolError, SimulationError
+from kc2spice.core.errors import SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim import loop as inprocess
 from kc2spice.sim import shared
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
@@ -102,29 +101,6 @@ def sampled(call):
     return [Sampled("vexternal", 10e-6, 4e-6, call)]
 
 
-def test_answers_are_held_from_the_delay_on():
-    seen = []
-
-    def staircase(time, values):
-        seen.append(time)
-        return float(len(seen))
-
-    waves = run_shared(rc(), sampled(staircase))
-    np.testing.assert_allclose(seen, 10e-6 * np.arange(11), atol=1e-15)
-    middle = np.interp((np.arange(10) + 0.9) * 10e-6, waves["time"], waves["a"])
-    np.testing.assert_allclose(middle, np.arange(1, 11))
-    before = np.interp(10e-6 * np.arange(1, 10) + 3.9e-6, waves["time"], waves["a"])
-    np.testing.assert_allclose(before, np.arange(1, 10))
-
-
-def test_instants_are_time_points_without_a_source_that_makes_them():
-    bare = "\n".join(line for line in RC.splitlines() if not line.startswith("Vsample")) + "\n"
-    waves = run_shared(rc(bare), sampled(lambda time, values: 1.0))
-    for instant in 10e-6 * np.arange(1, 10), 10e-6 * np.arange(10) + 4e-6:
-        nearest = np.abs(waves["time"] - instant[:, None]).min(axis=1)
-        assert nearest.max() < 1e-15
-
-
 def test_failing_function_is_reported():
     def broken(time, values):
         raise ZeroDivisionError("no answer")
@@ -152,13 +128,6 @@ def test_the_users_start_up_file_is_not_read(tmp_path, monkeypatch):
     assert "the user" not in shared.Library().said
 
 
-def test_a_fatal_error_costs_one_copy_of_the_library():
-    library = shared.Library()
-    library.command("quit 1")
-    assert library.dead
-    assert not library.command("echo no more")
-
-
 def test_parts_are_pyspice_subcircuits(header):
     sys.modules.get("PySpice") or pytest.importorskip("PySpice")
     from PySpice.Spice.Netlist import Circuit
@@ -174,17 +143,3 @@ def test_parts_are_pyspice_subcircuits(header):
     text += ".tran 1e-06 1e-03 uic\n.save v(v)\n.end\n"
     deck = Deck(name="ball", text=text, vectors={"v": ("v(v)", 1.0)}, stop=1e-3)
     assert run_shared(deck)["v"][-1] == pytest.approx(1e-3, rel=1e-6)  # 1 m/s^2 for 1 ms
-
-
-def test_missing_library_is_named(monkeypatch):
-    monkeypatch.setattr(inprocess, "_library", None)
-    monkeypatch.setattr(shared.ctypes.util, "find_library", lambda name: None)
-    with pytest.raises(MissingToolError, match="libngspice") as caught:
-        run_shared(rc())
-    assert "apt-get" in caught.value.hint
-
-
-def test_missing_pyspice_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "PySpice.Spice.Netlist", None)
-    with pytest.raises(MissingToolError, match="PySpice"):
-        subcircuit(None)

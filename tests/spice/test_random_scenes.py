@@ -1,12 +1,7 @@
-"""Scenes drawn at random over all keys: each ends in a checked result or in a true diagnosis.
-
-``python tests/spice/test_random_scenes.py FIRST LAST`` compares the results of such scenes with the
-independent integrator of the same laws.
-"""
+"""Scenes drawn at random over all keys: each ends in a checked result or in a true diagnosis."""
 
 import random
 import signal
-import sys
 import tempfile
 import warnings
 from collections import Counter
@@ -237,7 +232,7 @@ def test_two_hundred_scenes_end_in_a_result_or_a_diagnosis():
 
 # --- against the independent integrator -----------------------------------------------------------
 
-LAUNCH, HEIGHT, RESPONSE = 1e-3, 5e-6, 1e-3  # relative, m, of the largest
+LAUNCH, HEIGHT = 1e-3, 5e-6  # relative, m
 PATIENCE = 60  # s of the integrator; a train of pulses over seconds takes it hours
 
 
@@ -305,22 +300,3 @@ def word_for(outcome, found, said):
 @pytest.mark.parametrize("number", range(1000, 1008))
 def test_a_result_is_right_or_says_that_it_is_not(number):
     assert word_for(*compared(number)) != "OFF, SILENT"
-
-
-def main():
-    first, last = map(int, sys.argv[1:3])
-    count = Counter()
-    for number in range(first, last):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            outcome, found, said = compared(number)
-        word = word_for(outcome, found, said)
-        count[word] += 1
-        print(number, f"{word}:", outcome, found, said, flush=True)
-        if word in ("OFF, SILENT", "off, said"):
-            print("   ", drawn_scene(random.Random(f"scene {number}")), flush=True)
-    print(dict(count))
-
-
-if __name__ == "__main__":
-    main()

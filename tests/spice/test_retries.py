@@ -10,10 +10,8 @@ from device import built, deck_of, edited
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import Deck
-from kc2spice.sim.failure import Failure, belongs_to
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.retries import RetriesFailedError, _farther, run_with_retries
-from kc2spice.sim.settings import RETRIES, Settings, next_setting, with_settings
+from kc2spice.sim.retries import RetriesFailedError, run_with_retries
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
@@ -44,6 +42,7 @@ def stiff(varied, tmp_path_factory):
     pytest.fail("every loop passes without the breakpoints")
 
 
+@pytest.mark.slow
 def test_a_failed_time_step_is_cured_by_firmer_pivots(stiff, tmp_path):
     with pytest.warns(UserWarning, match=r"(?i)timestep too small.*trying firmer pivots"):
         done = run_with_retries(stiff, tmp_path, retries=3)
@@ -56,9 +55,9 @@ def test_a_failed_time_step_is_cured_by_firmer_pivots(stiff, tmp_path):
     assert (tmp_path / f"{stiff.name}.1.log").is_file()
 
 
-def test_no_retries_when_switched_off(stiff, tmp_path):
-    with pytest.raises(RetriesFailedError, match="Timestep too small") as caught:
-        run_with_retries(stiff, tmp_path, retries=0)
+def test_no_retries_when_switched_off(tmp_path):
+    with pytest.raises(RetriesFailedError, match="imestep too small") as caught:
+        run_with_retries(deck(HOPELESS), tmp_path, retries=0)
     assert len(caught.value.attempts) == 1
     assert "solver.retries" in caught.value.hint
 
@@ -128,67 +127,6 @@ def test_a_loop_of_sources_is_told_as_such(tmp_path):
     assert caught.value.failure.kind == "singular"
 
 
-def test_no_setting_is_taken_twice():
-    tried = ()
-    while retry := next_setting("timestep", tried):
-        tried += (retry.name,)
-    assert len(tried) == len(set(tried)) == sum("timestep" in each.cures for each in RETRIES)
-    assert next_setting(None, ()) is None
-
-
-def test_settings_add_up_and_have_the_last_word(tmp_path):
-    sine = "V1 a 0 SIN(0 1 1k)\nR1 a b 1k\nC1 b 0 1u\n.options acct reltol=0.5 chgtol=1e-9\n"
-    plain = deck(sine + ".tran 1u 1m 0 1e-4\n")
-    tighter = Settings(factor=0.1).plus(Settings((("method", "gear"),), 1e-4))
-    assert tighter.factor == pytest.approx(1e-5)
-    changed = with_settings(plain, RETRIES[-1], tighter)
-    text = changed.files["d.cir"]
-    assert ".options method=gear" in text
-    assert text.index("reltol=0.5") < text.index(".options reltol=") < text.index(".tran 1u 1m 0 ")
-    few, many = (run_deck(d, tmp_path)["time"].size for d in (plain, changed))
-    assert many > 3 * few
-
-
 @pytest.fixture(scope="module")
 def loop(scene, model, table):
     return deck_of(scene, model, table)
-
-
-@pytest.mark.parametrize(
-    ("node", "words"),
-    [
-        ("xkick.fring0", "pin ring0 (1 V = 1 um, 1 A = 1 N)"),
-        ("xkick.q3", "inside at q3"),
-        ("b.xcontact.bring2", "pin ring2"),
-        ("xsphere.v", "pin v (1 V = 1 m/s, 1 A = 1 N)"),
-        ("kick_ring0", "xkick (kick) pin ring0"),
-        ("vkick_drive#branch", "vkick_drive in loop.cir"),
-    ],
-)
-def test_nodes_are_given_to_their_parts(node, words, loop):
-    assert words in re.sub(r"_[0-9a-f]{6}\)", ")", belongs_to(loop, node))  # without the design
-
-
-@pytest.mark.parametrize("node", ["xnone.a", "nowhere", "x.y.z", "", "."])
-def test_nodes_that_are_not_in_the_deck_belong_to_nothing(node, loop):
-    assert belongs_to(loop, node) is None
-
-
-def test_a_decks_own_settings_are_replaced_not_repeated(loop):
-    """Options and the analysis are data: one entry each, whatever was changed."""
-    tighter = with_settings(loop, RETRIES[2], RETRIES[2].settings)
-    text = tighter.files["loop.cir"]
-    assert text.count(".options reltol=") == text.count(".options chgtol=") == 1
-    for name in ("reltol", "chgtol"):
-        assert float(tighter.option(name)) == pytest.approx(0.1 * float(loop.option(name)))
-    assert float(tighter.command.words[3]) == pytest.approx(0.1 * float(loop.command.words[3]))
-    assert with_settings(loop, RETRIES[0], Settings()) is loop
-
-
-def test_the_farthest_failure_is_the_latest_in_time():
-    at = [Failure("stuck", "timestep", time=s) for s in (2e-3, 1e-3)]
-    unknown = Failure("stuck", None)
-    assert _farther(*at) is at[0]
-    assert _farther(at[1], at[0]) is at[0]
-    assert _farther(at[0], unknown) is at[0]
-    assert _farther(None, unknown) is unknown

@@ -48,12 +48,6 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
     assert abs(neighbours) < 4 / np.sqrt(count)
 
 
-def test_without_noise_there_is_none(tmp_path):
-    waves = run_deck(deck_of(sensed(0.5e-3)), tmp_path)
-    late = waves["time"] > 0.3e-3
-    assert np.ptp(waves["eye.y"][late]) < 1e-6 * STEP
-
-
 def test_noise_needs_time():
     with pytest.raises(UsageError, match="noise is drawn in time"):
         load_scene({

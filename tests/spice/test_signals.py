@@ -69,28 +69,8 @@ def gone(pid):
     return False
 
 
-def test_a_signal_before_the_watch_begins_ends_the_simulator(tmp_path, monkeypatch):
-    """It may come at any time: not even then does anybody wait for ngspice to end by itself."""
-    begun = []
-
-    def popen(*args, **options):
-        begun.append(subprocess_popen(*args, **options))
-        return begun[-1]
-
-    def leave(thread):
-        raise SystemExit(128 + signal.SIGHUP)
-
-    subprocess_popen = subprocess.Popen
-    monkeypatch.setattr(ngspice.subprocess, "Popen", popen)
-    monkeypatch.setattr(ngspice.threading.Thread, "start", leave)
-    text = "long\nV1 a 0 sin(0 1 1e6)\nR1 a 0 1\n.tran 1e-8 0.1 0 1e-8\n.end\n"
-    with pytest.raises(SystemExit):
-        ngspice.run_deck(Deck(name="long", stop=0.1, text=text), tmp_path)
-    assert begun[-1].returncode == -signal.SIGKILL
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_the_simulator_too(number, tmp_path):
     process, simulators = started(tmp_path)
     process.send_signal(number)
@@ -125,23 +105,9 @@ def test_a_program_that_stands_still_is_ended(tmp_path, monkeypatch):
     assert "any.raw" not in os.listdir(tmp_path)
 
 
-def test_what_computes_for_long_is_not_ended(tmp_path, monkeypatch):
-    """Without a new time point for ten times the limit, but at work."""
-    path = tmp_path / "ngspice"
-    path.write_text(
-        "#!/bin/sh\nend=$(($(date +%s) + 3))\nwhile [ $(date +%s) -lt $end ]; do :; done\n"
-    )
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setattr(ngspice, "find_ngspice", lambda: ngspice.Simulator("x", "45", str(path)))
-    monkeypatch.setattr(ngspice, "STALLED", 0.3)
-    with pytest.raises(SimulationError) as caught:
-        ngspice.run_deck(Deck(name="any", stop=1.0), tmp_path)
-    assert "hangs" not in caught.value.message
-
-
 def test_the_raw_file_is_kept_on_request(tmp_path):
     """Another reader finds in it what the results say."""
-    (tmp_path / "short.toml").write_text(LONG.replace("stop = 10.0", "stop = 1e-6"))
+    (tmp_path / "short.toml").write_text(LONG.replace("stop = 0.09", "stop = 1e-6"))
     scene = load_scene(tmp_path / "short.toml", ["name=short"])
     for keep in (True, False):
         record = run(scene, tmp_path / "out", keep=keep)
@@ -163,7 +129,7 @@ may_unshare = shutil.which("unshare") and not subprocess.run([*UNKNOWN, "true"])
 @pytest.mark.parametrize("engine", ["batch", "shared"])
 def test_an_unknown_user_without_home_simulates(engine, tmp_path):
     """ngspice asks for the home of its user and crashes where there is none."""
-    (tmp_path / "short.toml").write_text(LONG.replace("stop = 10.0", "stop = 1e-6"))
+    (tmp_path / "short.toml").write_text(LONG.replace("stop = 0.09", "stop = 1e-6"))
     words = {"batch": ["-m", "kc2spice", "run", "short.toml", "-q", "-o", "out"],
              "shared": ["-c", "from kc2spice.sim.shared import Library; "
                               "assert Library().load('t\\nR1 a 0 1\\n.op\\n.end')"]}  # fmt: skip
@@ -173,9 +139,7 @@ def test_an_unknown_user_without_home_simulates(engine, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(
-    "program", ["\x7fELF broken", "#!/bin/sh\nexec sleep 60\n", "#!/nowhere\n"]
-)
+@pytest.mark.parametrize("program", ["\x7fELF broken", "#!/bin/sh\nexec sleep 60\n"])
 def test_a_program_that_does_not_run_is_a_missing_one(program, tmp_path, monkeypatch):
     path = tmp_path / "ngspice"
     path.write_text(program)

@@ -1,7 +1,6 @@
 """Sweeps by the command line: right numbers, equal tables everywhere, nothing lost to any kill."""
 
 import contextlib
-import errno
 import math
 import os
 import shutil
@@ -10,15 +9,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from sweeps import circuit, command, rows, sweep
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError
-from kc2spice.workflow.sweep import point, run
-from kc2spice.workflow.sweep.point import Job, Outcome, SceneText, run_point
+from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.workers import processes
 
 GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
@@ -70,18 +66,6 @@ def test_python_gives_the_same_table_on_any_executor(charge):
         assert table[3]["supply.pulse.high"] == "10 V"
 
 
-@pytest.mark.slow
-def test_dask_gives_the_same_bytes(charge, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    scene, out, _ = charge
-    local = sweep(scene, *GRID, out=tmp_path / "o", more=("--dask", "local", "--workers", "2"))
-    assert Path(local["table"]).read_bytes() == (out / "sweep.csv").read_bytes()
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
-    with cluster, distributed.Client(cluster) as client:
-        table = kc.sweep(scene, {"wire.resistance": [500.0]}, executor=client.get_executor())
-    assert table["charged"] == [float(rows(local)[1]["charged"])]
-
-
 def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(charge, tmp_path):
     pytest.importorskip("distributed")
     scene, _, _ = charge
@@ -114,14 +98,6 @@ def test_another_sweep_does_not_overwrite_it(charge):
     assert len(rows(out / "sweep.csv")) == 8
 
 
-def test_a_changed_scene_is_another_sweep(tmp_path):
-    scene = Path(circuit(tmp_path))
-    sweep(scene, "wire.resistance=500,900", out=tmp_path / "o")
-    scene.write_text(scene.read_text().replace("1 uF", "2 uF"))
-    said = sweep(scene, "wire.resistance=500,900", out=tmp_path / "o", code=2)
-    assert "holds another sweep" in said
-
-
 def test_an_unknown_column_is_refused_with_the_nearest(charge, tmp_path):
     scene, _, _ = charge
     said = sweep(scene, *GRID, out=tmp_path / "o", more=("--metric", "chargd"), code=2)
@@ -129,23 +105,6 @@ def test_an_unknown_column_is_refused_with_the_nearest(charge, tmp_path):
     assert not (tmp_path / "o" / "sweep.csv").exists()
     said = sweep(scene, *GRID, out=tmp_path / "o", more=("--format", "xlsx"), code=2)
     assert "csv or parquet" in said
-
-
-def test_a_scene_of_curves_alone_is_refused_with_what_to_do(tmp_path):
-    scene = Path(circuit(tmp_path))
-    scene.write_text(scene.read_text().partition("[probes]")[0])
-    said = sweep(scene, "wire.resistance=500,900", out=tmp_path / "o", code=2)
-    assert "kc2spice run" in said
-    with pytest.raises(kc.errors.UsageError, match="every metric is a curve"):
-        kc.sweep(str(scene), {"wire.resistance": [500.0, 900.0]})
-
-
-def test_columns_come_from_what_the_runs_have(tmp_path):
-    """A harvester has no impedance to read off, whatever a bimorph could have."""
-    small = ("beam.length=20 mm", "analysis.points=11")
-    summary = sweep("harvester", "load.resistance=1e4,3e4", *small, out=tmp_path / "o")
-    assert list(rows(summary)[0]) == ["load.resistance", "peak_voltage_v", "peak_tip_m", "status"]
-    assert summary["failed"] == 0
 
 
 # --- failures -----------------------------------------------------------------------------------
@@ -171,67 +130,6 @@ def test_a_run_that_takes_too_long_is_a_failure(tmp_path):
     said = sweep(scene, *long, out=tmp_path / "o", more=("--timeout", "0.3"), code=5)
     assert "every point failed" in said
     assert all("0.3 s" in row["status"] for row in rows(tmp_path / "o" / "sweep.csv"))
-
-
-JOB = Job(SceneText("impact", None))
-
-
-def failed_by(error, monkeypatch):
-    def fail(*_):
-        raise error
-
-    monkeypatch.setattr(point, "testbench", fail)
-    return run_point(JOB, {})
-
-
-def test_a_full_disk_is_no_property_of_a_point(monkeypatch):
-    outcome = failed_by(OSError(errno.ENOSPC, "No space left on device"), monkeypatch)
-    assert outcome.interrupted
-    assert not failed_by(OSError(errno.EACCES, "no"), monkeypatch).interrupted
-    broken = SimulationError("the raw file is not complete")
-    assert not failed_by(broken, monkeypatch).interrupted
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-    assert failed_by(broken, monkeypatch).interrupted
-
-
-def test_an_interrupted_point_is_tried_once_more_and_by_the_next_sweep(tmp_path):
-    """ngspice is killed under one point, twice under another."""
-    found = run.make_sweep(point.scene_text(circuit(tmp_path)), ("wire.resistance=1,2,3,4",))
-    ran = []
-
-    class Immediate:
-        """An executor that runs what it is given at once, with kills where it is told."""
-
-        def __init__(self, kills):
-            self.kills = kills
-
-        def submit(self, function, job, values):
-            ran.append(values["wire.resistance"])
-            killed = ran.count(ran[-1]) <= self.kills.get(ran[-1], 0)
-            done = (
-                Outcome(failure="exit code -9", interrupted=True) if killed else Outcome({"x": 1})
-            )
-            return finished(done)
-
-    def swept(kills):
-        ran.clear()
-        pool = contextlib.nullcontext((Immediate(kills), 1))
-        summary = run.sweep(found, tmp_path / "o", lambda: pool)
-        return summary, [row["status"] for row in rows(summary)], list(ran)
-
-    summary, status, order = swept({2.0: 1, 3.0: 2})
-    assert (order[:4], sorted(order[4:])) == ([1.0, 2.0, 3.0, 4.0], [2.0, 3.0])
-    assert status == ["ok", "ok", "failed: exit code -9", "ok"]
-    summary, status, order = swept({})
-    assert (summary["resumed"], status, order) == (3, ["ok"] * 4, [3.0])
-
-
-def finished(result):
-    from concurrent.futures import Future
-
-    future = Future()
-    future.set_result(result)
-    return future
 
 
 # --- kills --------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.realize import subcircuit
 
 RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
-COPIES = 200
+COPIES = 40
 
 
 def decays(waves, names):
@@ -28,37 +28,6 @@ def decays(waves, names):
         early = np.abs(waves[name][t < third]).max()
         late = np.abs(waves[name][t > 2 * third]).max()
         assert late <= 1.02 * early + 1e-9, name
-
-
-def test_kick_dies_away_under_random_passive_parts(header, model, tmp_path):
-    """Springs, dampers and masses on two rings, R, L, C on the anode, 200 of each at random."""
-    rng = np.random.default_rng(3)
-    few = replace(model, omega=model.omega[:3], damp=model.damp[:3], gain=model.gain[:3])
-    part = subcircuit(few.linear(), "kick", header, ports=("ring0", "ring3", "anode"))
-    cards, vectors = [], {}
-    for k in range(COPIES):
-        stiffness, ohm, henry = 10 ** rng.uniform([0, -2, -4], [2, 6, 0])  # N/um, Ohm, H
-        damper, mass = 10 ** rng.uniform([-6, -8], [0, -4])  # N s/m, kg
-        # 1 V = 1 um and 1 A = 1 N: a spring is a resistor, a damper a capacitor (force over speed)
-        cards += [
-            f"Xkick{k} a{k} 0 p{k} q{k} 0 kick",
-            f"Ipush{k} 0 p{k} PULSE(0 1 1e-06 1e-07 1e-07 1e-06)",
-            f"Rspring{k} p{k} 0 {1 / stiffness}",
-            f"Cdamper{k} q{k} 0 {damper * 1e-6}",
-            # the mass is a capacitor at its speed w; its place s is held at q by the force f
-            f"Cmass{k} w{k} 0 {mass}",
-            f"Gforce{k} 0 w{k} f{k} 0 1",
-            f"Gfollow{k} 0 f{k} q{k} s{k} 1",
-            f"Gload{k} q{k} 0 f{k} 0 1",
-            f"Cs{k} s{k} 0 1e-06",
-            f"Gs{k} 0 s{k} w{k} 0 1",
-            f"R{k} a{k} b{k} {ohm}",
-            f"L{k} b{k} 0 {henry}",
-        ]
-        vectors |= {f"p{k}": (f"v(p{k})", 1.0), f"a{k}": (f"v(a{k})", 1.0)}
-    cards += [".options reltol=1e-3 trtol=7 chgtol=1e-10", ".tran 1e-07 4e-05 0 4e-07"]
-    waves = run_deck(bench([part], "\n".join(cards), vectors, 4e-5), tmp_path)
-    decays(waves, [name for name in vectors if name.startswith("p")])
 
 
 def test_all_ports_of_the_emitted_kick_are_positive_real(header, model, tmp_path):
@@ -118,25 +87,6 @@ def chip():
 
 
 @pytest.mark.slow
-def test_impedance_of_the_chip_from_1_hz_to_1_mhz(chip, header, tmp_path):
-    """Hand-written deck: current through the clamped ports against modes summed in numpy."""
-    _, model = chip
-    cards = """Vdrive in 0 AC 1
-Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
-.ac dec 200 1 1e6"""
-    vectors = {"i": ("i(vdrive)", -1.0)}
-    waves = run_deck(bench([subcircuit(model.linear(), "kick", header)], cards, vectors), tmp_path)
-    f, current = waves["frequency"], waves["i"]
-    s = 2j * np.pi * f[:, None]
-    charge = (model.gain[:, 6] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
-    exact = s[:, 0] * (charge + model.D[6, 6])
-    # the leak of 1e-12 S shows at 1 Hz: 1e-6 of the capacitor's admittance
-    assert np.abs(current / exact - 1).max() < 1e-5
-    static = (model.gain[:, 6] ** 2 / model.omega**2).sum() + model.D[6, 6]
-    assert current[0].imag / (2 * np.pi * f[0]) == pytest.approx(static, rel=1e-4)
-    assert static == pytest.approx(143.19e-9, rel=1e-3)  # free capacitance of the chip
-
-
 def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
     """Largest and smallest current against eigenvalues of the full model, to 0.1 %."""
     device, model = chip
@@ -151,6 +101,7 @@ Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
     assert parallel == pytest.approx(facts["resonance_open_hz"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
     """Direct solutions of all 16 722 equations at the resonance and far above."""
     device, model = chip
@@ -163,20 +114,3 @@ def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
         )
         current = run_deck(deck, tmp_path / str(f))["i"][0]
         assert current / (2j * np.pi * f * charge) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_ring_on_a_users_spring(header, model, tmp_path):
-    """1 kN/m from ring0 to a shaker: displacement by the dynamic compliance of the modes."""
-    stiffness = 1e3  # N/m
-    cards = f"""Vshake shaker 0 AC 1
-Rspring shaker ring0 {1e6 / stiffness}
-Xkick 0 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
-.ac dec 40 1e3 1e6"""
-    waves = run_deck(
-        bench([subcircuit(model.linear(), "kick", header)], cards, {"u": ("v(ring0)", 1.0)}),
-        tmp_path,
-    )
-    s = 2j * np.pi * waves["frequency"][:, None]
-    compliance = (model.gain[:, 0] ** 2 / (s**2 + model.damp * s + model.omega**2)).sum(axis=1)
-    force = stiffness * compliance
-    np.testing.assert_allclose(waves["u"], force / (1 + force), rtol=1e-8)

@@ -113,7 +113,3 @@ def test_transistors_switch(name, tmp_path):
     off, on = polarity * sweep(first, last, last - first)["out"]
     assert off > 9
     assert on < 3
-
-
-def test_there_are_thirty():
-    assert len(OPAMPS) + len(TRANSISTORS) >= 30

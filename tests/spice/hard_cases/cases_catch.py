@@ -23,13 +23,13 @@ def loop_error(bench, *overrides):
     return compare(waves, exact(study, waves, model, magnets()))["trajectory_m"]
 
 
-@case("saturated controller with integrator", "distance from scipy [m]", 1e-6)
+@case("saturated controller with integrator", "distance from scipy [m]", 1e-6, slow=True)
 def saturation_without_windup(bench):
     return loop_error(bench, "control.ki=1e3 A/(m s)", "control.current_limit=30 mA",
                       "solver.stop=4 ms")  # fmt: skip
 
 
-@case("saturated controller with integrator", "distance from scipy [m]", 1e-6)
+@case("saturated controller with integrator", "distance from scipy [m]", 1e-6, slow=True)
 def bang_bang(bench):
     """Ten times the gains: the current jumps from limit to limit."""
     return loop_error(bench, "control.kp=5e5 A/m", "control.kd=200 A s/m", "solver.stop=2 ms")

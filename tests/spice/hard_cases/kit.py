@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from device import bench as bench_deck  # noqa: F401
-from device import built, chip, edited, magnets
+from device import built, chip, magnets
 
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.progress import Clock, silent
@@ -28,13 +26,12 @@ from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics, verdict
+from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.verify.circuit import solve
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
-PAGE = Path(__file__).parents[3] / "docs" / "notes" / "contact.md"
 
 
 @dataclass(frozen=True)
@@ -54,40 +51,16 @@ class Case:
 
 
 @dataclass
-class Outcome:
-    """How a case ended."""
-
-    case: Case
-    met: bool
-    error: float | None
-    points: int
-    seconds: float
-    text: str
-
-
-@dataclass
 class Bench:
-    """Runs decks for a case; ``plain`` strips their ``.options`` cards, as a user might."""
+    """Runs decks for a case."""
 
     directory: Path
-    plain: bool = False
-    points: int = 0
     decks: int = 0
-    failures: list[str] = field(default_factory=list)
 
     def run(self, deck: Deck) -> Waveforms:
-        """The deck's waveforms; points are counted, failures remembered."""
+        """The deck's waveforms."""
         self.decks += 1
-        if self.plain:
-            text = None if deck.text is None else without_options(deck.text)
-            deck = replace(edited(deck, without_options), options=(), text=text)
-        try:
-            waves = run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
-        except Kc2spiceError as error:
-            self.failures.append(error.message)
-            raise
-        self.points += next(iter(waves.data.values())).size
-        return waves
+        return run_deck(deck, self.directory / str(self.decks), timeout=TIMEOUT)
 
     def scene(
         self,
@@ -106,8 +79,7 @@ class Bench:
     def judged(self, build: Build) -> Waveforms:
         """The deck's waveforms, which keep the physics checks."""
         waves = self.run(make_deck(build))
-        if not self.plain:
-            require(verdict(waves, build).checks, build.scene.name)
+        require(verdict(waves, build).checks, build.scene.name)
         return waves
 
 
@@ -127,27 +99,16 @@ def case(
     return register
 
 
-def judge(case: Case, *, plain: bool = False) -> tuple[Outcome, Bench]:
-    """Run one case in a directory of its own."""
+def judge(case: Case) -> tuple[bool, str]:
+    """Whether one case is met, in a directory of its own, and how it ended."""
     with tempfile.TemporaryDirectory() as directory:
-        bench = Bench(Path(directory), plain)
-        start = time.perf_counter()
-        error, text, met = None, "", False
         try:
-            error = float(case.measure(bench))
-            met = case.refused is None and bool(error <= case.limit)
-            text = "met" if met else "not refused" if case.refused else "over its limit"
+            error = float(case.measure(Bench(Path(directory))))
         except Kc2spiceError as refusal:
             said = " ".join(str(refusal).split())
             met = case.refused is not None and re.search(case.refused, said) is not None
-            text = f"refused: {refusal.message}"
-        seconds = time.perf_counter() - start
-    return Outcome(case, met, error, bench.points, seconds, text), bench
-
-
-def without_options(text: str) -> str:
-    """A netlist without its ``.options`` cards."""
-    return re.sub(r"(?m)^\.options.*\n", "", text)
+            return met, f"refused: {said}"
+    return case.refused is None and error <= case.limit, f"{error:.1e}, limit {case.limit:.0e}"
 
 
 def scene(name: str, *overrides: str) -> Scene:
@@ -199,35 +160,3 @@ def off_weight(build: Build, waves: Waveforms) -> float:
     """How far the force that holds a resting sphere is from its weight, relative."""
     weight = build.scene.parts["sphere"].keys.mass * build.scene.gravity
     return float(np.abs(waves["contact.force"] / weight - 1.0).max())
-
-
-def simulated(study: Scene) -> tuple[Build, Waveforms]:
-    """The scene with its own bodies by ngspice, one attempt at the settings of its deck."""
-    build = build_models(study, Clock(silent))
-    with tempfile.TemporaryDirectory() as directory:
-        return build, run_deck(make_deck(build), Path(directory))
-
-
-def measured(study: Scene) -> tuple[Build, Waveforms, dict[str, Any]]:
-    """The same with its metrics."""
-    build, waves = simulated(study)
-    return build, waves, metrics(waves, build)
-
-
-def cells(row: Iterable[str]) -> str:
-    """A line of a table."""
-    return f"| {' | '.join(row)} |"
-
-
-def write_table(name: str, head: Sequence[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print a table as its rows come, then put it between its marks in docs/notes/contact.md."""
-    lines = [cells(head), "|---" * len(head) + "|"]
-    for row in rows:
-        lines.append(cells(row))
-        print(lines[-1], flush=True)
-    first, last = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
-    before, _, rest = PAGE.read_text().partition(first)
-    _, mark, after = rest.partition(last)
-    if not mark:
-        raise ValueError(f"{PAGE} has no marks of the table {name}")
-    PAGE.write_text(before + first + "\n".join(lines) + mark + after)
