@@ -34,7 +34,7 @@ from pydantic import Field, StringConstraints, model_validator
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
-from kc2spice.bodies.keys import Damping
+from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
 from kc2spice.core.schema import validated
@@ -78,6 +78,7 @@ class Bimorph(Section):
         default_factory=dict, description="further ports on the top by distance from the clamp"
     )
     damping: Damping = Damping()
+    mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
     def _consistent(self) -> Bimorph:
@@ -102,14 +103,16 @@ class _Wires:
 def device(
     keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
 ) -> Device:
-    """Mesh the layers and assemble; ``refine`` divides edges in the plane, and every second one
-    through the thickness, where a quadratic element holds all that plates do.
+    """Mesh the layers and assemble; ``refine`` divides edges in the plane once more than
+    ``keys.mesh``, and every second one through the thickness, where a quadratic element holds all
+    that plates do.
 
     Raises
     ------
     UsageError : a material that does not exist, wiring without a piezoelectric layer.
     """
     keys = validated(Bimorph, keys, where)
+    refine *= keys.mesh.refine
     materials = [
         material(layer.material, f"{where}.layers[{number}].material")
         for number, layer in enumerate(keys.layers)

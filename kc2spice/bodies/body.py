@@ -43,7 +43,7 @@ from kc2spice.bodies.device import (
 from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside
-from kc2spice.core.quantities import Length, Section
+from kc2spice.core.quantities import Count, Length, Notch, Section
 from kc2spice.core.schema import validated
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, extent, length_unit, read_mesh
@@ -150,6 +150,9 @@ class Body(Section):
         None, description="of the file's coordinates; needed where the file states none"
     )
     size: Length | None = Field(None, gt=0, description="of elements of a CAD file")
+    refine: Annotated[Count, Notch(2.0, model=True)] = Field(
+        1, ge=1, le=8, description="divides the size of all elements"
+    )
     axisymmetric: bool = Field(False, description="the mesh is a half plane, x the radius")
     groups: dict[str, GroupKeys] = Field(default_factory=dict)
     materials: dict[str, str | dict[str, Any]] = Field(
@@ -203,8 +206,8 @@ def device(
 ) -> Device:
     """Read the mesh (relative to ``home``), name its groups, assemble.
 
-    ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are
-    at most 1/refine of what they were.
+    ``refine`` divides the size of the elements once more than ``keys.refine``; a ``.msh`` is split
+    so often that its edges are at most 1/refine of what they were.
 
     Raises
     ------
@@ -213,6 +216,7 @@ def device(
         not piezoelectric.
     """
     keys = validated(Body, keys, where)
+    refine *= keys.refine
     with part_named(where):
         path = beside(home, keys.mesh, "mesh")
         found = read_mesh(

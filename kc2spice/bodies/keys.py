@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.core.quantities import Count, Frequency, Rate, Ratio, Section
+from kc2spice.core.quantities import Count, Frequency, Notch, Rate, Ratio, Section
 
 
 class Mesh(Section):
     """``refine`` divides every cell along each axis."""
 
-    refine: Count = Field(1, ge=1, le=8, description="multiplies the cells along each edge")
+    refine: Annotated[Count, Notch(2.0, model=True)] = Field(
+        1, ge=1, le=8, description="multiplies the cells along each edge"
+    )
 
 
 class Damping(Section):

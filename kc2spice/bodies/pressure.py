@@ -22,8 +22,6 @@ of one depth (:func:`dented`), which a circuit evaluates at the cost of one spri
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +30,6 @@ from scipy.sparse.linalg import splu
 from skfem import BoundaryFacetBasis
 from skfem.mesh import MeshQuad
 
-from kc2spice.bodies.convergence import MeshError, bound
 from kc2spice.bodies.fields import principal, stress
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.materials import Material
@@ -140,18 +137,6 @@ def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
     loads = stack.loads[stack.free]
     S = loads.T @ _static(*stack.blocks, loads)[: len(loads)]
     return (S + S.T) / 2
-
-
-def mesh_error(dents: Callable[[int], np.ndarray], shape: Hats) -> MeshError:
-    """Of the compliance of a flat punch half as wide as the patch; ``dents(k)`` (n, n) is that of
-    the hats on cells divided by k."""
-    began = time.process_time()
-    inner = shape.nodes[:-1] < WIDEST * shape.nodes[-1]
-    flat = np.ones(np.count_nonzero(inner))
-    coarse, fine = (
-        float(1 / np.linalg.solve(dents(k)[np.ix_(inner, inner)], flat).sum()) for k in (1, 2)
-    )
-    return MeshError("static_compliance_si", bound(coarse, fine, 2), time.process_time() - began)
 
 
 @dataclass(frozen=True)

@@ -60,22 +60,27 @@ def bench(
 ) -> None:
     """Measure SCENE's error against time over its settings; recommend the cheapest one.
 
-    Settings are those of the simulator, the reduction and the force lookup that the scene has;
-    the reference has all of them at their finest. Exit code 4 when no setting is within --error.
+    Settings are the numerical ones that 'explain' lists, but meshes, which take no time of the
+    simulator; the reference has all of them at their finest. Exit code 4 when no setting is within
+    --error.
     """
     with reported_errors():
         from kc2spice.scene.load import load_scene
         from kc2spice.workflow.bench import bench as measure
 
         given = list(set_ or [])
-        name = load_scene(scene, given).name
-        directory = out or Path(f"{name}_bench")
+        loaded = load_scene(scene, given)
+        directory = out or Path(f"{loaded.name}_bench")
         with shown_progress(quiet) as progress:
             record = measure(
-                lambda more: load_scene(scene, [*given, *more]), directory,
-                error=None if near else error, metric=tuple(metric or ()), repeats=repeats,
-                trust=trust, progress=progress,
-            )  # fmt: skip
+                loaded,
+                directory,
+                error=None if near else error,
+                metric=tuple(metric or ()),
+                repeats=repeats,
+                trust=trust,
+                progress=progress,
+            )
         if as_json:
             print(json.dumps({**record, "directory": str(directory.absolute())}))
         elif not quiet:

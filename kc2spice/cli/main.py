@@ -288,7 +288,7 @@ def verify(
 
 @app.command()
 def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None:
-    """Say what is modelled, what was left out, why, at what error."""
+    """Say what is modelled, its numerical settings, what was left out and why."""
     with reported_errors():
         import textwrap
         from dataclasses import asdict
@@ -300,9 +300,10 @@ def explain(scene: SceneName, set_: Set = None, as_json: AsJson = False) -> None
         from kc2spice.workflow.models import build_models
 
         loaded = load_scene(scene, set_ or [])
-        found = plan(loaded, estimate=True)
         timed = loaded.analysis.type == "transient"
-        limit = build_models(loaded, Clock(silent)).largest if timed else None
+        build = build_models(loaded, Clock(silent)) if timed else None
+        limit = None if build is None else build.largest
+        found = plan(loaded, build)
         if as_json:
             head = {"scene": loaded.name, "hash": scene_hash(loaded)}
             step = None if limit is None else {"s": limit.step, "why": limit.why}

@@ -100,26 +100,18 @@ def show_plan(plan: Plan) -> None:
     rows = [(part.part, part.source, part.detail) for part in plan.parts]
     print_table("modelled", rows, header=("part", "model", "detail"))
     print_table("joined", [(line,) for line in plan.joins])
-    title = "errors, relative"
-    if plan.error_budget is not None:
-        title += f"; error_budget {plan.error_budget:g} divided"
-    errors = [
-        (
-            each.stage,
-            _ratio(each.share),
-            _ratio(each.expected, "not estimated"),
-            each.settings,
-            each.why,
-        )
-        for each in plan.errors
-    ]
-    print_table(title, errors, header=("stage", "share", "expected", "settings", ""))
+    print_table("numerical settings", _setting_rows(plan), header=("key", "value", "error"))
+    budget = "X" if plan.error_budget is None else f"{plan.error_budget:g}"
+    print(f"error_budget = {budget} refines these until every metric's error is below {budget}\n")
     left = [(item.effect, item.why, item.error) for item in plan.left_out]
     print_table("left out", left, header=("effect", "why", "size"))
 
 
-def _ratio(value: float | None, unknown: str = "-") -> str:
-    return unknown if value is None else f"{value:.2g}"
+def _setting_rows(plan: Plan) -> list[tuple[str, str, str]]:
+    return [
+        (s.key, f"{s.value:g}", "not estimated" if s.error is None else f"{s.error:.2g}")
+        for s in plan.settings
+    ]
 
 
 def show_keys(keys: Iterable[Key]) -> None:

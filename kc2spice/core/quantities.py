@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
@@ -94,6 +95,33 @@ Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
+
+
+@dataclass(frozen=True)
+class Notch:
+    """Marks a key that trades time for error: one notch finer multiplies it by ``factor``.
+
+    ``spaces`` says that it counts points, whose spaces are multiplied; ``finest`` is a value below
+    which rounding decides; ``model`` marks what costs no time of the simulator. It counts where the
+    keys ``when`` of its table have these values.
+    """
+
+    factor: float
+    spaces: bool = False
+    finest: float = 0.0
+    model: bool = False
+    when: tuple[tuple[str, object], ...] = ()
+
+    def moved(self, value: float, notches: float) -> float:
+        """``value`` so many notches finer, rounded to six digits or a whole number."""
+        factor = self.factor**notches
+        if not isinstance(value, int):
+            return float(f"{factor * value:.6g}")
+        return round(factor * (value - 1)) + 1 if self.spaces else round(factor * value)
+
+    def applies(self, keys: BaseModel) -> bool:
+        """Whether the table ``keys`` uses it."""
+        return all(getattr(keys, name) == value for name, value in self.when)
 
 
 class Section(BaseModel):

@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.bodies.convergence import MeshError, headline_error
 from kc2spice.core import laws
 from kc2spice.core.cache import cached, remembered
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, time_axis, window
-from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
@@ -29,7 +27,15 @@ from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.structure import structure
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, ErrorRow, LeftOut, Modelled, PartType, Surface, Vector
+from kc2spice.scene.parttype import (
+    Build,
+    LeftOut,
+    Modelled,
+    PartType,
+    Surface,
+    Vector,
+    time_scales,
+)
 from kc2spice.scene.plausible import dimensions, layers
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
@@ -56,7 +62,6 @@ NO_ENERGY = 1e-13  # of the stiffest motion's: rounding
 LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
 POINTS = 600  # of an impedance, besides those near resonances
-PATIENCE = 15.0  # s of processor time that explain spends on the error of a mesh
 
 
 # Packages and modules that every full and reduced model depends on.
@@ -86,8 +91,6 @@ class LinearBody(PartType):
     reduced = True
     #: what the reduced model's head and ``explain`` call it
     source = "FE, linear"
-    #: time of the full model on halved cells against that on its own: disc 1, bimorph 6
-    mesh_growth = 6.0
 
     # --- what a subclass says -------------------------------------------------------------------
 
@@ -96,8 +99,8 @@ class LinearBody(PartType):
         """All ports that the body offers."""
 
     @abstractmethod
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
-        """The full model of the whole device, every cell divided by ``refine`` along each axis."""
+    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
+        """The full model of the whole device."""
 
     def body_keys(self, part: Part) -> Any:
         """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
@@ -228,7 +231,7 @@ class LinearBody(PartType):
         if scene.analysis.type == "ac":
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             return Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
-        rows = [row for p in scene.parts.values() for row in p.type.time_scales(p, scene)]
+        rows = time_scales(scene)
         content = max((row.content for row in rows), default=0.0)
         return Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
 
@@ -238,7 +241,7 @@ class LinearBody(PartType):
         chosen = getattr(part.keys, "rom", None) or "rom" in scene.frame.model_fields_set
         if chosen or scene.analysis.type != "transient":
             return None
-        rows = [row for p in scene.parts.values() for row in p.type.time_scales(p, scene)]
+        rows = time_scales(scene)
         return max([LEAST, *(row.content for row in rows if math.isfinite(row.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
@@ -365,7 +368,7 @@ class LinearBody(PartType):
         """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
         of a sine and a third of the reciprocal of an edge."""
         scene, t = build.scene, waves["time"]
-        rows = (row for p in scene.parts.values() for row in p.type.time_scales(p, scene))
+        rows = time_scales(scene)
         if any(row.decides for row in rows):  # a contact excites it more than any drive
             return
         apart = np.diff(t) > STILL * t[-1]
@@ -491,35 +494,10 @@ class LinearBody(PartType):
         detail = f"reduced to {target}, band {low:g} … {high:g} Hz{reach}; ports {ports}"
         return Modelled(part.name, self.source, detail)
 
-    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        found = self.mesh_error(part, scene)
-        if found is None:
-            return
-        fact = found.fact.rpartition("_")[0].replace("_", " ")
-        why = "against cells of half the size"
-        if found.error is None:
-            why = f"not estimated: takes about {found.seconds:.0f} s"
-        yield ErrorRow(f"mesh of {part.name}", None, found.error, fact, why)
-
     def sources(self) -> tuple[str, ...]:
         """Modules whose text the models of this type depend on, for the cache."""
         own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
         return (*SOURCES, *own)
-
-    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
-        """Error of the headline number on this mesh, None where there is no mesh."""
-
-        def estimate() -> MeshError | None:
-            return headline_error(
-                lambda k: self.full(part, scene, Clock(silent), k), PATIENCE, self.mesh_growth
-            )
-
-        key = {"type": self.name, "full": self.full_key(part, scene), "limit": PATIENCE}
-        found, _ = cached(
-            "mesh_error", key, estimate, classes=(MeshError,),
-            sources=self.sources(),
-        )  # fmt: skip
-        return found
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         kept = self.kept(part, scene)

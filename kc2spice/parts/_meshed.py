@@ -84,12 +84,12 @@ class MeshedBody(LinearBody):
     """A body with a key ``fields``; a subclass gives its :meth:`device`."""
 
     @abstractmethod
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
-        """The full model with its mesh, every cell divided by ``refine`` along each axis."""
+    def device(self, part: Part, scene: Scene) -> Device:
+        """The full model with its mesh."""
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
-            return self.device(part, scene, refine).model
+            return self.device(part, scene).model
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)

@@ -65,8 +65,8 @@ dc = "50 V"
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [part.keys.length for _ in part.keys.layers])
 
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
-        return bimorph.device(self.body_keys(part), scene.home, refine=refine, where=part.name)
+    def device(self, part: Part, scene: Scene) -> Device:
+        return bimorph.device(self.body_keys(part), scene.home, where=part.name)
 
 
 register(Bimorph())

@@ -33,7 +33,6 @@ class Body(MeshedBody):
     schema = BodyKeys
     declares = True
     source = "FE (piezoelectric, the user's mesh)"
-    mesh_growth = 50.0  # solids
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         keys = self.body_keys(part)
@@ -81,10 +80,10 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+    def device(self, part: Part, scene: Scene) -> Device:
         # unset keys stay out: a group is picked by the keys that it has
         keys = self.body_keys(part).model_dump_json(exclude_unset=True)
-        return _device(keys, scene.home, refine, _stamp(part, scene), part.name)
+        return _device(keys, scene.home, _stamp(part, scene), part.name)
 
 
 def _stamp(part: Part, scene: Scene) -> str:
@@ -92,9 +91,9 @@ def _stamp(part: Part, scene: Scene) -> str:
 
 
 @lru_cache(maxsize=2)
-def _device(keys: str, home: Path, refine: int, stamp: str, where: str) -> Device:
+def _device(keys: str, home: Path, stamp: str, where: str) -> Device:
     parsed = body.Body.model_validate_json(keys)
-    return body.device(parsed, home, refine=refine, where=where)
+    return body.device(parsed, home, where=where)
 
 
 register(Body())

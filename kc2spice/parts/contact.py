@@ -17,6 +17,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
 from kc2spice.core.quantities import (
     Length,
+    Notch,
     Pressure,
     Ratio,
     Rings,
@@ -36,7 +37,6 @@ from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
     Dents,
-    ErrorRow,
     LeftOut,
     Modelled,
     PartType,
@@ -97,7 +97,9 @@ class ContactKeys(Section):
     shape: Literal["rings", "pressure"] = Field(
         "rings", description="of the chip's ports: circles of the mesh, or pressure under a sphere"
     )
-    spacing: Length = Field(10e-6, gt=0, description="of the hats of pressure")
+    spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
+        10e-6, gt=0, description="of the hats of pressure"
+    )
     law: Literal["linear", "hertz"] = Field(
         "linear", description="penalty x, or 4/3 E* sqrt(R) x^(3/2) of a sphere at one port"
     )
@@ -201,14 +203,12 @@ class Contact(PartType):
         return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}", *carried)
 
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
-        yield TimeScale("contact, as far as a body has motions", content=EXCITED)
-
-    def closeness(self, part: Part, scene: Scene) -> float:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
         that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
-        if part.keys.damping:
-            return DAMPED
-        return CURVED if part.keys.law == "hertz" or part.keys.shape == "pressure" else 1.0
+        curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
+        reltol = DAMPED if part.keys.damping else CURVED if curved else 1.0
+        what = "contact, as far as a body has motions"
+        yield TimeScale(what, content=EXCITED, reltol=reltol)
 
     def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return self.wants(part, scene) if part.keys.inertia == "massless" else ()
@@ -350,14 +350,6 @@ class Contact(PartType):
             every = tuple((share, f"{n}.{r}.through") for r in ports)
             results[f"{n}.{word}"] = laws.Reading(every)
         return laws.Equations((law,), pins, results)
-
-    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        if part.keys.shape == "pressure":
-            yield ErrorRow(
-                f"hats of {part.name}", None, spacing_error(part, scene),
-                f"{part.name}.spacing {part.keys.spacing:g} m",
-                "largest of the static force, against hats half as wide",
-            )  # fmt: skip
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         count, own = len(kept_ports(part, scene)), normal(part, scene)

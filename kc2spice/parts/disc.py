@@ -42,8 +42,8 @@ class Disc(MeshedBody):
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         yield from layered(part, [layer.diameter for layer in part.keys.layers])
 
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
-        return disc.device(self.body_keys(part), refine=refine, where=part.name)
+    def device(self, part: Part, scene: Scene) -> Device:
+        return disc.device(self.body_keys(part), where=part.name)
 
 
 register(Disc())

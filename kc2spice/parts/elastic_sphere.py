@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from kc2spice.bodies.convergence import MeshError
 from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
@@ -88,13 +87,13 @@ elastic = true
             "hats": _hats(part, scene).nodes.tolist(),
         }  # fmt: skip
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         from kc2spice.bodies.sphere import sphere
 
         shape = _hats(part, scene)
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._pressed(part, scene, shape).shares
-            return sphere(_body(part, scene), shares, shape, refine * part.keys.mesh.refine)
+            return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
         """Its own, not the scene's: its modes lie above any band of an actuator."""
@@ -111,20 +110,6 @@ elastic = true
     def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
         yield LeftOut(f"free ringing of {part.keys.of}", why, "none of the path")
-
-    def mesh_error(self, part: Part, scene: Scene) -> MeshError:
-        """Of what touches, against cells half the size."""
-        body, shape, refine = _body(part, scene), _hats(part, scene), part.keys.mesh.refine
-
-        def estimate() -> MeshError:
-            from kc2spice.bodies.pressure import mesh_error
-            from kc2spice.bodies.sphere import compliance
-
-            return mesh_error(lambda k: compliance(body, shape, k * refine), shape)
-
-        key = {"type": self.name, "full": self.full_key(part, scene)}
-        found, _ = cached("mesh_error", key, estimate, classes=(MeshError,), sources=self.sources())
-        return found
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         yield from super().left_out(part, scene)

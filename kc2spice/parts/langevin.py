@@ -82,8 +82,8 @@ stop = "100 kHz"
         if bolt.head_length is not None:
             yield Shape(0.0, end - bolt.head_length / 2, bolt.head_diameter, bolt.head_length)
 
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
-        return langevin.device(self.body_keys(part), refine=refine, where=part.name)
+    def device(self, part: Part, scene: Scene) -> Device:
+        return langevin.device(self.body_keys(part), where=part.name)
 
 
 register(Langevin())

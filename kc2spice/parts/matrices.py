@@ -11,7 +11,6 @@ from pydantic import Field
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.source import source_files
-from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import BodyKeys, LinearBody, file_stamp
@@ -45,13 +44,8 @@ class Matrices(LinearBody):
         found = source_files(self._file(part, scene), self._sidecar(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in found)
 
-    def full(self, part: Part, scene: Scene, clock: Clock, refine: int = 1) -> LinearModel:
-        if refine != 1:
-            raise UsageError("matrices cannot be refined", where=part.name, got=refine)
+    def full(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
         return self._model(part, scene)
-
-    def mesh_error(self, part: Part, scene: Scene) -> None:
-        """The mesh is that of the other tool."""
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         stamps = str(self.full_key(part, scene)["files"])

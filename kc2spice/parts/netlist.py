@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +27,9 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 
+# Letter of an element and its parameter that is its current; "" for those that have a branch.
+_CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
+             "v": "", "e": "", "h": ""}  # fmt: skip
 KINDS = {"V/A": ("V", "A"), "um/N": ("um", "N"), "m/s/N": ("m/s", "N"), "V": ("V", "-")}
 
 
@@ -91,14 +95,22 @@ class Netlist(PartType):
         scope = None
         for name, node in _probed(part, scene):
             scope = scope or _scope(part, scene)
-            if node not in pins and not has_vector(scope, f"v({node})"):
-                nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.nodes)))
-                yield UsageError(
-                    "no such pin or node", where=f"probes.{name}.of",
-                    got=repr(f"{part.name}.{node}"),
-                    expected=f"of {part.name}: " + ", ".join(n for n in nodes if n != "0"),
-                    hint=did_you_mean(node, nodes),
-                )  # fmt: skip
+            if node in pins or has_vector(scope, _inside(node)):
+                if scene.analysis.type == "ac" and "@" in _inside(node):
+                    yield UsageError(
+                        "has no small-signal current to read", where=f"probes.{name}.of",
+                        got=repr(f"{part.name}.{node}"), expected="i(…) of a V, E or H element",
+                        hint="a 0 V source in series with it has one",
+                    )  # fmt: skip
+                continue
+            nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.nodes)))
+            read = [f"i({e.name})" for e in scope.elements if e.kind in _CURRENTS]
+            yield UsageError(
+                "no such pin, node or current", where=f"probes.{name}.of",
+                got=repr(f"{part.name}.{node}"),
+                expected=f"of {part.name}: " + ", ".join([*(n for n in nodes if n != "0"), *read]),
+                hint=did_you_mean(node, [*nodes, *read]),
+            )  # fmt: skip
         for name in part.keys.ratings:
             if name not in pins:
                 yield UsageError(
@@ -119,7 +131,7 @@ class Netlist(PartType):
         return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        """Its rated pins, and what probes name: pins, and nodes inside, over ``ref``."""
+        """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
         scene, pins = build.scene, {t.name: t for t in self.pins(part, build.scene)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probed(part, scene))
@@ -130,6 +142,8 @@ class Netlist(PartType):
             if node in pins:
                 factor, unit = {"um": (1e-6, "m")}.get(pins[node].unit, (1.0, pins[node].unit))
                 ends = f"v({build.net(part, node)})"
+            elif node.lower().startswith("i("):
+                factor, unit, ends = 1.0, "A", _inside(node, part.name)
             else:
                 factor, unit = 1.0, "V"
                 ends = f"v(x{part.name.lower()}.{node.lower()})"
@@ -197,17 +211,32 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
 
 
 def _probed(part: Part, scene: Scene) -> Iterator[tuple[str, str]]:
-    """Names of the probes of this part, with the pin or node that each looks at."""
+    """Names of the probes of this part, with the pin, node or ``i(ELEMENT)`` that each looks at;
+    those of a meter at a pin are everybody's."""
     for name, probe in scene.probes.items():
         owner, dot, node = probe.of.partition(".")
-        if owner == part.name and dot:
+        if owner == part.name and dot and node.rpartition(".")[2] not in ("current", "power"):
             yield name, node
+
+
+def _inside(node: str, part: str = "") -> str:
+    """Vector of a node or of ``i(ELEMENT)``, ``i(x1.ELEMENT)`` in the part's subcircuit, or with
+    ``part`` in its instance."""
+    low, instance = node.lower(), f"x{part.lower()}." if part else ""
+    match = re.fullmatch(r"i\((?:(.+)\.)?(\w+)\)", low)
+    if match is None:
+        return f"v({instance}{low})"
+    path, element = instance + (f"{match[1]}." if match[1] else ""), match[2]
+    name = f"{element[0]}.{path}{element}" if path else element
+    read = _CURRENTS.get(element[0], "i")
+    return f"i({name})" if read == "" else f"@{name}[{read}]"
 
 
 def _scope(part: Part, scene: Scene) -> Scope:
     """Its subcircuit as elements with nodes."""
     files = looked_at(part.keys.file, scene.home)
-    found = circuit(next(iter(files)), files).find(part.keys.subckt)
+    deck = {"": f"* its first line is a card\n.include {next(iter(files))}"}
+    found = circuit("", deck | files).find(part.keys.subckt)
     if found is None:
         raise UsageError("no such subcircuit", where=f"{part.name}.subckt", got=part.keys.subckt)
     return found

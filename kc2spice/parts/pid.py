@@ -20,7 +20,7 @@ from kc2spice.parts import sphere
 from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, ErrorRow, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
 from kc2spice.spice.header import Header, parameter_list, part_header
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
@@ -296,22 +296,6 @@ class Pid(PartType):
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
         detail = f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
         return Modelled(part.name, "circuit", detail)
-
-    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        keys, usual = part.keys, Control()
-        if keys.form == "ideal":
-            yield ErrorRow("controller", None, 0.0, "its law", "the netlist has no amplifiers")
-            return
-        gains = ("kp", "ki", "kd", "rolloff")
-        known = all(getattr(keys, key) == getattr(usual, key) for key in gains)
-        known = known and usual.current_limit <= keys.current_limit <= HIGHEST
-        yield ErrorRow(
-            "controller",
-            None,
-            OPAMPS if known else None,
-            "op-amps with finite gain",
-            "what real op-amps do to the trajectory, against an ideal PID",
-        )
 
 
 def _ball(part: Part, scene: Scene) -> Part | None:

@@ -27,7 +27,6 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
     Dents,
-    ErrorRow,
     LeftOut,
     Modelled,
     Reach,
@@ -41,7 +40,6 @@ from kc2spice.spice.realize import STRIKING, Watch
 
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
-    from kc2spice.bodies.convergence import MeshError
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.pressure import Hats, Pressed
     from kc2spice.fem.piezo.mesh import KickMesh
@@ -58,8 +56,6 @@ DOWNWARDS, SLOWER = 2e-3, 0.1
 PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
-KICKS, LASTING = (40.0, 105.0), 10e-6  # V, s: the error budget's relations hold; it throws in 6 us
-MESH_ERROR = 0.024  # of a launch, at most of an impact: docs/notes/contact.md
 
 
 PAPER_ORDER = 30
@@ -115,7 +111,6 @@ class PiezoStack(MeshedBody):
     title = "layered piezoelectric chip (3-D FE, reduced)"
     schema = Stack
     source = "FE (piezoelectric, linear)"
-    mesh_growth = 50.0  # solid: 2 s become 120
 
     def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
         driven = table.get("electrical", "driven") == "driven"
@@ -197,36 +192,23 @@ class PiezoStack(MeshedBody):
         return Surface(names, names, names, distance, sectors=SECTORS)
 
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
-        if scene.of("contact"):
-            what = f"contacts of {part.name}, within which error control decides"
-            yield TimeScale(what, FLIGHT, decides=True)
-
-    def speed(self, part: Part, scene: Scene) -> float | None:
-        """Of a kick that lasts as the stack's quarter wave, or as the edge of its pulse: the free
-        stroke over ``4 H / c`` or the edge."""
-        voltage = highest_voltage(part, scene)
-        if not voltage or not scene.of("contact"):
-            return None
-        sound = math.sqrt(part.keys.material.stiffness[3] / part.keys.material.density)
-        stroke = free_stroke(part.keys, voltage)
-        edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
-        speed = stroke / max(4 * part.keys.height / sound, edge)
-        return max(1e-3, SLOWER * speed if _downwards(part) else speed)
-
-    def closeness(self, part: Part, scene: Scene) -> float:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.
 
         A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
         the relative error of one setting is ten times that at 100 V. It falls as reltol^0.55.
         """
         if not scene.of("contact"):
-            return 1.0
+            return
         close = math.sqrt(min(1.0, max(_damped(part), UNDAMPED) / RINGING))
-        speed = self.speed(part, scene)
+        speed = _kick_speed(part, scene)
         if self.coarse(part, scene) and speed is not None:
             slow = LOW_KICK if _behind_driver(part, scene) else max(speed**8, LOW_KICK)
             close *= min(1.0, slow)
-        return min(close, DOWNWARDS) if _downwards(part) else close
+        if _downwards(part):
+            close = min(close, DOWNWARDS)
+        what = f"contacts of {part.name}, within which error control decides"
+        chgtol = min(1.0, speed or 1.0)
+        yield TimeScale(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
     def coarse(self, part: Part, scene: Scene) -> bool:
         """Its ringing is what strikes the sphere if the kick begins downwards."""
@@ -273,11 +255,8 @@ class PiezoStack(MeshedBody):
         low, high = asked.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
-    def full(self, part: Part, scene: Scene, clock: Any, refine: int = 1) -> LinearModel:
+    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         chip = chip_of(part.keys)
-        if refine != 1:
-            mesh = chip.mesh.model_copy(update={"refine": refine * chip.mesh.refine})
-            chip = chip.model_copy(update={"mesh": mesh})
         with clock.stage("mesh", "chip mesh"):
             _mesh(chip)
         with clock.stage("assemble", "piezoelectric matrices"):
@@ -286,7 +265,7 @@ class PiezoStack(MeshedBody):
             shape = pressure_hats(part, scene)
             return _device(chip) if shape is None else _patched(chip, shape)
 
-    def device(self, part: Part, scene: Scene, refine: int = 1) -> Device:
+    def device(self, part: Part, scene: Scene) -> Device:
         from kc2spice.bodies.piezo_stack import sector_device
 
         chip, shape = chip_of(part.keys), pressure_hats(part, scene)
@@ -367,64 +346,31 @@ class PiezoStack(MeshedBody):
                 "its own mesh is too coarse for it; pressure and shear are those of a graded one",
                 "not estimated",
             )  # fmt: skip
+        if (several := part.keys.mesh.layers_per_element) > 1:
+            yield LeftOut(
+                f"layers of {part.name} within an element",
+                f"{several} layers share one: mesh.layers_per_element",
+                f"{(several / part.keys.layers) ** 2:.2g} of the first resonances, at most; stroke "
+                "and capacitance are those of the layers",
+            )  # fmt: skip
         kept, every = kept_rings(part, scene), rings(part)
         if kept < every and pressure_hats(part, scene) is None:
             effect = f"{part.name}: ports at ring{kept}"
             effect += f" to ring{every - 1}" if kept + 1 < every else ""
             yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
 
-    def mesh_error(self, part: Part, scene: Scene) -> MeshError | None:
-        """Of the graded mesh under a pressure. Of a launch from rings a mesh study knows it, where
-        it is known at all (:meth:`errors`)."""
-        shape = pressure_hats(part, scene)
-        if shape is None:
-            return None if scene.of("contact") else super().mesh_error(part, scene)
-        return _graded_error(chip_of(part.keys), shape)
 
-    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        mesh, usual = part.keys.mesh, Chip().mesh
-        why = f"fixed by {part.name}.mesh"
-        same = (mesh.ring_spacing, mesh.rings, mesh.refine, mesh.sectors) == (
-            usual.ring_spacing, usual.rings, usual.refine, usual.sectors,
-        )  # fmt: skip
-        studied = same and _studied(part, scene)
-        yield ErrorRow(
-            "mesh",
-            None,
-            MESH_ERROR if studied else None,
-            f"{part.name}.mesh.refine {mesh.refine}, ring_spacing {mesh.ring_spacing:g} m",
-            f"{why}; of a launch, against converged hats of pressure" if studied else why,
-        )
-        if (several := mesh.layers_per_element) > 1:
-            yield ErrorRow(
-                "layers in an element",
-                None,
-                (several / part.keys.layers) ** 2,
-                f"{part.name}.mesh.layers_per_element {several}",
-                f"{why}; of the first resonances, measured 0.3 and 0.8 of this; stroke and "
-                "capacitance are those of the layers",
-            )
-
-
-def _studied(part: Part, scene: Scene) -> bool:
-    """Whether it is the paper's chip under the paper's contact and sphere, in a kick upwards."""
-    keys, usual = part.keys, Chip()
-    spheres, contacts = scene.of("sphere"), scene.of("contact")
-    if len(spheres) != 1 or len(contacts) != 1 or scene.analysis.type != "transient":
-        return False
-    fixed = Chip.model_fields.keys() - {"damping", "mesh"}
-    same = all(getattr(keys, name) == getattr(usual, name) for name in fixed)
-    same &= keys.damping.beta >= usual.damping.beta
-    same &= all(
-        getattr(met.keys, name) == field.default
-        for met in (*spheres, *contacts)
-        for name, field in met.type.schema.model_fields.items()
-        if name not in ("a", "b", "rings")
-    )
-    if keys.electrical == "driven":
-        return same and _plain_kick(part, scene)
-    speeds = [each.type.speed(each, scene) for each in scene.parts.values()]
-    return same and all(math.isclose(v, 1.0, rel_tol=1e-3) for v in speeds if v is not None)
+def _kick_speed(part: Part, scene: Scene) -> float | None:
+    """Speed [m/s] of a kick that lasts as the stack's quarter wave, or as the edge of its pulse:
+    the free stroke over ``4 H / c`` or the edge; None without a voltage."""
+    voltage = highest_voltage(part, scene)
+    if not voltage:
+        return None
+    sound = math.sqrt(part.keys.material.stiffness[3] / part.keys.material.density)
+    stroke = free_stroke(part.keys, voltage)
+    edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
+    speed = stroke / max(4 * part.keys.height / sound, edge)
+    return max(1e-3, SLOWER * speed if _downwards(part) else speed)
 
 
 def _downwards(part: Part) -> bool:
@@ -443,18 +389,6 @@ def _behind_driver(part: Part, scene: Scene) -> bool:
 def _damped(part: Part) -> float:
     """Its damping ratio at the usual frequency."""
     return float(math.pi * Damping().at * part.keys.damping.beta)
-
-
-def _plain_kick(part: Part, scene: Scene) -> bool:
-    """Whether one pulse of an ideal source, of those that the error budget's relations were
-    measured for, drives the anode alone."""
-    drive = part.keys.drive
-    alone = [name for name, _ in scene.joined(part.name, "anode")] == [f"{part.name}_drive"]
-    if drive is None or not alone:
-        return False
-    low, high = KICKS
-    once = drive.period is None and drive.width >= LASTING and drive.edge <= Drive().edge
-    return once and low <= drive.voltage <= high
 
 
 def mounted(keys: Chip) -> str:
@@ -682,18 +616,6 @@ def _pressed(chip: Chip, shape: Hats) -> Pressed:
     found, _ = cached(
         "pressed", _hatted(chip, shape), lambda: pressed(chip, shape), classes=(Pressed,),
         sources=SOURCES,
-    )  # fmt: skip
-    return found
-
-
-def _graded_error(chip: Chip, shape: Hats) -> MeshError:
-    from kc2spice.bodies.convergence import MeshError
-    from kc2spice.bodies.pressure import CELLS, dents, mesh_error
-
-    found, _ = cached(
-        "graded_error", _hatted(chip, shape),
-        lambda: mesh_error(lambda k: dents(chip, shape, k * CELLS), shape),
-        classes=(MeshError,), sources=SOURCES,
     )  # fmt: skip
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -13,7 +13,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.core.quantities import Count, Frequency, Section
+from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.gates import Gate
@@ -28,7 +28,7 @@ class PortLoadsKeys(Section):
 
     start: Frequency = Field(0.0, ge=0)
     stop: Frequency = Field(500e3, gt=0)
-    steps: Count = Field(200, ge=2, le=100_000)
+    steps: Annotated[Count, Notch(2.0)] = Field(200, ge=2, le=100_000)
     of: str | None = Field(None, description="the body; the only one with a surface")
 
 

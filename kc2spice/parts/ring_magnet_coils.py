@@ -19,7 +19,6 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.cubics import cubic_spline
@@ -41,7 +40,6 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    ErrorRow,
     LeftOut,
     Modelled,
     PartType,
@@ -240,16 +238,6 @@ def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return f, bends, second**2 / 4 / (largest or 1.0)
 
 
-def looked_up(values: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """What the lookups of :func:`smooth` say of ``values`` (n,) at the places ``s`` in cells."""
-    f, bends, tolerance = _parabolas(values)
-    bends = np.concatenate([bends[:1], bends, bends[-1:]])
-    kept = np.array(_corners(bends, tolerance))
-    t = s - np.floor(s)
-    line = np.interp(s, np.arange(f.size) - 1.0, f)
-    return np.asarray(line - t * (1 - t) * np.interp(s, kept - 2.0, bends[kept]))
-
-
 def lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
 
@@ -356,7 +344,6 @@ class RingMagnetCoils(PartType):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
-    lookup_key = "points"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if part.keys.driver is None:
@@ -619,32 +606,6 @@ class RingMagnetCoils(PartType):
                 f"are in the result under model.{part.name}",
             )
 
-    def errors(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        keys, ball = part.keys, sphere_of(part, scene).keys
-        same = field_keys(part) == Catch() and ball.radius == type(ball)().radius
-        yield ErrorRow(
-            "field mesh",
-            None,
-            4e-4 if same else None,
-            f"{part.name}.refine {keys.refine}, positions {keys.positions}",
-            f"fixed by {part.name}.refine and positions; of the largest "
-            "force; the run checks what lies between the positions",
-        )
-
-    def estimates(self, part: Part, scene: Scene) -> Iterator[ErrorRow]:
-        """Both errors of the table, of the largest force and measured on the table itself."""
-        table, current = self.build(part, scene, Clock(silent)), largest_current(part, scene)
-        yield ErrorRow(
-            f"heights of {part.name}", None, interpolation_error(table, current),
-            f"{part.name}.positions {part.keys.positions}",
-            "of the largest force, from what every second and fourth height miss of the others",
-        )  # fmt: skip
-        yield ErrorRow(
-            f"lookup of {part.name}", None, resampling_error(table, part.keys.points, current),
-            f"{part.name}.points {part.keys.points}",
-            "of the largest force: the netlist's lookups against the table's splines",
-        )  # fmt: skip
-
 
 def field_keys(part: Part) -> Catch:
     """What the field depends on, remanence and shift included."""
@@ -761,15 +722,6 @@ def interpolation_error(table: EMTable, current: float) -> float:
     half = missed(2)
     known = half > 0.0 and table.y[::4].size >= 4
     return half / (min(8.0, max(1.0, missed(4) / half)) if known else 1.0)
-
-
-def resampling_error(table: EMTable, points: int, current: float) -> float:
-    """Error of the netlist's lookups at ``points`` heights against the table's splines, of the
-    largest force up to ``current`` [A] in both coils."""
-    places = np.linspace(0.0, points - 1.0, FINE * (points - 1) + 1)
-    exact = table.splines(table.y[0] + np.ptp(table.y) * places / (points - 1))
-    found = [looked_up(column, places) for column in exact[::FINE].T]
-    return _share(np.column_stack(found) - exact, exact, current)
 
 
 def _share(missed: np.ndarray, values: np.ndarray, current: float) -> float:

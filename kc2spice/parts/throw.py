@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import fall, landing, normal, separation, unresolved
 from kc2spice.scene.gates import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, register
+from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, TimeScale, register
 
 
 class ThrowKeys(Section):
@@ -49,9 +49,11 @@ class Throw(PartType):
     def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
         return {sphere(part, scene).name: (part.keys.velocity, part.keys.gap)}
 
-    def speed(self, part: Part, scene: Scene) -> float | None:
+    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+        """What a step may miss shrinks with the speed of the impact."""
         drop = 2.0 * max(scene.gravity, 0.0) * part.keys.gap
-        return max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
+        speed = max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
+        yield TimeScale(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
         speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))

@@ -39,7 +39,7 @@ def write_run(
         _facts("Reduced model", {k: v for k, v in result.get("rom", {}).items() if v is not None}),
         *(_modes(part, found) for part, found in result.get("modes", {}).items()),
         _modelled(scene),
-        _errors(scene),
+        _settings(scene, result),
         _left_out(scene),
         _simulator(result, scene),
         _attempts(result),
@@ -148,18 +148,17 @@ def _left_out(scene: Scene) -> Section:
     return Section("What is left out", rows, ("effect", "why", "size"))
 
 
-def _errors(scene: Scene) -> Section:
-    found = plan(scene)
+def _settings(scene: Scene, result: Mapping[str, Any]) -> Section:
+    """Numerical settings, and what a refined run says that each does to the metrics."""
+    found = result.get("convergence", {})
     rows = [
-        (each.stage, _share(each.share), _share(each.expected), each.settings, each.why)
-        for each in found.errors
+        (each.key, f"{each.value:g}", _error(found.get("shares", {}).get(each.key, each.error)))
+        for each in plan(scene).settings
     ]
-    note = "Relative; a stage without a share is no part of the budget."
-    if found.error_budget is not None:
-        note = f"error_budget {found.error_budget:g}. {note}"
-    head = ("stage", "share", "expected", "settings", "")
-    return Section("Expected errors", rows, head, note)
+    rows += [(f"error of {name}", "", _error(e)) for name, e in found.get("errors", {}).items()]
+    note = "Relative errors; a run with error_budget estimates those of all metrics."
+    return Section("Numerical settings", rows, ("key", "value", "error"), note)
 
 
-def _share(value: float | None) -> str:
-    return "—" if value is None else f"{value:.2g}"
+def _error(value: float | None) -> str:
+    return "not estimated" if value is None else f"{value:.2g}"

@@ -15,6 +15,7 @@ from typing import TypeVar
 from kc2spice.core.errors import UsageError
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
+from kc2spice.scene.parttype import METER, Build, PartType
 
 Pin = tuple[str, str]
 Key = TypeVar("Key", bound=Hashable)
@@ -45,7 +46,8 @@ def composed(scene: Scene) -> Scene:
     for net in union.groups():
         _one_kind(net, terminals)
     nets = _names(union, terminals)
-    found = replace(scene, nets=nets, own=_own(scene, nets.values()))
+    joined = replace(scene, nets=nets)
+    found = replace(joined, own=_own(joined, nets.values()))
     _required(found, terminals, union)
     _outputs(found, terminals)
     _across_nothing(found, terminals)
@@ -155,7 +157,41 @@ def _own(scene: Scene, nets: Iterable[str]) -> dict[tuple[str, ...], str]:
         for part in scene.parts.values()
         for words in part.type.own_names(part, scene)
     )
-    return allocated(wanted, {*nets, *cards})
+    meters = (
+        ((part, pin, METER), f"v{part}_{pin}_{METER}".lower())
+        for part, pin in dict.fromkeys(metered(scene))
+    )
+    return allocated((*wanted, *meters), {*nets, *cards})
+
+
+def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
+    """Its pins that carry a current and are not on ground."""
+    pins = (pin for pin in part.type.pins(part, scene) if (pin.unit, pin.flow) == ("V", "A"))
+    return tuple(pin.name for pin in pins if scene.nets[part.name, pin.name] != "0")
+
+
+def metered(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Pins of subcircuits whose current probes ask for by ``PART.current``, that of the first pin,
+    ``PART.PIN.current`` or ``PART.power``, where no neighbour tells it."""
+    for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
+        name, _, asked = of.partition(".")
+        part = scene.parts.get(name)
+        if part is None or type(part.type).cards is not PartType.cards:
+            continue
+        pins = electrical(part, scene)
+        for pin in pins:
+            if asked == "power" or (
+                asked in (f"{pin}.current", "current" if pin == pins[0] else "")
+                and not _told(part, pin, scene)
+            ):
+                yield name, pin
+
+
+def _told(part: Part, pin: str, scene: Scene) -> bool:
+    """Whether the one part at this pin of a body tells what goes into it."""
+    joined = scene.joined(part.name, pin) if part.type.reduced else ()
+    others = [(scene.parts[name], end) for name, end in joined]
+    return len(others) == 1 and others[0][0].type.current(*others[0], Build(scene, {})) is not None
 
 
 def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict[Key, str]:

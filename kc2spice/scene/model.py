@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Acceleration, Count, Frequency, Place, Ratio, Section, Time
+from kc2spice.core.quantities import (
+    Acceleration,
+    Count,
+    Frequency,
+    Notch,
+    Place,
+    Ratio,
+    Section,
+    Time,
+)
 from kc2spice.scene.settings import Bench, Checks, Gates, Rom, Solver
 
 if TYPE_CHECKING:
@@ -76,7 +85,7 @@ class Analysis(Section):
     type: Literal["transient", "ac", "dc", "op"] = "transient"
     stop: Time | Frequency | None = Field(None, description="end of a transient, or highest Hz")
     start: Frequency = Field(0.0, ge=0, description="lowest frequency of ac")
-    points: Count = Field(200, ge=2, le=200_000)
+    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(200, ge=2, le=200_000)
     scale: Literal["log", "linear"] = Field("log", description="of ac; linear from 0 Hz on")
     sweep: str | None = Field(None, description="PART.KEY that dc moves")
     from_: Any = Field(0.0, alias="from", description="first value of a dc sweep")
@@ -98,9 +107,21 @@ class Probe(Section):
     cycles over the last half of the run. Complex values are taken by magnitude.
     """
 
-    of: str = Field(description="a result such as disc.current, or NETLIST.NODE")
+    of: str = Field(
+        description="a result such as disc.x, NETLIST.NODE, or PART.current, PART.PIN.current, "
+        "PART.power of whatever has electrical pins"
+    )
     take: Literal[
-        "max", "min", "argmax", "final", "rms", "peak_to_peak", "crossing", "frequency", "value"
+        "max",
+        "min",
+        "argmax",
+        "final",
+        "mean",
+        "rms",
+        "peak_to_peak",
+        "crossing",
+        "frequency",
+        "value",
     ] = Field("max", description="value where at is given")
     at: Place | None = Field(
         None, description="of a value: a frequency in ac, a time in a transient"

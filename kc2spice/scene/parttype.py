@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from kc2spice.scene.judge import Balance, Check
 
 PACKAGE = "kc2spice.parts"
+METER = "meter"  # word of an ammeter's name, behind those of its pin
 TABLE = "_types"  # ends the name of a module with several types
 
 
@@ -56,21 +57,6 @@ class LeftOut:
     effect: str
     why: str
     error: str
-
-
-@dataclass(frozen=True)
-class ErrorRow:
-    """One stage of the computation: the relative error expected of its settings.
-
-    ``share`` is its part of ``error_budget`` (None where it is no part of it), ``expected`` is
-    None where no error is known.
-    """
-
-    stage: str
-    share: float | None
-    expected: float | None
-    settings: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -157,12 +143,15 @@ class StepLimit:
 class TimeScale:
     """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
     ``content`` [Hz] up to which it excites others. A step that ``decides`` stands whatever else the
-    scene has."""
+    scene has. ``reltol`` and ``chgtol`` are factors, 1 or less, of the solver's tolerances that it
+    needs to be as exact as anything else."""
 
     what: str
     step: float = math.inf
     content: float = 0.0
     decides: bool = False
+    reltol: float = 1.0
+    chgtol: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -191,6 +180,10 @@ class Build:
         """Node of the netlist that a pin is joined to."""
         return self.scene.net(part.name, pin)
 
+    def meter(self, part: Part, pin: str) -> str | None:
+        """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
+        return self.scene.own.get((part.name, pin, METER))
+
     def own(self, part: Part, *words: str) -> str:
         """Name of a node or card of a part's own, see :meth:`PartType.own_names`."""
         return self.scene.own[part.name, *words]
@@ -213,8 +206,6 @@ class PartType(ABC):
     declares: ClassVar[bool] = False
     #: whether it has inertia, so that it moves on where nothing holds it
     heavy: ClassVar[bool] = False
-    #: its key that sets the number of points of a lookup, if it has one
-    lookup_key: ClassVar[str | None] = None
     #: whether it measures a motion and acts on it, which closes a loop
     controls: ClassVar[bool] = False
     #: type of the analysis that it asks for (:meth:`analysis`)
@@ -349,9 +340,13 @@ class PartType(ABC):
         return ()
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        """Its lines in the deck: an instance of its subcircuit, unless it says otherwise."""
-        nodes = [build.net(part, pin.name) for pin in self.pins(part, build.scene)]
-        return (f"X{part.name} {' '.join(nodes)} {build.libraries[part.name]}",)
+        """Its lines in the deck: an instance of its subcircuit with the meters that probes ask for,
+        unless it says otherwise."""
+        pins = {pin.name: build.net(part, pin.name) for pin in self.pins(part, build.scene)}
+        meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
+        nodes = " ".join({**pins, **meters}.values())
+        read = (f"{name} {pins[pin]} {name} 0" for pin, name in meters.items())
+        return (f"X{part.name} {nodes} {build.libraries[part.name]}", *read)
 
     def own_names(self, part: Part, scene: Scene) -> Iterable[tuple[str, ...]]:
         """Words of every name that its cards have besides its pins' nodes and ``LETTERname``.
@@ -380,16 +375,9 @@ class PartType(ABC):
         """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
         return ()
 
-    def speed(self, part: Part, scene: Scene) -> float | None:
-        """Speed [m/s] at which it lets things meet; displacement tolerances follow it."""
-        return None
-
-    def closeness(self, part: Part, scene: Scene) -> float:
-        """Factor, 1 or less, of ``solver.reltol`` that its motion needs."""
-        return 1.0
-
     def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
-        """What it does in time: a source's frequency and edges, a carrier, a contact."""
+        """What it does in time: a source's frequency and edges, a carrier, a contact; and how
+        close steps must follow it."""
         return ()
 
     def sampled(self, part: Part, build: Build) -> Sampled | None:
@@ -493,13 +481,10 @@ class PartType(ABC):
         """Effects that it has no model of."""
         return ()
 
-    def errors(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
-        """Errors of its model."""
-        return ()
 
-    def estimates(self, part: Part, scene: Scene) -> Iterable[ErrorRow]:
-        """Errors of its model that a computation must find; ``explain`` asks, a run does not."""
-        return ()
+def time_scales(scene: Scene) -> list[TimeScale]:
+    """What all parts of a scene do in time."""
+    return [row for part in scene.parts.values() for row in part.type.time_scales(part, scene)]
 
 
 _types: dict[str, PartType] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -13,6 +13,7 @@ from kc2spice.core.quantities import (
     Frequency,
     GateLength,
     GateTime,
+    Notch,
     Ratio,
     Section,
     Time,
@@ -24,8 +25,10 @@ Action = Literal["fail", "warn", "off"]
 class Rom(Section):
     """Reduction: a fixed order, or a tolerance over a band; the tolerance unless told."""
 
-    order: Count | None = Field(None, ge=1, le=2000, description="number of states")
-    tolerance: Ratio | None = Field(
+    order: Annotated[Count | None, Notch(2.0)] = Field(
+        None, ge=1, le=2000, description="number of states"
+    )
+    tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
         None,
         gt=0,
         lt=1,
@@ -61,14 +64,17 @@ class Rom(Section):
 class Solver(Section):
     """ngspice settings that are written into the deck."""
 
-    reltol: Ratio = Field(1e-4, gt=0, lt=1)
-    chgtol: Charge = Field(1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement")
+    # below 1e-7 ngspice's iterations end in rounding
+    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(1e-4, gt=0, lt=1)
+    chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
+        1e-8, gt=0, description="1 uC of a fast state is 1 um of displacement"
+    )
     trtol: Ratio = Field(1.0, ge=1, le=10, description="of ngspice: trust in the error estimate")
     ringing: Literal["followed", "coarse"] | None = Field(
         None, description="of bodies; coarse where only what they throw is asked for: fewer steps"
     )
     method: Literal["trap", "gear"] = "trap"
-    max_step: Time | None = Field(
+    max_step: Annotated[Time | None, Notch(0.5)] = Field(
         None, gt=0, description="largest; by what drives the scene and what resonates, see explain"
     )
     stop: Time = Field(5e-3, gt=0)

@@ -38,16 +38,13 @@ class Header:
 
 
 def plan_lines(found: Plan) -> str:
-    """What a deck models, what it leaves out and at what errors, as comment lines; no details."""
-    errors = [
-        f"{each.stage} {'not estimated' if each.expected is None else f'{each.expected:.2g}'}"
-        + ("" if each.share is None else f" of {each.share:.2g}")
-        for each in found.errors
-    ]
-    budget = "" if found.error_budget is None else f", error_budget {found.error_budget:g}"
+    """What a deck models, what it leaves out and its numerical settings, as comment lines."""
+    error = "not estimated" if found.error_budget is None else f"budget {found.error_budget:g}"
     facts = {
         "modelled": ", ".join(part.part for part in found.parts),
-        f"relative errors expected{budget}": ", ".join(errors),
+        f"numerical settings (error {error})": ", ".join(
+            f"{each.key} {each.value:g}" for each in found.settings
+        ),
         "left out (sizes: kc2spice explain)": "; ".join(each.effect for each in found.left_out),
     }
     lines = [f"{head}: {text}" for head, text in facts.items() if text]

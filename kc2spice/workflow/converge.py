@@ -1,18 +1,17 @@
 """The error of every metric, from runs of the same scene with its numerical settings refined.
 
-Every setting that trades time for error is an axis with one notch finer. A refined run moves all
-axes by a notch; what a metric changes by is its estimated error, times :data:`REMAINDER`. A scene
-with an ``error_budget`` goes along the axis with the largest share, which is what moving it alone
-changes, until the estimate holds for every metric, or says what it tried.
+A refined run moves all axes of the scene (:mod:`kc2spice.scene.axes`) by a notch; what a metric
+changes by is its estimated error, times :data:`REMAINDER`. A scene with an ``error_budget`` goes
+along the axis with the largest share, which is what moving it alone changes, until the estimate
+holds for every metric, or says what it tried.
 """
 
 from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,130 +19,43 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
+from kc2spice.scene.axes import Axis, axes, keys_at
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Scene
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-from kc2spice.scene.settings import Action, Rom
+from kc2spice.scene.settings import Action
 from kc2spice.sim.retries import Outcome
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.simulate import simulate
 
-MOST = 12  # runs besides the scene's own
+MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
-TENTH, HALF, MORE, WIDER = 0.1, 0.5, 1.5, 2.0  # one notch: of tolerances, steps, states, bands
-FINEST = 1e-7  # reltol: below it ngspice's iterations end in rounding
-# A notch leaves a third of an axis' error at most: the change is two thirds of the error at least.
-REMAINDER = 1.5
+# A notch leaves half of an axis' error at most, as corners of a mesh do; what a metric changes by
+# is the other half at least.
+REMAINDER = 2.0
+PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
 NEAR_ZERO = 0.1  # of the largest metric in its unit: what a small one is judged by
-SHRINKS = 0.8  # from one estimate to the next, or the axes do not converge
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A setting: its value today in words, and the scene one notch finer along it."""
-
-    name: str
-    today: str
-    finer: Callable[[Scene], Scene]
-
-
-def axes(build: Build) -> tuple[Axis, ...]:
-    """The settings of a scene that trade time for error."""
-    return tuple(_axes(build))
-
-
-def _axes(build: Build) -> Iterator[Axis]:
-    scene = build.scene
-    if scene.analysis.type == "transient":
-        step = None if build.largest is None else build.largest.step
-        now = scene.solver
-        words = f"reltol {now.reltol:g}, chgtol {now.chgtol:g}"
-        yield Axis(
-            "time steps", words if step is None else f"{words}, at most {step:.3g} s",
-            lambda s: _finer_steps(s, step),
-        )  # fmt: skip
-    elif scene.analysis.type == "ac":
-        yield Axis(
-            "frequencies",
-            f"{scene.analysis.points} points",
-            lambda s: _framed(s, "analysis", {"points": min(2 * s.analysis.points, 200_000)}),
-        )
-    reduced = [part for part in scene.parts.values() if part.type.reduced]
-    if reduced:
-        roms = {part.name: part.type.reduction(part, scene) for part in reduced}
-        words = ", ".join(f"{n}: {_target(rom)}" for n, rom in roms.items() if rom is not None)
-        yield Axis("reduction", words, lambda s: _finer_models(s, build))
-    for part in scene.parts.values():
-        key = part.type.lookup_key
-        if key is not None:
-            name, points = part.name, getattr(part.keys, key)
-            finer = partial(_finer_lookup, name=name, key=key)
-            yield Axis(f"lookup of {name}", f"{points} points", finer)
-
-
-def _target(rom: Rom) -> str:
-    return f"order {rom.order}" if rom.tolerance is None else f"tolerance {rom.tolerance:g}"
-
-
-def _framed(scene: Scene, section: str, values: Mapping[str, Any]) -> Scene:
-    table = getattr(scene.frame, section).model_copy(update=dict(values))
-    return replace(scene, frame=scene.frame.model_copy(update={section: table}))
-
-
-def _finer_steps(scene: Scene, derived: float | None) -> Scene:
-    now = scene.solver
-    step = now.max_step or derived
-    values: dict[str, Any] = {
-        "reltol": max(TENTH * now.reltol, min(FINEST, now.reltol)), "chgtol": TENTH * now.chgtol,
-        "ringing": "followed",
-    }  # fmt: skip
-    return _framed(scene, "solver", values | ({} if step is None else {"max_step": HALF * step}))
-
-
-def _finer_models(scene: Scene, build: Build) -> Scene:
-    timed = scene.analysis.type == "transient"
-    parts, frame = dict(scene.parts), scene.frame
-    for part in scene.parts.values():
-        rom = part.type.reduction(part, scene) if part.type.reduced else None
-        if rom is None:
-            continue
-        model = build.model(part)
-        certificate = getattr(model, "certificate", None)
-        own = "rom" in scene.frame.model_fields_set or getattr(part.keys, "rom", None) is not None
-        band = rom.band if own or certificate is None else certificate.band_hz
-        band = (band[0], WIDER * band[1]) if timed else band
-        if rom.tolerance is None:
-            finer = Rom(order=math.ceil(MORE * float(rom.order or 1)), band=band)
-        else:
-            finer = Rom(tolerance=max(TENTH * rom.tolerance, 1e-10), band=band)
-        follows = getattr(part.keys, "rom", None) is None and rom == scene.rom
-        if follows or not hasattr(part.keys, "rom"):
-            frame = frame.model_copy(update={"rom": finer})
-        else:
-            parts[part.name] = replace(part, keys=part.keys.model_copy(update={"rom": finer}))
-    return replace(scene, parts=parts, frame=frame)
-
-
-def _finer_lookup(scene: Scene, name: str, key: str) -> Scene:
-    part = scene.parts[name]
-    keys = part.keys.model_copy(update={key: 2 * getattr(part.keys, key) - 1})
-    return replace(scene, parts={**scene.parts, name: replace(part, keys=keys)})
-
-
-# --- runs and their differences -------------------------------------------------------------------
+SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axes do not converge
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A scene's run: what moved since the first, its metrics, the estimated error of each where a
-    refined run followed."""
+    """A scene's run, by how many notches its axes were moved, and the estimated error of each
+    metric where a refined run followed; ``unmoved`` are axes that this one could not move."""
 
-    moved: tuple[str, ...]
+    notches: Mapping[str, int]
+    settings: Mapping[str, Any]
     build: Build
     outcome: Outcome
-    errors: Mapping[str, float]
+    errors: Mapping[str, float] = field(default_factory=dict)
+    unmoved: tuple[str, ...] = ()
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Names of the axes that are finer than the scene's own."""
+        return tuple(name for name, count in self.notches.items() if count)
 
     @property
     def error(self) -> float:
@@ -153,15 +65,16 @@ class Tried:
     def record(self) -> dict[str, Any]:
         """Its row of ``result.json``."""
         return {
-            "finer": list(self.moved),
-            "settings": {axis.name: axis.today for axis in axes(self.build)},
+            "settings": dict(self.settings),
             "errors": {name: _plain(error) for name, error in self.errors.items()},
+            "unmoved": list(self.unmoved),
         }
 
 
 @dataclass(frozen=True)
 class Converged:
-    """The run that is taken, whether its estimate holds the budget, why not, and all estimates."""
+    """The run that is taken, whether its estimate holds the budget, why not, and all estimates;
+    ``shares`` are the errors of single axes."""
 
     taken: Tried
     check: Check
@@ -175,6 +88,7 @@ class Converged:
             "held": self.check.passed,
             "errors": {name: _plain(error) for name, error in self.taken.errors.items()},
             "shares": {name: _plain(error) for name, error in self.shares.items()},
+            "unmoved": list(self.taken.unmoved),
             "tried": [each.record() for each in self.tried],
         }
 
@@ -192,62 +106,113 @@ def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
     if action == "off":
         return None
-    limit, left = budget or LIMIT, MOST
-    now = Tried((), build, outcome, {})
+    limit = budget or LIMIT
+    found = axes(scene, build)
+    runs = _Runs(build, found, clock)
+    now = Tried({}, {}, build, outcome)
     tried: list[Tried] = []
     shares: dict[str, float] = {}
-    why, last = "", math.inf
+    why, last, stalls = "", math.inf, 0
     while True:
-        found = axes(now.build)
-        finer = _run(now, found, clock)
-        left -= 1
+        finer, unmoved = runs.finer(now)
         if finer is None:
             why = "a refined run failed"
+            now = tried[-1] if tried else now
             break
-        now = replace(now, errors=_differences(now, finer))
+        now = replace(now, errors=_differences(now, finer), unmoved=unmoved)
         tried.append(now)
         if now.error <= limit or budget is None:
             break
-        if now.error > SHRINKS * last:
+        stalls = stalls + 1 if now.error > SHRINKS * last else 0
+        if stalls == STALLS:
             why = f"the estimate does not shrink: {last:.2g}, then {now.error:.2g}"
-        last = now.error
-        if left < len(found) + 1:
-            why = why or f"{MOST} runs do not suffice"
             break
-        alone = {axis.name: _run(now, (axis,), clock) for axis in found} if len(found) > 1 else {}
-        left -= len(alone)
-        shares = {
-            name: max(_differences(now, each).values(), default=0.0)
-            for name, each in alone.items() if each is not None
-        }  # fmt: skip
-        best = max(shares, key=lambda name: shares[name], default="")
-        following = alone.get(best) or finer
-        now = replace(following, errors={})
+        last = now.error
+        best = _largest_share(runs, now, shares, limit)
+        if best is None or runs.left < 1:
+            why = f"{MOST} runs do not suffice" if runs.left < 1 else "nothing more to refine"
+            break
+        now = best
     told = f"raise error_budget, or refine what it was tried with ({why})" if why else "raise it"
     worst = max(now.errors, key=lambda name: now.errors[name], default="its metrics")
     check = Check(f"error of {worst}", now.error, limit, "relative, estimated", told, action)
     return Converged(now, check, tuple(tried), shares)
 
 
-def _run(now: Tried, moved: tuple[Axis, ...], clock: Clock) -> Tried | None:
-    """The scene with these axes a notch finer; None where that has no result."""
-    scene = now.build.scene
-    for axis in moved:
-        scene = axis.finer(scene)
-    names = tuple(axis.name for axis in moved)
-    try:
-        build = build_models(scene, clock, trust=now.build.trust, functions=now.build.functions)
-        with clock.stage("refined run", ", ".join(names)), tempfile.TemporaryDirectory() as folder:
-            outcome = simulate(build, make_deck(build), Path(folder))
-    except (SimulationError, UsageError):
-        return None
-    return Tried((*now.moved, *names), build, outcome, {})
+def _largest_share(runs: _Runs, now: Tried, shares: dict[str, float], limit: float) -> Tried | None:
+    """The run with the axis moved that changes the metrics most, by several notches where the
+    ``limit`` is far. ``shares`` are kept up to date: of axes that were not moved since, they stand.
+    """
+    alone: dict[str, Tried] = {}
+    for axis in runs.found:
+        if axis.name in shares or axis.name in now.unmoved:
+            continue
+        one = runs.run(now, (axis,))
+        if one is not None:
+            alone[axis.name] = one
+            shares[axis.name] = max(_differences(now, one).values(), default=0.0)
+    for name in sorted(shares, key=lambda name: shares[name], reverse=True):
+        axis = next(axis for axis in runs.found if axis.name == name)
+        far = math.log(max(shares[name] / limit, 1.0)) / math.log(PER_NOTCH)
+        notches = _with_room(axis, now.notches.get(name, 0), min(max(int(far), 1), FARTHEST))
+        if not notches:
+            return None  # at its finest: what else is refined leaves its error
+        near = alone.get(name) if notches == 1 else None
+        following = near or runs.run(now, (axis,), notches)
+        if following is not None:
+            del shares[name]
+            return following
+    return None
+
+
+def _with_room(axis: Axis, now: int, most: int) -> int:
+    """By how many notches an axis can move so that one more would still change it."""
+    return next((n for n in range(most, 0, -1) if axis.at(now + n) != axis.at(now + n + 1)), 0)
+
+
+class _Runs:
+    """Runs of a scene with axes moved, as many as are left."""
+
+    def __init__(self, build: Build, found: Sequence[Axis], clock: Clock) -> None:
+        self.build, self.found, self.clock, self.left = build, found, clock, MOST
+
+    def finer(self, now: Tried) -> tuple[Tried | None, tuple[str, ...]]:
+        """All axes a notch finer; without those of meshes where that is too much for the machine,
+        and the names of these."""
+        one = self.run(now, self.found)
+        meshes = tuple(axis.name for axis in self.found if axis.model)
+        if one is not None or not meshes:
+            return one, ()
+        rest = [axis for axis in self.found if not axis.model]
+        return (self.run(now, rest) if rest else None), meshes
+
+    def run(self, now: Tried, moved: Sequence[Axis], by: int = 1) -> Tried | None:
+        """``now`` with these axes ``by`` notches finer; None where that has no result."""
+        self.left -= 1
+        if self.left < 0:
+            return None
+        notches = {**now.notches, **{a.name: now.notches.get(a.name, 0) + by for a in moved}}
+        settings, names = keys_at(self.found, notches), ", ".join(axis.name for axis in moved)
+        own = self.build
+        try:
+            scene = load_scene(own.scene, settings)
+            build = build_models(scene, self.clock, trust=own.trust, functions=own.functions)
+            with (
+                self.clock.stage("refined run", names),
+                tempfile.TemporaryDirectory() as folder,
+            ):
+                outcome = simulate(build, make_deck(build), Path(folder))
+        except (SimulationError, UsageError):
+            return None
+        return Tried(notches, settings, build, outcome)
 
 
 def _differences(one: Tried, other: Tried) -> dict[str, float]:
     """Estimated relative error of each metric of ``one``; a curve's is of its largest value, that
-    of a small number of :data:`NEAR_ZERO` of the largest in its unit."""
+    of a small number of :data:`NEAR_ZERO` of the largest in its unit. A curve over other points of
+    an analysis is interpolated to those of ``one``."""
     ours, theirs = (dict(_numbers(metrics(t.outcome.waves, t.build))) for t in (one, other))
+    scales = [next(iter(t.outcome.waves.data.values())).real for t in (one, other)]
     largest: dict[str, float] = {}
     for name, value in theirs.items():
         unit = name.rpartition("_")[2]
@@ -255,8 +220,10 @@ def _differences(one: Tried, other: Tried) -> dict[str, float]:
     found = {}
     for name, value in theirs.items():
         mine = ours.get(name)
+        if mine is not None and value.shape == scales[1].shape and mine.shape == scales[0].shape:
+            value = np.interp(scales[0], scales[1], value)
         if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
-            found[name] = math.inf if value.shape == () else 0.0  # curves over other points
+            found[name] = math.inf
             continue
         scale = max(float(np.abs(value).max()), NEAR_ZERO * largest[name.rpartition("_")[2]])
         apart = float(np.abs(mine - value).max())

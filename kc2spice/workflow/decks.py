@@ -24,11 +24,12 @@ from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Vector
+from kc2spice.scene.parttype import Build, Vector, time_scales
 from kc2spice.scene.plan import plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, without_equilibrium
 from kc2spice.spice.header import Header, plan_lines
+from kc2spice.workflow.meters import meter_vectors, powers
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
@@ -48,11 +49,14 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     parts = tuple(_libraries(build, header))
     results = result_vectors(build)
+    watts = powers(build, results)
     for name, probe in scene.probes.items():
-        if "." in probe.of and probe.of not in results:  # without a dot: time, frequency
+        known = {*results, *watts}
+        if "." in probe.of and probe.of not in known:  # without a dot: time, frequency
             raise UsageError(
                 "no such vector", where=f"probes.{name}.of", got=repr(probe.of),
-                expected="one of " + ", ".join(results), hint=did_you_mean(probe.of, results),
+                expected="PART.current, PART.PIN.current or PART.power of a part with electrical "
+                "pins, or one of " + ", ".join(results), hint=did_you_mean(probe.of, known),
             )  # fmt: skip
     return Deck(
         name=scene.name,
@@ -63,7 +67,7 @@ def make_deck(build: Build) -> Deck:
         options=tuple(_options(build)),
         command=_command(build),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
-        units={name: v.unit for name, v in results.items()},
+        units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build),
         controlled=any(part.type.controls for part in scene.parts.values()),
@@ -230,6 +234,7 @@ def result_vectors(build: Build) -> dict[str, Vector]:
     for part in build.scene.parts.values():
         if part.name not in replaced:
             found |= part.type.vectors(part, build)
+    found |= meter_vectors(build, found)
     if build.scene.analysis.type == "ac":
         return {name: each for name, each in found.items() if "@" not in each.expression}
     return found
@@ -258,11 +263,9 @@ def _options(build: Build) -> Iterable[Option]:
     ]
     if scene.analysis.type != "transient":
         return own
-    solver = scene.solver
-    speeds = [s for p in scene.parts.values() if (s := p.type.speed(p, scene)) is not None]
-    # Displacements shrink with the speed of an impact, and so does what a step may miss.
-    chgtol = solver.chgtol * min(1.0, *speeds) if speeds else solver.chgtol
-    reltol = solver.reltol * min(p.type.closeness(p, scene) for p in scene.parts.values())
+    solver, rows = scene.solver, time_scales(scene)
+    reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
+    chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
     return [
         Option("reltol", number(reltol), "relative error of a time step"),
         Option(
@@ -298,7 +301,9 @@ def _command(build: Build) -> Command:
         step = (build.largest or largest_step(build)).step
         return transient(scene.stop, step, uic=uic)
     if chosen.type == "ac":
-        return ac(chosen.start, float(chosen.stop or 0.0), chosen.points, chosen.scale)
+        # of two linear points ngspice gives the first alone
+        points = 3 if (chosen.points, chosen.scale) == (2, "linear") else chosen.points
+        return ac(chosen.start, float(chosen.stop or 0.0), points, chosen.scale)
     if chosen.type == "op":
         return Command("op", ())
     part, key, first, last = swept(scene)

@@ -86,6 +86,8 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
         return float(values[-1])
     if probe.take == "peak_to_peak":
         return float(np.ptp(values))
+    if probe.take == "mean":
+        return float(np.trapezoid(values, scale) / np.ptp(scale))
     if probe.take == "rms":
         return float(np.sqrt(np.trapezoid(values**2, scale) / np.ptp(scale)))
     if probe.take == "frequency":

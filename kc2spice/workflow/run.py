@@ -145,7 +145,7 @@ def _judged(
         return build, outcome, None
     taken = found.taken
     if taken.moved:
-        told = ", ".join(dict.fromkeys(taken.moved))
+        told = ", ".join(taken.moved)
         warnings.warn(
             f"error_budget {found.check.limit:g}: finer {told}; the deck and models are those",
             stacklevel=2,
@@ -306,7 +306,7 @@ def run_record(done: Completed) -> dict[str, Any]:
         "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
         "checks": [check.record() for check in found.checks],
         "energy_j": {name: balance.entries for name, balance in found.balances},
-        "plan": asdict(plan(build.scene)),
+        "plan": asdict(plan(build.scene, build)),
         "wall_s": done.clock.wall_s,
     }
     return record

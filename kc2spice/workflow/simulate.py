@@ -17,7 +17,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check, Verdict
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.retries import Outcome, RetriesFailedError, run_with_retries
+from kc2spice.workflow.decks import result_vectors
 from kc2spice.workflow.judge import verdict
+from kc2spice.workflow.meters import powers, with_powers
 from kc2spice.workflow.results import save_arrays, write_record
 
 PARTIAL = "waveforms.partial.npz"
@@ -58,7 +60,7 @@ def simulate(
 
         return run_shared(tried, sampled, progress)
 
-    return run_with_retries(
+    found = run_with_retries(
         deck,
         directory,
         retries=build.scene.solver.retries if retries is None else retries,
@@ -67,6 +69,8 @@ def simulate(
         progress=progress,
         timeout=timeout,
     )
+    pairs = powers(build, result_vectors(build))
+    return replace(found, waves=with_powers(found.waves, pairs))
 
 
 def warn_of(checks: Iterable[Check]) -> None:

@@ -20,8 +20,7 @@ from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.judge import Check
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build, StepLimit, TimeScale, Vector
+from kc2spice.scene.parttype import Build, StepLimit, Vector, time_scales
 
 if TYPE_CHECKING:
     from kc2spice.reference.linear import Motion
@@ -65,11 +64,6 @@ def largest_step(build: Build) -> StepLimit:
     rule = RULES[scene.solver.method]
     limits = [follows(motion, start, rule) for motion in motions]
     return min([start, *limits], key=lambda limit: limit.step)
-
-
-def time_scales(scene: Scene) -> list[TimeScale]:
-    """What all parts of a scene do in time."""
-    return [row for part in scene.parts.values() for row in part.type.time_scales(part, scene)]
 
 
 def _motions(build: Build) -> tuple[list[Motion], bool]:

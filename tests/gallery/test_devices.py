@@ -13,9 +13,10 @@ import meshio
 import numpy as np
 import pytest
 
+import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.plan import plan
 from kc2spice.workflow.run import run
 from kc2spice.workflow.verify.verify import verify
 
@@ -296,14 +297,11 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     assert pins == ["anode", "cathode", "tip", "base", "ground"]
 
 
-def test_explain_states_the_mesh_error_of_a_body():
-    rows = plan(load_scene("buzzer_7bb_20_6", []), estimate=True).errors
-    row = next(row for row in rows if row.stage == "mesh of disc")
-    assert row.settings == "resonance short"
-    assert 0 < row.expected < 0.01
-    assert not any(
-        row.stage == "mesh of disc" for row in plan(load_scene("buzzer_7bb_20_6", [])).errors
-    )
+def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
+    (axis,) = (a for a in axes(load_scene("buzzer_7bb_20_6")) if a.name == "disc.mesh.refine")
+    models = [kc.build(load_scene("buzzer_7bb_20_6", axis.at(n)))["disc"] for n in (0, 1)]
+    coarse, fine = (model.facts["resonance_short_hz"] for model in models)
+    assert 0 < abs(coarse / fine - 1) < 0.01
 
 
 def test_a_device_is_verified(tmp_path):

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.bench import plane
 from kc2spice.workflow.bench.evaluate import Run
@@ -18,7 +19,7 @@ def simulator(scene, *, trust=False):
     value = 1.0 + reltol - 3e-3 / order
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
-    return Run({"speed": np.asarray(value), **rest}, cost, transient=True, deck=None)
+    return Run({"speed": np.asarray(value), **rest}, cost, axes(scene), deck=None)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -33,10 +34,7 @@ def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plane, "evaluate", simulator)
-        record = plane.bench(
-            lambda more: load_scene("impact", ["bench.metric=[]", *more]), out, error=1e-4,
-            repeats=2,
-        )  # fmt: skip
+        record = plane.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
     return record, out
 
 
@@ -77,6 +75,16 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
     feasible = [p for p in record["points"] if max(p["error"], p["bound"]) <= 1e-4]
     assert best["time_s"] <= 1.05 * min(p["time_s"] for p in feasible)
     assert best["set"][::2] == ["--set"] * len(best["settings"])
+
+
+def test_recommended_settings_load_again_and_the_reference_is_finer(record):
+    best, finest = record["recommended"], record["reference"]["settings"]
+    scene = load_scene("impact", best["set"][1::2])
+    for key, value in best["settings"].items():
+        section, name = key.split(".")
+        assert getattr(getattr(scene, section), name) == value
+    assert finest["solver.reltol"] < 1e-5
+    assert finest["rom.order"] > 60
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):

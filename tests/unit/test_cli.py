@@ -210,11 +210,13 @@ def test_the_shell_offers_commands_and_scenes():
 
 
 def test_explain(cli):
-    text = cli("explain", "kick_and_catch").stdout
+    text = cli("explain", "impact").stdout
     assert "left out" in text
     assert "anode" in text
     assert max(map(len, text.splitlines())) <= 80
+    assert "rom.order        30      not estimated" in text
     found = json.loads(cli("explain", "impact", "--json").stdout)
+    assert {"key": "rom.order", "value": 30, "error": None} in found["settings"]
     assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 

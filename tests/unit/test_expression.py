@@ -4,14 +4,7 @@ import operator
 
 import pytest
 
-from kc2spice.netlist.expression import (
-    Binary,
-    Choice,
-    Number,
-    Unary,
-    Writer,
-    parse,
-)
+from kc2spice.netlist.expression import Binary, Choice, Number, Unary, Writer, parse
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,

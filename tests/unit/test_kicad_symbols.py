@@ -1,4 +1,4 @@
-"""KiCad symbols: pins meet their drawings, marks stand at their pins, text is an S-expression."""
+"""KiCad symbols: how a part is simulated, and where pins and words are."""
 
 import re
 

@@ -5,16 +5,8 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import (
-    Certificate,
-    LinearModel,
-    Port,
-    with_potentials,
-)  # fmt: skip
-from kc2spice.rom.operators import (
-    factor,
-    two_sided,
-)  # fmt: skip
+from kc2spice.rom.linear import Certificate, LinearModel, Port, with_potentials
+from kc2spice.rom.operators import factor, two_sided
 from kc2spice.rom.pencil import Pencil, eliminated
 from kc2spice.rom.response import Response
 
@@ -242,16 +234,6 @@ def test_a_response_is_that_of_the_matrices(form, n):
     np.testing.assert_allclose(
         pencil.C @ response.states(s) + pencil.D, exact, rtol=1e-8, atol=1e-10
     )
-
-
-def test_a_defective_model_is_not_taken_apart():
-    """A chain of equal first-order lags has one eigenvector; that of a free mass has two poles."""
-    n = 14
-    lags = Pencil((np.eye(n) - np.eye(n, k=1), np.eye(n)), np.eye(n)[:, [-1]], np.eye(n)[[0]],
-                  np.zeros((1, 1)))  # fmt: skip
-    response = Response(lags)
-    assert response.modes is None
-    np.testing.assert_allclose(response.transfer(np.array([1j]))[0, 0, 0], (1 + 1j) ** -n)
 
 
 def test_a_pole_among_the_frequencies_is_an_error():

@@ -15,19 +15,15 @@ from kc2spice.rom.massless import without_inertia
 from kc2spice.rom.modal import Resonators, resonators
 
 RNG = np.random.default_rng(12)
-TIP, TURN, ANODE, BASE = (
-    Port(kind[:4], kind) for kind in ("mechanical", "rotational", "electrical", "acceleration")
-)
+TIP = Port("mech", "mechanical")
 CERTIFICATE = Certificate((0.0, 1.0), 1e-6, "told", True, True)
 
 
-def modes(hertz, gain, ports=(TIP,), *, ratio=0.05, D=None, massless=0, pace=None):
-    """Resonators at ``hertz``; damped by ``ratio``, or with ``damp = pace omega^2``."""
+def modes(hertz, gain, *, ratio):
+    """Resonators at ``hertz`` with one port."""
     omega = 2 * np.pi * np.asarray(hertz, dtype=float)
-    damp = 2 * ratio * omega if pace is None else pace * omega**2
-    gain = np.asarray(gain, dtype=float).reshape(omega.size, len(ports))
-    D = np.zeros((len(ports),) * 2) if D is None else D
-    return Resonators(omega, damp, gain, D, tuple(ports), CERTIFICATE, massless)
+    gain = np.asarray(gain, dtype=float)[:, None]
+    return Resonators(omega, 2 * ratio * omega, gain, np.zeros((1, 1)), (TIP,), CERTIFICATE)
 
 
 # ---------------------------------------------------------------------------------- resonators

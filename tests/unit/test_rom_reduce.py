@@ -1,4 +1,4 @@
-"""Steps of a reduction by themselves: which order, which directions, how far a basis reaches."""
+"""Reductions: what may be asked for, what is proven, and how far a certificate reaches."""
 
 import warnings
 
@@ -12,10 +12,7 @@ from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.structure import semidefinite, structure
-from kc2spice.rom.subspace import (
-    FLOOR,
-    subspace,
-)  # fmt: skip
+from kc2spice.rom.subspace import FLOOR, subspace
 
 
 def chain(n, dashpot=0.0, rayleighed=False, **more):

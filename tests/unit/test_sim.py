@@ -1,4 +1,4 @@
-"""What is made of a simulator's words, files and failures, without running one."""
+"""What is made of a simulator's words, files and failures, with a program in its place."""
 
 import os
 import struct

@@ -14,14 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.report.sweep_page import yields
 from kc2spice.workflow.sweep.plan import Grid, make_plan
 from kc2spice.workflow.sweep.point import Outcome
-from kc2spice.workflow.sweep.table import (
-    BAD,
-    INTERRUPTED,
-    MISSING,
-    RowStore,
-    columns,
-    write_csv,
-)
+from kc2spice.workflow.sweep.table import BAD, INTERRUPTED, MISSING, RowStore, columns, write_csv
 
 PLAN = make_plan([Grid("a", tuple(0.1 * k for k in range(6)))])
 

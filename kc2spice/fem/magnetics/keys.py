@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Count, FluxDensity, Length, Ratio, Resistivity, Section
+from kc2spice.core.quantities import Count, FluxDensity, Length, Notch, Ratio, Resistivity, Section
 
 
 class Ring(Section):
@@ -37,6 +37,8 @@ class Catch(Section):
     shift: Length = Field(
         0.0, gt=-1e-3, lt=1e-3, description="of ring, coils and table upwards: mounting error"
     )
-    positions: Count = Field(41, ge=4, le=2001)
-    points: Count = Field(201, ge=21, le=2001, description="of the force lookup in the netlist")
+    positions: Annotated[Count, Notch(2.0, spaces=True, model=True)] = Field(41, ge=4, le=2001)
+    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
+        201, ge=21, le=2001, description="of the force lookup in the netlist"
+    )
     refine: Count = Field(1, ge=1, le=8)

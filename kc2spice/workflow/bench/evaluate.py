@@ -15,6 +15,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.deck import Deck
+from kc2spice.scene.axes import Axis, axes
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -26,12 +27,12 @@ from kc2spice.workflow.simulate import simulate
 @dataclass(frozen=True)
 class Run:
     """``values`` of the metrics by dotted name, arrays of any shape; CPU seconds of the simulator
-    process; whether it stepped through time; the deck.
+    process; the axes of the scene; the deck.
     """
 
     values: dict[str, np.ndarray]
     cpu_s: float
-    transient: bool
+    axes: tuple[Axis, ...]
     deck: Deck
 
 
@@ -49,7 +50,8 @@ def evaluate(scene: Scene, *, trust: bool = False) -> Run:
         begin = _children_cpu()
         result = simulate(build, deck, Path(folder), retries=0)
         spent = _children_cpu() - begin
-    return Run(dict(_flat("", metrics(result.waves, build))), spent, deck.stop is not None, deck)
+    values = dict(_flat("", metrics(result.waves, build)))
+    return Run(values, spent, axes(scene, build), deck)
 
 
 def time_again(run: Run) -> float:

@@ -19,7 +19,7 @@ settings only those that may beat it are run again for their time.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,14 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Progress, silent
 from kc2spice.report.bench_page import write_bench
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.bench.axes import (
-    Axis,
+    Line,
     Place,
-    axes,
     label,
+    lines,
     neighbours,
     next_to_own,
     overrides,
@@ -58,8 +59,6 @@ CLEAR = 1.25  # ratio of times from which on a setting is quicker than the scene
 START = 5e-3  # s by which it is quicker at least: start-ups of the simulator vary by as much
 EXACT = 2.0  # ratio of errors from which on it is more exact
 NEGLIGIBLE = 1e-6  # smaller errors are equal: no device is known so well
-
-Load = Callable[[Sequence[str]], Scene]  # the scene with some KEY=VALUE on top of it
 
 
 @dataclass
@@ -94,10 +93,10 @@ class Plane:
     is, among the settings next to it.
     """
 
-    load: Load
+    scene: Scene
     limit: float | None
     trust: bool
-    found: tuple[Axis, ...] = ()
+    found: tuple[Line, ...] = ()
     wanted: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     check: dict[str, float] = field(default_factory=dict)
@@ -110,7 +109,8 @@ class Plane:
         """The scene with ``values``, run once."""
         name = label(values)
         if name not in self.runs:
-            self.runs[name] = evaluate(self.load(overrides(values)), trust=self.trust)
+            scene = load_scene(self.scene, dict(values))
+            self.runs[name] = evaluate(scene, trust=self.trust)
         return self.runs[name]
 
     @property
@@ -187,7 +187,7 @@ class Plane:
 
 
 def bench(
-    load: Load,
+    scene: Scene,
     out: Path,
     *,
     error: float | None = ERROR,
@@ -196,32 +196,30 @@ def bench(
     trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Measure the plane of the scene that ``load`` gives and write ``bench.json``, ``bench.html``
-    into ``out``; return the record. Parameters and errors: see :func:`search`.
+    """Measure the plane of ``scene`` and write ``bench.json``, ``bench.html`` into ``out``; return
+    the record. Parameters and errors: see :func:`search`.
     """
     with staged(out) as work:
-        plane = search(load, error=error, metric=metric, trust=trust, progress=progress)
+        plane = search(scene, error=error, metric=metric, trust=trust, progress=progress)
         record = measure(plane, repeats, progress)
-        scene = load([])
         write_bench(work, scene.title or scene.name, record)
         write_record(record, work, "bench.json")
     return record
 
 
 def search(
-    load: Load,
+    scene: Scene,
     *,
     error: float | None = ERROR,
     metric: Sequence[str] = (),
     trust: bool = False,
     progress: Progress = silent,
 ) -> Plane:
-    """Run the settings of the scene that ``load`` gives, once each.
+    """Run the settings of ``scene``, once each.
 
-    ``load([])`` is the scene, ``load(["KEY=VALUE", ...])`` the scene with other settings. The error
-    of a setting is the largest relative one of the metrics ``metric``, else of those that the
-    scene's ``bench.metric`` names, else of all scalars that converge. ``error`` None asks for the
-    place of the scene among the settings next to its own.
+    The error of a setting is the largest relative one of the metrics ``metric``, else of those that
+    the scene's ``bench.metric`` names, else of all scalars that converge. ``error`` None asks for
+    the place of the scene among the settings next to its own.
 
     Raises
     ------
@@ -230,10 +228,10 @@ def search(
     MissingToolError : no ngspice.
     """
     find_ngspice()
-    scene, plane = load([]), Plane(load, error, trust)
+    plane = Plane(scene, error, trust)
     progress("models", None, "the scene as it is")
     own = plane.run({})
-    found = axes(scene, transient=own.transient)
+    found = lines(own.axes)
     if not found:
         raise UsageError("has no setting that trades time for error", where=f"bench {scene.name}")
     plane.found = found if error is not None else next_to_own(found)
@@ -259,7 +257,7 @@ def search(
 def measure(plane: Plane, repeats: int, progress: Progress = silent) -> dict[str, Any]:
     """The record of a searched plane, after ``repeats`` rounds over its settings for their time."""
     _time(plane, repeats, progress)
-    simulator, scene = find_ngspice(), plane.load([])
+    simulator, scene = find_ngspice(), plane.scene
     record = {
         "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
         "limit": _limit(plane), "repeats": repeats, "metrics": plane.names,
@@ -289,7 +287,7 @@ def _present(names: Sequence[str], exact: Run, *others: Run) -> list[str]:
     ]  # fmt: skip
 
 
-def _estimate(own: Run, found: Sequence[Axis]) -> str:
+def _estimate(own: Run, found: Sequence[Line]) -> str:
     """How long it will take, told from one run: finer settings cost more, coarser ones less."""
     points = sum(len(axis.values) for axis in found) + 6 * len(found)
     overhead, reductions = 0.3, 20.0  # s a run for netlist, files and checks; s for new models
@@ -358,14 +356,15 @@ def _is_rival(point: _Point, plane: Plane) -> bool:
     return point.guarded <= plane.own.guarded and point.time <= NEARBY * plane.own.time
 
 
+def _beats(one: _Point, other: _Point) -> bool:
+    """Whether ``one`` is better in error or time, and not worse in the other."""
+    ours, theirs = (one.error, one.time), (other.error, other.time)
+    return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
+
+
 def _choice(plane: Plane) -> dict[str, Any]:
     """Points, front, recommendation and the scene's place as they are recorded."""
     points = sorted(plane.points.values(), key=lambda point: point.time)
-    front, least = set(), float("inf")
-    for point in points:
-        if point.error < least:
-            front.add(point.place)
-            least = point.error
     best, most = plane.cheapest(_limit(plane)), len(plane.own.times)
     rows = [
         {
@@ -374,7 +373,7 @@ def _choice(plane: Plane) -> dict[str, Any]:
             "error": p.error,
             "bound": p.bound,
             "time_s": p.time,
-            "front": p.place in front,
+            "front": not any(_beats(other, p) for other in points),
             "own": p is plane.own,
             "errors": p.errors,
             "time_low_s": min(p.times),

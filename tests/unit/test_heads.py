@@ -1,4 +1,4 @@
-"""A deck as data: analyses, options, vectors; heads of libraries."""
+"""Heads of libraries and decks: signs, units, ranges, bounds, what is left out."""
 
 import math
 from dataclasses import replace
@@ -7,11 +7,9 @@ import pytest
 
 from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.linear import Certificate
-from kc2spice.scene.parttype import ErrorRow, LeftOut, Modelled
-from kc2spice.scene.plan import Plan
+from kc2spice.scene.parttype import LeftOut, Modelled
+from kc2spice.scene.plan import Plan, Setting
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
-
-# --------------------------------------------------------------------------------- libraries
 
 
 @pytest.mark.parametrize(
@@ -60,15 +58,16 @@ def test_the_head_of_a_library():
 
 def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
     parts = (Modelled("chip", "", ""), Modelled("ball", "", ""))
-    errors = (ErrorRow("mesh", None, 1.234e-3, "", ""), ErrorRow("steps", 0.01, None, "", ""))
-    found = Plan(parts, (), (LeftOut("heat", "", ""), LeftOut("air\n.exec", "", "")), 0.05, errors)
+    settings = (Setting("rom.order", 30, None), Setting("solver.reltol", 1e-4, None))
+    left = (LeftOut("heat", "", ""), LeftOut("air\n.exec", "", ""))
+    found = Plan(parts, (), left, 0.05, settings)
     assert plan_lines(found).splitlines() == [
         "* modelled: chip, ball",
-        "* relative errors expected, error_budget 0.05: mesh 0.0012, steps not estimated of 0.01",
+        "* numerical settings (error budget 0.05): rom.order 30, solver.reltol 0.0001",
         "* left out (sizes: kc2spice explain): heat; air .exec",
     ]
     short = plan_lines(replace(found, error_budget=None, left_out=()))
-    assert short.splitlines()[1].startswith("* relative errors expected: mesh")
+    assert short.splitlines()[1].startswith("* numerical settings (error not estimated): rom")
     assert "left out" not in short
     long = plan_lines(Plan((), (), (LeftOut("xx" + 200 * " x", "", ""),), None, ())).splitlines()
     assert [len(line) for line in long[:-1]] == [98, 97, 97, 97]  # an even number, an odd one

@@ -1,0 +1,66 @@
+"""Currents and powers that probes ask for, of every part with electrical pins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.compose import electrical, metered
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import Build, Vector
+
+Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
+
+
+def meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
+    """Results ``PART.PIN.current`` [A], into the part, and ``PART.PIN.potential`` [V] of pins with
+    a meter, and ``PART.current``, that of the first pin."""
+    found: dict[str, Vector] = {}
+    for name, pin in metered(build.scene):
+        part = build.scene.parts[name]
+        read = Vector(f"i({build.meter(part, pin)})", 1.0, "A")
+        found[f"{name}.{pin}.current"] = read
+        found[f"{name}.{pin}.potential"] = Vector(f"v({build.net(part, pin)})", 1.0, "V")
+        if pin == electrical(part, build.scene)[0]:
+            found[f"{name}.current"] = read
+    for part in _asked(build, "current"):
+        if f"{part.name}.i" in known:  # of an element, under the name that bodies have it
+            found.setdefault(f"{part.name}.current", known[f"{part.name}.i"])
+    return {name: vector for name, vector in found.items() if name not in known}
+
+
+def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
+    """``PART.power`` [W] that probes ask for, by what it is the sum of: all that goes into a
+    part, and what a source gives."""
+    found: dict[str, Pairs] = {}
+    for part in _asked(build, "power"):
+        n = part.name
+        pairs = tuple((f"{n}.{pin}.potential", f"{n}.{pin}.current")
+                      for pin in electrical(part, build.scene))  # fmt: skip
+        if not pairs or not all(i in known for _, i in pairs):
+            pairs = ((f"{n}.v", f"{n}.i"),)
+        if all(each in known for pair in pairs for each in pair):
+            found[f"{n}.power"] = pairs
+    return found
+
+
+def with_powers(waves: Waveforms, pairs: Mapping[str, Pairs]) -> Waveforms:
+    """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
+
+    def power(v: np.ndarray, i: np.ndarray) -> np.ndarray:
+        return (v * i.conj()).real / 2 if np.iscomplexobj(v) else v * i
+
+    found = {
+        name: np.asarray(sum(power(waves[v], waves[i]) for v, i in each))
+        for name, each in pairs.items()
+    }
+    return replace(waves, data={**waves.data, **found})
+
+
+def _asked(build: Build, what: str) -> list[Part]:
+    names = dict.fromkeys(p.of.partition(".")[0] for p in build.scene.probes.values()
+                          if p.of.partition(".")[2] == what)  # fmt: skip
+    return [build.scene.parts[name] for name in names if name in build.scene.parts]

@@ -1,0 +1,111 @@
+"""Currents and powers that probes ask for, whatever drives a device."""
+
+import numpy as np
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+
+OWN = """.subckt own in out ref
+Ebuffer mid ref in ref 1
+Rout mid last 100
+Xlast last out tail
+.ends
+.subckt tail a b
+Rtail a b 50
+.ends
+"""
+LOAD, DEVICE = 1e3, 20e-9  # Ohm, F
+PROBES = {
+    "total": "own.power", "load": "load.power", "device": "device.power",
+    "out": "own.out.current", "into": "device.current", "inner": "own.i(Rout)",
+    "nested": "own.i(xlast.rtail)", "branch": "own.i(ebuffer)", "same": "load.current",
+}  # fmt: skip
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A user's amplifier on a resistor and on a capacitor out of matrices."""
+    (tmp_path / "own.lib").write_text(OWN)
+    np.savez(tmp_path / "device.npz", M=[[1e-9]], E=[[1e-3]], K=[[1e6]], B=[[1e-12]], C=[[1e-12]],
+             D=[[DEVICE]])  # fmt: skip
+    (tmp_path / "device.toml").write_text(
+        '[[ports]]\nname = "anode"\nkind = "electrical"\ncolumn = 1\n'
+    )
+
+    def made(analysis, drive, probes=PROBES, more=""):
+        text = (
+            f'name = "meters"\n[drive]\npart = "source"\n{drive}\n'
+            '[own]\npart = "netlist"\nfile = "own.lib"\nsubckt = "own"\n'
+            'pins = { in = "drive.out", out = "load.a" }\n'
+            f'[load]\npart = "resistor"\nresistance = {LOAD}\n{more}'
+            '[device]\npart = "matrices"\nfile = "device.npz"\npins = { anode = "own.out" }\n'
+            f"[analysis]\n{analysis}\n[probes]\n"
+            + "".join(f'{k} = {{ of = "{v}", take = "final" }}\n' for k, v in probes.items())
+        )
+        (tmp_path / "meters.toml").write_text(text)
+        return tmp_path / "meters.toml"
+
+    return made
+
+
+def test_mean_powers_and_currents_at_a_frequency(scene):
+    f = 2e4
+    analysis = f"type='ac'\nstart={f}\nstop={2 * f}\npoints=2\nscale='linear'"
+    probes = {k: v for k, v in PROBES.items() if k not in ("inner", "nested", "same")}
+    found = kc.run(scene(analysis, "ac = 1.0", probes))
+    s = 2j * np.pi * 2 * f
+    admittance = 1 / LOAD + s * DEVICE
+    current = 1 / (150 + 1 / admittance)
+    volts = current / admittance
+    metrics = found.metrics
+    assert metrics["load"] == pytest.approx(abs(volts) ** 2 / 2 / LOAD, rel=1e-6)
+    assert metrics["device"] == pytest.approx(0.0, abs=1e-6 * metrics["load"])
+    assert metrics["total"] == pytest.approx(-metrics["load"], rel=1e-5)
+    assert metrics["out"] == pytest.approx(abs(current), rel=1e-6)
+    assert metrics["branch"] == pytest.approx(abs(current), rel=1e-6)
+    assert metrics["into"] == pytest.approx(abs(s * DEVICE * volts), rel=1e-6)
+    with pytest.raises(UsageError, match="small-signal"):
+        kc.deck(scene(analysis, "ac = 1.0"))
+
+
+def test_powers_and_currents_over_time(scene, tmp_path):
+    """The end of a charge: what flows then is what the load takes."""
+    found = kc.run(
+        scene("type='transient'\nstop=1e-3", "pulse = { high = 10, width = 1, edge = 1e-4 }")
+    )
+    metrics, volts = found.metrics, 10 * LOAD / (LOAD + 150)
+    for name in ("inner", "nested", "same"):
+        assert metrics[name] == pytest.approx(volts / LOAD, rel=1e-4)
+    assert metrics["out"] == pytest.approx(-volts / LOAD, rel=1e-4)
+    assert metrics["load"] == pytest.approx(volts**2 / LOAD, rel=1e-4)
+    waves = found.waves
+    t, taken = waves["time"], waves["device.power"]
+    stored = np.trapezoid(taken, t)
+    assert stored == pytest.approx(DEVICE * volts**2 / 2, rel=5e-3)
+
+
+def text(deck):
+    return "\n".join(deck.files.values())
+
+
+def test_a_scene_that_asks_for_nothing_has_no_meter(scene, tmp_path):
+    analysis, drive = "type='transient'\nstop=1e-5", "dc = 1.0"
+    plain = text(kc.deck(scene(analysis, drive, probes={})))
+    assert "_meter" not in plain
+    assert text(kc.deck(scene(analysis, drive))).count("_meter") > 0
+
+
+def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):
+    more = (
+        '[device_anode_meter]\npart = "source"\ndc = 1.0\n'
+        'pins = { out = "other.a" }\n[other]\npart = "resistor"\nresistance = 1.0\n'
+    )
+    found = kc.run(scene("type='op'", "dc = 1.0", more=more))
+    assert found.metrics["total"] == pytest.approx(-((1 / 1150) ** 2) * LOAD, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["own.i(Rnone)", "own.none", "drive.none.current", "load.b.power"])
+def test_what_no_part_has_is_refused_before_a_run(scene, name):
+    with pytest.raises(UsageError, match=r"no such (pin|vector)"):
+        kc.deck(scene("type='op'", "dc = 1.0", probes={"x": name}))
