@@ -269,7 +269,7 @@ def verify(
         names = [scene] if scene is not None else list(gallery())
         loaded = [load_scene(name, set_ or []) for name in names]
         directory = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
-        from kc2spice.netlist.read import read_deck
+        from kc2spice.netlist.deck import read_deck
         from kc2spice.workflow.verify.verify import verify as verify_scenes
 
         shipped = None if deck is None else read_deck(deck)

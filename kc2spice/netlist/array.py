@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Block, Deck
+from kc2spice.netlist.vectors import added, terms, vector
 
 MOST = 10_000
-_PROBE = re.compile(r"(?i)([vi])\(([^()]+)\)|@(\w)\.([\w.]+\[\w+\])")
 
 
 def array_deck(deck: Deck, count: int) -> Deck:
@@ -50,15 +49,6 @@ def array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _within(expression: str, k: int) -> str:
-    """An expression of copy ``k``; ngspice puts the letter of a device before its path."""
-
-    def inside(match: re.Match[str]) -> str:
-        if match[3]:
-            return f"@{match[3]}.x{k}.{match[4]}"
-        if match[1].lower() == "v":
-            return f"v(x{k}.{match[2]})"
-        device = match[2] if "." in match[2] else f"{match[2][0]}.{match[2]}"
-        letter, _, path = device.partition(".")
-        return f"i({letter}.x{k}.{path})"
-
-    return _PROBE.sub(inside, expression)
+    """An expression of copy ``k``."""
+    found = ((sign, text, vector(text)) for sign, text in terms(expression))
+    return added([(s, str(each.within(f"x{k}")) if each else text) for s, text, each in found])

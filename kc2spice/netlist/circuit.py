@@ -1,12 +1,163 @@
-"""Netlists as data: pins, parameters and subcircuits."""
+"""Netlists as trees: circuits hold elements, models, parameters and other circuits, in order."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
+from kc2spice.netlist.expression import Tree, parse
+
 LEAST = 1e-30  # what "above zero" means for a parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One statement: the comment and blank lines above it, and ``file:line`` of where it stood."""
+
+    notes: tuple[str, ...] = ()
+    where: str = field(default="", compare=False)
+
+
+@dataclass(frozen=True)
+class Element(Card):
+    """One device: ``nodes`` it connects, ``sources`` that control it, its ``model`` or subcircuit.
+
+    ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
+    the assignments behind those. A behavioural source (B, or E and G with an expression) has the
+    ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
+    """
+
+    kind: str
+    name: str
+    nodes: tuple[str, ...]
+    sources: tuple[str, ...] = ()
+    model: str = ""
+    values: tuple[str, ...] = ()
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    quantity: str = ""
+    expression: str = ""
+
+    @cached_property
+    def key(self) -> str:
+        """Its name as simulators compare it."""
+        return self.name.lower()
+
+    @cached_property
+    def ends(self) -> tuple[str, ...]:
+        """Its nodes as simulators compare them."""
+        return tuple(node.lower() for node in self.nodes)
+
+    @cached_property
+    def settings(self) -> dict[str, str]:
+        """Its parameters by names in lower case."""
+        return {key.lower(): value for key, value in self.parameters.items()}
+
+    @cached_property
+    def law(self) -> Tree:
+        """The expression of a behavioural source as a tree.
+
+        Raises
+        ------
+        UsageError : it is none.
+        """
+        return parse(self.expression, where=self.where)
+
+    @property
+    def text(self) -> str:
+        """The card on one line, for messages."""
+        law = f"{self.quantity}={self.expression}" if self.quantity else ""
+        given = (f"{key}={value}" for key, value in self.parameters.items())
+        words = (self.name, *self.nodes, *self.sources, self.model, *self.values, *given, law)
+        return " ".join(filter(None, words))
+
+
+@dataclass(frozen=True)
+class Model(Card):
+    """``.model``: its type and parameters."""
+
+    name: str
+    type: str
+    parameters: Mapping[str, str]
+
+    def same(self, other: Model) -> bool:
+        """Whether both say the same; case does not tell words apart."""
+        return str(self).lower() == str(other).lower()
+
+    def __str__(self) -> str:
+        given = " ".join(f"{key}={value}" for key, value in self.parameters.items())
+        return f".model {self.name} {self.type}" + (f"({given})" if given else "")
+
+
+@dataclass(frozen=True)
+class Parameters(Card):
+    """``.param``: names and values."""
+
+    values: Mapping[str, str]
+    keyword: str = ".param"
+
+    @property
+    def text(self) -> str:
+        """The card on one line."""
+        return " ".join([self.keyword, *(f"{k}={v}" for k, v in self.values.items())])
+
+
+@dataclass(frozen=True)
+class Function(Card):
+    """``.func``: a name for an expression of its arguments."""
+
+    name: str
+    arguments: tuple[str, ...]
+    expression: str
+
+    @property
+    def text(self) -> str:
+        """The card on one line."""
+        return f".func {self.name}({','.join(self.arguments)}) {self.expression}"
+
+
+@dataclass(frozen=True)
+class Directive(Card):
+    """Any other card with a dot: its keyword in lower case and the words behind it."""
+
+    keyword: str
+    words: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The card on one line."""
+        return " ".join((self.keyword, *self.words))
+
+
+@dataclass(frozen=True)
+class Circuit(Card):
+    """A subcircuit, or what one file holds (``name == ""``).
+
+    ``defaults`` are the parameters that an instance may set, ``closing`` the comments behind the
+    last item.
+    """
+
+    name: str = ""
+    pins: tuple[str, ...] = ()
+    defaults: Mapping[str, str] = field(default_factory=dict)
+    items: tuple[Item, ...] = ()
+    closing: tuple[str, ...] = ()
+
+    @property
+    def subcircuits(self) -> tuple[Circuit, ...]:
+        """The subcircuits that it defines."""
+        return tuple(item for item in self.items if isinstance(item, Circuit))
+
+    @property
+    def text(self) -> str:
+        """Its first card on one line."""
+        given = (f"{key}={value}" for key, value in self.defaults.items())
+        return " ".join([".subckt", self.name, *self.pins, *given])
+
+
+Item = Element | Model | Parameters | Function | Directive | Circuit
 
 
 @dataclass(frozen=True)
@@ -49,6 +200,18 @@ class Subcircuit:
     def filename(self) -> str:
         """Name of the library file that holds this part."""
         return self.file or f"{self.name}.lib"
+
+    @cached_property
+    def circuit(self) -> Circuit:
+        """The library as a tree, read once.
+
+        Raises
+        ------
+        UsageError : a card that is not complete.
+        """
+        from kc2spice.netlist.read import read  # which makes subcircuits
+
+        return read(self.text, self.filename)
 
     def write(self, path: str | Path) -> Path:
         """Write the library file to ``path``, or under its own name into the directory ``path``."""

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.circuit import Circuit, Subcircuit
+from kc2spice.netlist.read import LARGEST, read
 from kc2spice.netlist.render import render
+from kc2spice.netlist.scope import INCLUDES, Scope, circuit
+from kc2spice.netlist.statements import beside, statements
+from kc2spice.netlist.vectors import terms
 
-_ANALYSIS = re.compile(r"(?im)^\s*\.(tran|ac|dc|op)\b.*$")
+ANALYSES = frozenset((".tran", ".ac", ".dc", ".op"))
 
 
 @dataclass(frozen=True)
@@ -116,12 +123,35 @@ class Deck:
     def files(self) -> dict[str, str]:
         """``{file name: text}`` of the deck and its libraries."""
         own = {part.filename: part.text for part in self.parts}
-        return {self.main: self._main()} | own | dict(self.more)
+        return {self.main: self._main} | own | dict(self.more)
 
+    @cached_property
+    def trees(self) -> dict[str, Circuit]:
+        """``{file name: tree}`` of the deck and its libraries, each read once.
+
+        Raises
+        ------
+        UsageError : a broken card.
+        """
+        more = {name: read(text, name) for name, text in self.more.items()}
+        own = {part.filename: part.circuit for part in self.parts}
+        return {self.main: read(self._main, self.main, title=True)} | own | more
+
+    @cached_property
+    def scope(self) -> Scope:
+        """The whole circuit, its includes followed.
+
+        Raises
+        ------
+        UsageError : a broken card, a missing or circular include, a name defined twice.
+        """
+        return circuit(self.main, self.trees)
+
+    @cached_property
     def _main(self) -> str:
         if self.text is not None:
-            extra = "".join(f".options {_entry(option)}\n" for option in self.options)
-            return _ANALYSIS.sub(lambda match: extra + match[0], self.text, count=1)
+            entries = (_entry(option) for option in self.options)
+            return _inserted(self.text, "".join(f".options {entry}\n" for entry in entries))
         return render("deck.j2", deck=self, files=[part.filename for part in self.parts])
 
     def option(self, key: str) -> str | None:
@@ -129,16 +159,18 @@ class Deck:
         found = [option.value for option in self.options if option.key == key]
         if found or self.text is None:
             return found[-1] if found else None
-        own = re.findall(rf"(?im)^\s*\.opt\w*\b.*\b{key}\s*=\s*([-+0-9.eE]+)", self.text)
+        cards = (s for s in statements(self.text, self.main) if s.keyword.startswith(".opt"))
+        pairs = (word.partition("=") for s in cards for word in s.words[1:])
+        own = [value for name, _, value in pairs if name.lower() == key and value]
         return own[-1] if own else None
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """The same deck with these results besides its own."""
         more = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or not re.search(r"(?im)^\s*\.save\b", self.text):
+        if self.text is None or ".save" not in (s.keyword for s in statements(self.text, "")):
             return more
         line = ".save " + " ".join(vector for vector, _ in vectors.values()) + "\n"
-        return replace(more, text=_ANALYSIS.sub(lambda m: line + m[0], self.text, count=1))
+        return replace(more, text=_inserted(self.text, line))
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
         """The same deck with these options instead of its own."""
@@ -155,10 +187,52 @@ class Deck:
         return replace(self, command=Command("tran", tuple(words)))
 
 
-def terms(expression: str) -> list[tuple[float, str]]:
-    """Signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
-    found = re.findall(r"([+-]?)([^+-]+)", expression)
-    return [(-1.0 if sign == "-" else 1.0, vector) for sign, vector in found]
+def read_deck(main: Path) -> Deck:
+    """A deck from disk: ``main`` and the files in its directory that it includes.
+
+    Raises
+    ------
+    UsageError : a file is missing or no text.
+    """
+    files: dict[str, str] = {}
+    waiting = [main.name]
+    while waiting:
+        name = waiting.pop()
+        try:
+            text = text_of(read_bounded(main.parent / name, LARGEST))
+            files[name] = text.replace("\r\n", "\n")
+        except (OSError, ValueError) as error:
+            if name == main.name:
+                raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
+            continue  # named with its line when the circuit is linked
+        for s in statements(files[name], name):
+            named = s.text.split(None, 1)[1:]
+            if s.keyword in INCLUDES and named:
+                target = beside(name, named[0].strip("\"' "))
+                waiting += [target] if target not in files else []
+    text = files.pop(main.name)
+    return Deck(name=main.stem, text=text, more=files)
+
+
+def retold(tree: Circuit, *usage: str) -> Circuit:
+    """The tree of a main file whose head tells how another program runs it than ngspice."""
+    if not tree.items:
+        return tree
+    first, *rest = tree.items
+    kept = [line for line in first.notes if " ngspice " not in line]
+    at = next((k for k, line in enumerate(first.notes) if line not in kept), None)
+    if at is not None:
+        kept[at:at] = usage
+    return replace(tree, items=(replace(first, notes=tuple(kept)), *rest))
+
+
+def _inserted(text: str, lines: str) -> str:
+    """``text`` with ``lines`` above its analysis."""
+    at = next((s.line for s in statements(text, "") if s.keyword in ANALYSES), None)
+    if at is None or not lines:
+        return text
+    kept = text.splitlines(keepends=True)
+    return "".join([*kept[: at - 1], lines, *kept[at - 1 :]])
 
 
 def _entry(option: Option) -> str:

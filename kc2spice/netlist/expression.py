@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from kc2spice.core.errors import UsageError
@@ -78,6 +78,7 @@ class Choice:
     no: Tree
 
 
+_ZERO = Number("0")
 Tree = Number | Name | Probe | Call | Unary | Binary | Choice
 
 
@@ -125,6 +126,48 @@ def children(tree: Tree) -> tuple[Tree, ...]:
     return ()
 
 
+def substituted(tree: Tree, given: Mapping[str, Tree]) -> Tree:
+    """``tree`` with other trees in place of names in lower case."""
+    match tree:
+        case Name(text):
+            return given.get(text.lower(), tree)
+        case Call(function, arguments):
+            return Call(function, tuple(substituted(each, given) for each in arguments))
+        case Unary(op, value):
+            return Unary(op, substituted(value, given))
+        case Binary(op, left, right):
+            return Binary(op, substituted(left, given), substituted(right, given))
+        case Choice(test, yes, no):
+            return Choice(*(substituted(each, given) for each in (test, yes, no)))
+    return tree
+
+
+def simplified(tree: Tree) -> Tree:
+    """The same value without what zeros and ones do nothing to; other numbers stay as written."""
+    match tree:
+        case Call(function, arguments):
+            return Call(function, tuple(map(simplified, arguments)))
+        case Choice(test, yes, no):
+            return Choice(simplified(test), simplified(yes), simplified(no))
+        case Unary(op, value):
+            inner = simplified(value)
+            return inner if op == "+" or inner == _ZERO else Unary(op, inner)
+        case Binary(op, left, right):
+            return _reduced(op, simplified(left), simplified(right))
+    return tree
+
+
+def _reduced(op: str, left: Tree, right: Tree) -> Tree:
+    a, b = (float(x.text) if isinstance(x, Number) else None for x in (left, right))
+    if (op in "*/" and a == 0) or (op == "*" and b == 0):
+        return _ZERO
+    if (op == "+" and a == 0) or (op == "*" and a == 1):
+        return right
+    if (op in "+-" and b == 0) or (op in "*/" and b == 1):
+        return left
+    return Binary(op, left, right)
+
+
 class Writer:
     """Writes trees; a dialect overrides the spelling of names, probes, functions and choices."""
 
@@ -164,6 +207,8 @@ class Writer:
             case Unary(op, value):
                 text = f"{op}{self.write(value, len(_LEVELS))}"
                 return f"({text})" if level > 3 else text
+            case Binary("^", left, right):
+                return f"{self.write(left, len(_LEVELS))}^{self.write(right, len(_LEVELS))}"
             case Binary(op, left, right):
                 own = _RANK[op]
                 text = f"{self.write(left, own)}{op}{self.write(right, own + 1)}"

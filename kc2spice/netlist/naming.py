@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.circuit import Circuit, Element, Item, Subcircuit
+from kc2spice.netlist.printers.ngspice import printed
 
-_ORIGIN = re.compile(r"\* (?:tool:|scene:|licence:|sign:|validity:|rating:|@)")
-_CARD = re.compile(r"(?im)^(?:x|\.subckt\b|\.ends\b).*(?:\n\+.*)*")
+_ORIGIN = ("* tool:", "* scene:", "* licence:", "* sign:", "* validity:", "* rating:", "* @")
 
 
 def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
@@ -17,29 +16,31 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
 
     One library file then is all that a user includes, and two of them never define one name twice.
     """
-    text = part.text.rstrip("\n") + "\n"
+    tree = part.circuit
     for helper in helpers:
-        name = f"{part.name}_{helper.name}"
-        kept = [line for line in helper.text.splitlines() if not _ORIGIN.match(line)]
-        text = renamed(text, {helper.name: name})
-        text += "\n" + renamed("\n".join(kept), {helper.name: name}) + "\n"
-    return replace(part, text=text)
+        names = {helper.name: f"{part.name}_{helper.name}"}
+        inner = tuple(_without_origin(item) for item in renamed(helper.circuit, names).items)
+        tree = renamed(tree, names)
+        tree = replace(tree, items=tree.items + inner)
+    return printed(part, tree)
 
 
-def renamed(text: str, names: Mapping[str, str]) -> str:
-    """``text`` with other subcircuit names on ``.subckt``, ``.ends`` and X cards."""
+def _without_origin(item: Item) -> Item:
+    kept = (line for line in item.notes if not line.startswith(_ORIGIN))
+    return replace(item, notes=("", *kept)) if item.notes else item
+
+
+def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
+    """``circuit`` with other names of subcircuits, where they are defined and where they are
+    instantiated."""
     new = {old.lower(): name for old, name in names.items()}
 
-    def card(match: re.Match[str]) -> str:
-        words = list(re.finditer(r"[^\s+]\S*", match[0]))
-        if match[0].startswith("."):
-            at = words[1] if len(words) > 1 else None
-        else:
-            plain = [w for w in words if w[0].lower() != "params:"]
-            given = next((k for k, w in enumerate(plain) if "=" in w[0]), len(plain))
-            at = plain[given - 1]
-        if at is None or at[0].lower() not in new:
-            return match[0]
-        return match[0][: at.start()] + new[at[0].lower()] + match[0][at.end() :]
+    def item(each: Item) -> Item:
+        if isinstance(each, Circuit):
+            name = new.get(each.name.lower(), each.name)
+            return replace(each, name=name, items=tuple(map(item, each.items)))
+        if isinstance(each, Element) and each.kind == "x":
+            return replace(each, model=new.get(each.model.lower(), each.model))
+        return each
 
-    return _CARD.sub(card, text)
+    return replace(circuit, items=tuple(map(item, circuit.items)))

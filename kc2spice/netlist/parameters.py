@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import LEAST, Param, Subcircuit
+from kc2spice.netlist.circuit import LEAST, Circuit, Item, Param, Subcircuit
 from kc2spice.netlist.deck import Deck
-
-_CARD = re.compile(r"^\.subckt\s+(\S+)(.*)$", re.MULTILINE | re.IGNORECASE)
-_DEFAULT = re.compile(r"(\w+)=(\S+)")
+from kc2spice.netlist.printers.ngspice import printed
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 
@@ -24,23 +21,23 @@ def library_of(part: Subcircuit) -> str:
     return part.filename.rpartition(".")[0] or part.filename
 
 
-def cards(part: Subcircuit) -> Iterator[tuple[str, str]]:
-    """Name in ``param.NAME.…`` and text of every ``.subckt`` card of a library.
+def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
+    """Every subcircuit of a library and its name in ``param.NAME.…``.
 
     The part itself goes by its file, whatever helper it brings along by the helper's own name:
     ``opamp`` is the amplifier in all libraries that have one.
     """
-    for card in _CARD.finditer(part.text):
-        own = card[1].lower() == part.name.lower()
-        yield (library_of(part) if own else card[1].removeprefix(f"{part.name}_")), card[2]
+    for each in part.circuit.subcircuits:
+        own = each.name.lower() == part.name.lower()
+        yield (library_of(part) if own else each.name.removeprefix(f"{part.name}_")), each
 
 
 def declared(deck: Deck) -> dict[str, float]:
     """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
     found = {}
     for part in deck.parts:
-        for library, card in cards(part):
-            for name, text in _DEFAULT.findall(card):
+        for library, each in cards(part):
+            for name, text in each.defaults.items():
                 with contextlib.suppress(ValueError):  # an expression: nothing to replace
                     found[f"{library}.{name}"] = float(text)
     return found
@@ -70,17 +67,24 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     for param in part.params if own else ():
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
-    names = dict(zip((card[1] for card in _CARD.finditer(part.text)), cards(part), strict=True))
-    default = re.compile(rf"(?<=\s){name}=\S+")
+    mine = [each for where, each in cards(part) if where == library and name in each.defaults]
+    items = tuple(
+        _with_default(each, name, value) if any(each is other for other in mine) else each
+        for each in part.circuit.items
+    )
+    return printed(part, replace(part.circuit, items=items)) if mine else part
 
-    def card(match: re.Match[str]) -> str:
-        mine = names[match[1]][0] == library
-        return default.sub(f"{name}={number(value)}", match[0]) if mine else match[0]
 
-    text = _CARD.sub(card, part.text)
-    if own:
-        text = re.sub(rf"(?m)^(\* @param {name})=\S+", rf"\g<1>={number(value)}", text, count=1)
-    return replace(part, text=text)
+def _with_default(circuit: Item, name: str, value: float) -> Item:
+    """A subcircuit with another default, in its card and in its head."""
+    assert isinstance(circuit, Circuit)
+    head = f"* @param {name}="
+    notes = tuple(
+        f"{head}{number(value)} {line.partition(' unit=')[1].strip()}{line.partition(' unit=')[2]}"
+        if line.startswith(head) else line
+        for line in circuit.notes
+    )  # fmt: skip
+    return replace(circuit, defaults={**circuit.defaults, name: number(value)}, notes=notes)
 
 
 def _require_within(param: Param, library: str, value: float) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kc2spice.netlist.deck import Deck, terms
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.vectors import terms
 
 CURVES = 6  # of one window
 _PREFIX = {1e-6: "u", 1e-3: "m", 1.0: ""}

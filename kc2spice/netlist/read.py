@@ -1,20 +1,281 @@
-"""Decks from disk, to be linted or translated."""
+"""The one reader: text of users, of templates and of libraries becomes a tree here."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations_with_replacement, count, takewhile
 from pathlib import Path
+from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Item,
+    Model,
+    Param,
+    Parameters,
+    Pin,
+    Subcircuit,
+)
 from kc2spice.netlist.expression import literal
-from kc2spice.netlist.statements import Statement, beside, statements
+from kc2spice.netlist.statements import Statement, statements, words
 
 LARGEST = 100_000_000  # bytes of one file
+# Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
+NODES = {
+    "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
+    "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
+}  # fmt: skip
+_MODELLED = frozenset("dqjmzsw")  # the word behind nodes and controls names a .model
+_CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}
+_LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
 _PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
 _PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
+
+
+# ------------------------------------------------------------------------------------- circuits
+
+
+def read(text: str, file: str, *, title: bool = False) -> Circuit:
+    """What ``file`` holds up to ``.end``, in order.
+
+    Raises
+    ------
+    UsageError : a broken card, a subcircuit that does not begin or end.
+    """
+    cards = iter(statements(text, file, title=title))
+    items, notes = _items(cards, None)
+    return Circuit(items=items, closing=notes)
+
+
+def _items(
+    cards: Iterator[Statement], head: Statement | None
+) -> tuple[tuple[Item, ...], tuple[str, ...]]:
+    """Items up to the ``.ends`` of ``head``, or up to the end of the file, and comments there."""
+    found: list[Item] = []
+    for s in cards:
+        if s.keyword == ".ends" and head is None:
+            raise UsageError(".ends without .subckt", where=s.where, got=s.text)
+        if s.keyword == ".ends" or not s.keyword:
+            if s.keyword or head is None:
+                return tuple(found), s.comments
+            break
+        if s.keyword == ".control":
+            block = tuple(c.text for c in takewhile(lambda c: c.keyword != ".endc", cards))
+            found.append(Directive(".control", block, notes=s.comments, where=s.where))
+        else:
+            found.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
+        if s.keyword == ".end":
+            break
+    if head is not None:
+        name = head.words[1]
+        raise UsageError(
+            "subcircuit is not closed", where=head.where, got=f".subckt {name}",
+            expected=f".ends {name}",
+        )  # fmt: skip
+    return tuple(found), ()
+
+
+def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
+    rest = _without_keyword(s.words[1:])
+    if not rest:
+        raise UsageError("subcircuit has no name", where=s.where, got=s.text)
+    pins = tuple(w for w in rest[1:] if "=" not in w)
+    low = [pin.lower() for pin in pins]
+    if len(set(low)) < len(low):
+        raise UsageError("a pin name stands twice", where=s.where, got=" ".join(low))
+    defaults = assignments([w for w in rest[1:] if "=" in w], s)
+    items, closing = _items(cards, s)
+    return Circuit(rest[0], pins, defaults, items, closing, notes=s.comments, where=s.where)
+
+
+def _item(s: Statement) -> Item:
+    """One card that is no subcircuit."""
+    told = _told(s)
+    if not s.keyword.startswith("."):
+        return element(s)
+    if s.keyword in (".func", ".param", ".params") and (defined := _function(s)):
+        return defined
+    if s.keyword in (".param", ".csparam"):
+        return Parameters(assignments(s.words[1:], s), s.keyword, **told)
+    if s.keyword == ".model":
+        if len(s.words) < 3:
+            raise UsageError("model card is not complete", where=s.where, got=s.text)
+        kind, _, inside = " ".join(s.words[2:]).partition("(")
+        kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
+        pairs = dict((w + "=").split("=", 1) for w in more)
+        given = {key: value.removesuffix("=") for key, value in pairs.items()}
+        return Model(s.words[1], kind, given, **told)
+    return Directive(s.keyword, tuple(s.words[1:]), **told)
+
+
+def _told(s: Statement) -> dict[str, Any]:
+    """Where a card stands, and below which comments."""
+    return {"notes": s.comments, "where": s.where}
+
+
+def _function(s: Statement) -> Function | None:
+    """``.func f(x) {law}`` and ``.param f(x) = {law}``."""
+    name, opening, rest = s.text[len(s.keyword) :].strip().partition("(")
+    inside, closing, law = rest.partition(")")
+    if not (opening and closing and law.strip() and name.strip().isidentifier()):
+        return None
+    arguments = tuple(word.strip() for word in inside.split(",") if word.strip())
+    law = law.strip().removeprefix("=").strip()
+    return Function(name.strip(), arguments, law, notes=s.comments, where=s.where)
+
+
+def _without_keyword(given: Sequence[str]) -> list[str]:
+    return [word for word in given if word.lower() != "params:"]
+
+
+def assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
+    """``name=value`` words as a mapping.
+
+    Raises
+    ------
+    UsageError : one is not.
+    """
+    pairs = {}
+    for word in given:
+        name, equals, value = word.strip(",").partition("=")
+        if not equals or not name.isidentifier():
+            raise UsageError("not a parameter", where=s.where, got=word, expected="name=value")
+        pairs[name] = value
+    return pairs
+
+
+def _assigned(word: str) -> bool:
+    name, equals, _ = word.partition("=")
+    return bool(equals) and name.isidentifier()
+
+
+def element(s: Statement) -> Element:
+    """Split one element card; of a letter that we do not know, all words are values.
+
+    Raises
+    ------
+    UsageError : too few words.
+    """
+    kind, told = s.text[0].lower(), _told(s)
+    if kind == "b":
+        return _behaviour(s)
+    name, *rest = _without_keyword(s.words)
+    if kind == "x":
+        plain = [w for w in rest if "=" not in w]
+        if not plain:
+            raise UsageError("instance names no subcircuit", where=s.where, got=s.text)
+        given = assignments([w for w in rest if "=" in w], s)
+        return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), given, **told)
+    if kind not in NODES:
+        return Element(kind, name, (), values=tuple(rest), **told)
+    count = _count(kind, rest)
+    nodes, sources, rest = _split(s, kind, count, rest)
+    if kind in "eg" and count == 2:
+        return _controlled(Element(kind, name, nodes, values=tuple(rest), **told))
+    model = rest.pop(0) if kind in _MODELLED else ""
+    values = tuple(w for w in rest if not _assigned(w))
+    given = dict(w.split("=", 1) for w in rest if _assigned(w))
+    return Element(kind, name, nodes, sources, model, values, given, **told)
+
+
+def _count(kind: str, rest: Sequence[str]) -> int:
+    """Nodes of an element with the words ``rest``."""
+    if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAWS):
+        word = rest[2].lower().partition("=")[0].partition("(")[0]
+        return 2 if word in _LAWS else 4
+    if kind == "q" and len(rest) > 4 and "=" not in rest[4] and rest[4][0] not in "0123456789.+-":
+        return 4
+    if kind == "m" and len([*takewhile(lambda w: "=" not in w, rest)]) == 4:
+        return 3  # a VDMOS has no bulk
+    return NODES[kind]
+
+
+def _split(
+    s: Statement, kind: str, count: int, rest: list[str]
+) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
+    """Nodes, controlling sources and the other words."""
+    controls = _CONTROLS.get(kind, 0)
+    if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
+        controls = 0
+    needed = count + controls + (kind in _MODELLED or kind not in "vi")
+    if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
+        raise UsageError(
+            "element is not complete",
+            where=s.where,
+            got=s.text[:120],
+            expected=f"{count} nodes" + (", then a value or model" if kind not in "vi" else ""),
+        )
+    end = count + controls
+    return tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
+
+
+def _behaviour(s: Statement) -> Element:
+    """A B source; its expression runs to the end of the card."""
+    name, *rest = s.text.split(None, 3)
+    quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
+    if quantity.strip().upper() not in ("V", "I") or not law.strip():
+        raise UsageError(
+            "behavioural source without a law",
+            where=s.where,
+            got=s.text[:80],
+            expected="I=expression or V=expression",
+        )
+    return Element(
+        "b", name, tuple(rest[:2]), quantity=quantity.strip().upper(), expression=law.strip(),
+        notes=s.comments, where=s.where,
+    )  # fmt: skip
+
+
+def _controlled(part: Element) -> Element:
+    """An E or G source with an expression as one, whichever of its spellings it has.
+
+    A Laplace transform stays as it is: it is none of time.
+    """
+    text = " ".join(part.values)
+    keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
+    rest = text[len(keyword) :].lstrip(" =")
+    law = {"poly": _polynomial, "table": _table}.get(keyword, lambda text, _: text)
+    if keyword == "laplace" or not (found := law(rest, part.where)):
+        return part
+    quantity = "V" if part.kind == "e" else "I"
+    return replace(part, values=(), quantity=quantity, expression=found)
+
+
+def _polynomial(text: str, where: str) -> str:
+    """``(n) a+ a- b+ b- … p0 p1 …``: coefficients by degree, products in the order of their
+    factors."""
+    dimension, _, rest = text.removeprefix("(").partition(")")
+    given = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
+    if not dimension.strip().isdigit() or len(given) <= 2 * int(dimension):
+        raise UsageError("polynomial is not complete", where=where, got=text[:80])
+    ends, factors = given[: 2 * int(dimension)], given[2 * int(dimension) :]
+    axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
+    if len(factors) == 1 and len(axes) == 1:
+        factors = ["0", *factors]  # a lone coefficient is the linear one
+    terms = (p for degree in count() for p in combinations_with_replacement(axes, degree))
+    return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
+
+
+def _table(text: str, where: str) -> str:
+    """``{expression} = (x, y) …``, flat beyond its ends."""
+    control, _, rest = text.lstrip("{").partition("}")
+    points = rest.translate(str.maketrans("(),=", "    ")).split()
+    ends = [literal(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
+    if None in ends or len(points) % 2:
+        return ""
+    first, last = float(ends[0] or 0.0), float(ends[1] or 0.0)
+    flat = [repr(first - 1), points[1], *points, repr(last + 1), points[-1]]
+    return f"pwl({control}, {', '.join(flat)})"
+
+
+# ------------------------------------------------------------------------------ files and decks
 
 
 def read_lib(path: str | Path) -> list[Subcircuit]:
@@ -40,71 +301,49 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
     """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
-    cards = statements(text, file)
-    depth, heads = 0, list[Statement]()
-    called: set[str] = set()
-    for s in cards:
-        if s.keyword == ".subckt" and depth == 0 and len(s.words) > 1:
-            heads.append(s)
-        depth += (s.keyword == ".subckt") - (s.keyword == ".ends")
-        if s.keyword.startswith("x"):
-            plain = [w for w in s.words if "=" not in w and w.lower() != "params:"]
-            called.add(plain[-1].lower())
-    declared = [s for s in heads if any(map(_PIN.match, s.comments))]
-    shown = declared or [s for s in heads if s.words[1].lower() not in called]
-    return [_part(s, text, file) for s in shown]
+    found = read(text, file).subcircuits
+    called = {model.lower() for each in found for model in _called(each)}
+    declared = [each for each in found if any(map(_PIN.match, each.notes))]
+    shown = declared or [each for each in found if each.name.lower() not in called]
+    return [_part(each, text, file) for each in shown]
 
 
-def _part(s: Statement, text: str, file: str) -> Subcircuit:
-    words = [w for w in s.words[2:] if w.lower() != "params:"]
-    names = [w for w in words if "=" not in w]
-    defaults = dict(w.split("=", 1) for w in words if "=" in w)
-    pins = [Pin(*m.groups()) for m in map(_PIN.match, s.comments) if m]
-    if pins and [p.name.lower() for p in pins] != [n.lower() for n in names]:
+def _called(circuit: Circuit) -> Iterator[str]:
+    """Names of the subcircuits that a circuit instantiates."""
+    for item in circuit.items:
+        if isinstance(item, Circuit):
+            yield from _called(item)
+        elif isinstance(item, Element) and item.kind == "x":
+            yield item.model
+
+
+def declared_pins(circuit: Circuit) -> list[Pin]:
+    """The pins that the head of a subcircuit declares."""
+    return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
+
+
+def _part(circuit: Circuit, text: str, file: str) -> Subcircuit:
+    pins = declared_pins(circuit)
+    if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
         raise UsageError(
             "the head does not list the pins of its subcircuit",
-            where=s.where,
+            where=circuit.where,
             got=" ".join(p.name for p in pins),
-            expected=" ".join(names),
+            expected=" ".join(circuit.pins),
         )
-    told = {m[1].lower(): m for m in map(_PARAM.match, s.comments) if m}
-    params = tuple(_param(name, text, told.get(name.lower()), s) for name, text in defaults.items())
-    return Subcircuit(
-        s.words[1], tuple(pins or (Pin(n, "V", "A") for n in names)), params, text, file
+    told = {m[1].lower(): m for m in map(_PARAM.match, circuit.notes) if m}
+    params = tuple(
+        _param(name, default, told.get(name.lower()), circuit.where)
+        for name, default in circuit.defaults.items()
     )
+    ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
+    return Subcircuit(circuit.name, ends, params, text, file)
 
 
-def _param(name: str, default: str, told: re.Match[str] | None, s: Statement) -> Param:
-    given = literal(default, where=s.where)
+def _param(name: str, default: str, told: re.Match[str] | None, where: str) -> Param:
+    given = literal(default, where=where)
     value = float("nan") if given is None else given
     if told is None:
         return Param(name, value, "-", "")
     low, high = (float(told[4] or "-inf"), float(told[5] or "inf"))
     return Param(name, value, told[3], told[6], low, high)
-
-
-def read_deck(main: Path) -> Deck:
-    """A deck from disk: ``main`` and the files in its directory that it includes.
-
-    Raises
-    ------
-    UsageError : a file is missing or no text.
-    """
-    files: dict[str, str] = {}
-    waiting = [main.name]
-    while waiting:
-        name = waiting.pop()
-        try:
-            text = text_of(read_bounded(main.parent / name, LARGEST))
-            files[name] = text.replace("\r\n", "\n")
-        except (OSError, ValueError) as error:
-            if name == main.name:
-                raise UsageError("cannot read netlist", where=str(main), got=str(error)) from None
-            continue  # named with its line when the circuit is read
-        for s in statements(files[name], name):
-            named = s.text.split(None, 1)[1:]
-            if s.keyword in (".include", ".inc") and named:
-                target = beside(name, named[0].strip("\"' "))
-                waiting += [target] if target not in files else []
-    text = files.pop(main.name)
-    return Deck(name=main.stem, text=text, more=files)

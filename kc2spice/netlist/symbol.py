@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from kc2spice.netlist import ltspice
-from kc2spice.netlist.box import layout
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.dialect import translate_text
-from kc2spice.netlist.kicad_sheet import project
+from kc2spice.netlist.printers import ltspice
+from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers.kicad_sheet import project
 
 
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:

@@ -18,8 +18,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
-from kc2spice.netlist.elements import Scope, circuit, has_vector
 from kc2spice.netlist.included import included_netlists, looked_at
+from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.statements import statements
 from kc2spice.parts import _driver_checks as driver
 from kc2spice.parts._drivers import potentials
@@ -103,8 +103,8 @@ class Netlist(PartType):
                         hint="a 0 V source in series with it has one",
                     )  # fmt: skip
                 continue
-            nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.nodes)))
-            read = [f"i({e.name})" for e in scope.elements if e.kind in _CURRENTS]
+            nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.ends)))
+            read = [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
             yield UsageError(
                 "no such pin, node or current", where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),

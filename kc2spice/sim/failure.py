@@ -8,7 +8,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.elements import Scope, circuit
+from kc2spice.netlist.scope import Scope
 from kc2spice.sim.log import Kind, LogReport
 
 
@@ -46,13 +46,13 @@ def belongs_to(deck: Deck, node: str) -> str | None:
     if len(path) > 1 and len(path[0]) == 1:  # a device: its letter stands before the instance
         path = path[1:]
     try:
-        scope = circuit(deck.main, deck.files)
+        scope = deck.scope
     except UsageError:
         return None
     inside = None
     for name in path[:-1]:
-        instance = next((e for e in scope.elements if e.name == name), None)
-        called = scope.find(instance.model or "") if instance else None
+        instance = next((e for e in scope.elements if e.key == name), None)
+        called = scope.find(instance.model) if instance else None
         if called is None:
             return None
         inside, scope = f"part {name} ({_title(deck, called.name)})", called
@@ -63,16 +63,16 @@ def belongs_to(deck: Deck, node: str) -> str | None:
 
 def _at_top(deck: Deck, scope: Scope, name: str) -> str | None:
     """The card of this name, or all that is wired to the node."""
-    if any(element.name == name for element in scope.elements):
+    if any(element.key == name for element in scope.elements):
         return f"{name} in {deck.main}"
     wired = []
     for element in scope.elements:
-        for position, node in enumerate(element.nodes):
-            called = scope.find(element.model or "") if element.kind == "x" else None
+        for position, node in enumerate(element.ends):
+            called = scope.find(element.model) if element.kind == "x" else None
             if node == name and called is not None:
-                wired.append(f"{element.name} ({called.name}) pin {called.pins[position]}")
+                wired.append(f"{element.key} ({called.name}) pin {called.pins[position]}")
             elif node == name:
-                wired.append(element.name)
+                wired.append(element.key)
     return f"node of {', '.join(wired)}" if wired else None
 
 

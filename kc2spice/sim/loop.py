@@ -10,7 +10,8 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.deck import Deck, terms
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.vectors import terms
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.log import classify, statistics
 from kc2spice.sim.shared import Library

@@ -15,10 +15,10 @@ from kc2spice.netlist.cards import comment, number
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.deckwide import ANALYSES, HARMLESS, accuracy, refuse_in_deck
-from kc2spice.netlist.elements import circuit, has_vector
 from kc2spice.netlist.expression import Number, parse
 from kc2spice.netlist.scan import cards as deck_cards
 from kc2spice.netlist.scan import checked_lines, text_of_lines
+from kc2spice.netlist.scope import circuit, has_vector
 from kc2spice.netlist.statements import Statement
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
@@ -126,17 +126,17 @@ def _require_results(own: Deck, text: str, path: Path) -> None:
     ------
     UsageError : names the vectors, and the card that brings back a current.
     """
-    now, before = circuit(path.name, {path.name: text}), circuit(own.main, own.files)
+    now, before = circuit(path.name, {path.name: text}), own.scope
     missing = [v for v in own.saved if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
     hints = []
-    sources = {f"i({e.name})": e for e in before.elements if e.kind == "v"}
+    sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
     for source in (sources[v.lower()] for v in missing if v.lower() in sources):
-        card = source.statement.words
+        node = source.nodes[0]
         hints.append(
-            f"a 0 V source of its name reads the current of whatever drives {card[1]}: "
-            f"{card[0]} {card[1]} NODE 0, with your driver's output at NODE"
+            f"a 0 V source of its name reads the current of whatever drives {node}: "
+            f"{source.name} {node} NODE 0, with your driver's output at NODE"
         )
     if len(hints) < len(missing):
         hints.append("nodes and devices that were renamed need their old names")

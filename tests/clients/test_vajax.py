@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from kc2spice.netlist.veriloga import library
+from kc2spice.netlist.printers.verilog_a import library
 
 CLIENT = Path(__file__).parent / "vajax_client.py"
 STEP, STOP, VOLTS = 10e-9, 40e-6, 100.0

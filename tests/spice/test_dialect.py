@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate, translate_text
 from kc2spice.netlist.lint import problems
-from kc2spice.netlist.veriloga import library
+from kc2spice.netlist.printers.verilog_a import library
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck

@@ -9,7 +9,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.netlist.deck import Block
-from kc2spice.netlist.elements import circuit
+from kc2spice.netlist.scope import circuit
 from kc2spice.netlist.symbol import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")

@@ -2,9 +2,9 @@
 
 import re
 
-from kc2spice.netlist.box import layout
 from kc2spice.netlist.circuit import Pin, Subcircuit
-from kc2spice.netlist.kicad import GRID, element_symbols, library, part_symbol, write
+from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers.kicad import GRID, element_symbols, library, part_symbol, write
 
 SYMBOLS = element_symbols()
 

@@ -3,9 +3,8 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.deck import Deck, read_deck
 from kc2spice.netlist.lint import lint, problems
-from kc2spice.netlist.read import read_deck
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A

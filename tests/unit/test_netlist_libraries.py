@@ -8,9 +8,9 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.elements import circuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import read_lib
+from kc2spice.netlist.scope import circuit
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

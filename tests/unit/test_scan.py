@@ -7,10 +7,9 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
-from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.deck import Deck, read_deck
 from kc2spice.netlist.included import included_netlists, included_sources
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import read_deck
 from kc2spice.netlist.scan import third_party
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.verify import verify

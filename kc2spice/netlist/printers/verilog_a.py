@@ -7,15 +7,21 @@ are written out flat: compilers for simulators take no hierarchy.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Subcircuit
-from kc2spice.netlist.contributions import Module, Names, law
-from kc2spice.netlist.elements import Element, Scope, circuit
-from kc2spice.netlist.statements import statements
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Parameters,
+    Subcircuit,
+)
+from kc2spice.netlist.expression import Name, parse, walk
+from kc2spice.netlist.printers.contributions import Module, Names, law
+from kc2spice.netlist.scope import Scope, circuit
 
 
 def library(
@@ -31,8 +37,8 @@ def library(
     for part in parts:
         if part.no_module:
             raise UsageError(part.no_module, where=part.filename, hint="it stays a library")
-    files = {part.filename: part.text for part in known or parts}
-    main = "\n".join(["* parts", *(f".include {name}" for name in files)])
+    files = {part.filename: part.circuit for part in known or parts}
+    main = Circuit(items=tuple(Directive(".include", (name,)) for name in files))
     top = circuit("parts", {"parts": main, **files})
     return {p.filename.removesuffix(".lib") + ".va": _module(p, top) for p in parts}
 
@@ -72,39 +78,41 @@ def _module(part: Subcircuit, top: Scope) -> str:
 
 def _head(part: Subcircuit) -> tuple[str, ...]:
     """The comments above ``.subckt``."""
-    return statements(part.text, part.filename)[0].comments
+    return next((item.notes for item in part.circuit.items), ())
 
 
 def _used_params(scope: Scope) -> set[str]:
-    """Words on the cards of a scope."""
-    cards = [e.statement.text for e in scope.elements] + [c.text for c in scope.commands]
-    return set(re.findall(r"[a-z_]\w*", " ".join(cards).lower()))
+    """Words of the expressions of a scope."""
+    texts = [value for card in scope.commands if isinstance(card, Parameters)
+             for value in card.values.values()]  # fmt: skip
+    for part in scope.elements:
+        texts += [*part.values, *part.parameters.values()]
+    trees = [parse(text) for text in texts if text.startswith("{")]
+    trees += [part.law for part in scope.elements if part.quantity]
+    return {leaf.text.lower() for tree in trees for leaf in walk(tree) if isinstance(leaf, Name)}
 
 
 def _expand(
     scope: Scope, module: Module, pins: Mapping[str, str], params: Mapping[str, str], prefix: str
 ) -> None:
     """Add the contributions of ``scope``; nested instances come in place, with a prefix."""
-    names = Names(module, pins, dict(params), prefix)
+    names = Names(module, scope, pins, dict(params), prefix)
     for card in scope.commands:
-        if card.keyword != ".param":
+        if not isinstance(card, Parameters | Function) or card.text.startswith(".csparam"):
             what = "Verilog-A cannot say this command"
             raise UsageError(what, where=card.where, got=card.text[:80])
         names.where = card.where
-        for word in card.words[1:]:
-            key, _, text = word.partition("=")
+        for key, text in card.values.items() if isinstance(card, Parameters) else ():
             local = module.identifier(prefix + key)
             _assign(module, local, names.value(text))
             names.params = {**names.params, key.lower(): local}
     for part in scope.elements:
-        names.where, names.part = part.statement.where, part.name
-        module.laws += [
-            f"// {line[1:].strip()}" if line else "" for line in part.statement.comments
-        ]
+        names.where, names.part = part.where, part.key
+        module.laws += [f"// {line[1:].strip()}" if line else "" for line in part.notes]
         if part.kind == "x":
             _nested(part, scope, names)
         else:
-            module.laws += law(part, scope, names)
+            module.laws += law(part, names)
 
 
 def _assign(module: Module, variable: str, value: str) -> None:
@@ -114,14 +122,14 @@ def _assign(module: Module, variable: str, value: str) -> None:
 
 
 def _nested(part: Element, scope: Scope, outer: Names) -> None:
-    called = scope.find(part.model or "")
+    called = scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
-        raise UsageError("no such subcircuit", where=part.statement.where, got=part.model)
-    prefix = f"{outer.prefix}{part.name}_"
+        raise UsageError("no such subcircuit", where=part.where, got=part.model)
+    prefix = f"{outer.prefix}{part.key}_"
     pins = dict(zip(called.pins, map(outer.node, part.nodes), strict=True))
     params = {}
     for key, default in called.defaults.items():
         local = params[key] = outer.module.identifier(prefix + key)
-        value = outer.value(part.params.get(key, default))
+        value = outer.value(part.settings.get(key, default))
         _assign(outer.module, local, value)
     _expand(called, outer.module, pins, params, prefix)

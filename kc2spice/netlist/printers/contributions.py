@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.elements import Element, Scope, behaviour
-from kc2spice.netlist.expression import Binary, Tree, Writer, literal, parse, walk
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.expression import (
+    Binary,
+    Tree,
+    Writer,
+    literal,
+    parse,
+    simplified,
+    substituted,
+)
+from kc2spice.netlist.scope import GROUND, Scope
 
 # Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
 _WORDS = (
@@ -67,9 +75,15 @@ class Names(Writer):
     """Spelling inside one instance: ``prefix`` keeps nested instances apart."""
 
     def __init__(
-        self, module: Module, pins: Mapping[str, str], params: Mapping[str, str], prefix: str
+        self,
+        module: Module,
+        scope: Scope,
+        pins: Mapping[str, str],
+        params: Mapping[str, str],
+        prefix: str,
     ) -> None:
-        self.module, self.pins, self.params, self.prefix = module, pins, params, prefix
+        self.module, self.scope, self.prefix = module, scope, prefix
+        self.pins, self.params = pins, params
         self.where, self.part = "", ""
 
     def node(self, name: str) -> str:
@@ -77,7 +91,7 @@ class Names(Writer):
         key = name.lower()
         if key in self.pins:
             return self.pins[key]
-        if key in ("0", "gnd"):
+        if key in GROUND:
             raise UsageError("a module has no global ground", where=self.where, got=name)
         if self.prefix + key not in self.module.nodes:
             self.module.nodes[self.prefix + key] = self.module.identifier(self.prefix + key)
@@ -89,10 +103,17 @@ class Names(Writer):
 
     def value(self, text: str) -> str:
         """A literal or ``{expression}`` of a card."""
-        tree = parse(text, where=self.where)
-        if any(isinstance(leaf, Binary) and leaf.op == "^" for leaf in walk(tree)):
-            raise UsageError("simulators disagree on powers", where=self.where, got=text)
-        return self.write(tree, 5)
+        return self.law(parse(text, where=self.where))
+
+    def law(self, tree: Tree) -> str:
+        """An expression as a factor of a product."""
+        return self.write(simplified(tree), 5)
+
+    def write(self, tree: Tree, level: int = 0) -> str:
+        """A power is that of the absolute value, as ngspice takes it."""
+        if isinstance(tree, Binary) and tree.op == "^":
+            return f"pow(abs({self.write(tree.left)}), {self.write(tree.right)})"
+        return super().write(tree, level)
 
     def branch(self, source: str) -> str:
         """The named branch of a voltage source or inductor."""
@@ -100,7 +121,7 @@ class Names(Writer):
 
     def number(self, text: str) -> str:
         """Reals have a point or an exponent; integers divide differently."""
-        return text if re.search(r"[.eE]", text) else f"{text}.0"
+        return text if set(".eE").intersection(text) else f"{text}.0"
 
     def name(self, text: str) -> str:
         """A parameter of this instance."""
@@ -124,6 +145,12 @@ class Names(Writer):
                                  "its value", where=self.where, got=self.part)  # fmt: skip
             self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
+        if defined := self.scope.function(function):
+            named = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
+            body = parse(defined.expression, where=defined.where)
+            return f"({self.write(substituted(body, named))})"
+        if function == "pow" and len(arguments) == 2:
+            return self.write(Binary("^", *arguments))
         if function == "uramp":
             return f"max(0.0, {self.write(arguments[0])})"
         if function == "sgn":
@@ -135,16 +162,18 @@ class Names(Writer):
         return super().call(spelled, arguments)
 
 
-def law(part: Element, scope: Scope, names: Names) -> list[str]:
+def law(part: Element, names: Names) -> list[str]:
     """Contributions of one primitive element."""
     a, b = (names.node(n) for n in part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
-    value = _value(part, names) if part.kind in "rclegfhk" else ""
+    value = _value(part, names) if part.kind in "rclegfhk" and not part.quantity else ""
+    if part.quantity == "I":
+        return [f"{through} <+ {names.law(part.law)};"]
     match part.kind:
         case "r":
             return [f"{through} <+ {across}/{value};"]
         case "c":
-            charge = names.module.identifier(f"charge_{names.prefix}{part.name.lower()}")
+            charge = names.module.identifier(f"charge_{names.prefix}{part.key}")
             names.module.declarations.append(f"real {charge};")
             return [
                 # of equal products inside of ddt, OpenVAF (Reloaded, 2026-08) now and then gives
@@ -160,18 +189,19 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
         case "i":
             return [f"{through} <+ {names.value(_steady(part))};"]
         case "s":
-            on = _switch(part, scope, names)
+            on = _switch(part, names)
             return [f"{through} <+ {across}/{on};"]
         case "k":
-            return _mutual(part, scope, names, value)
-        case "b" if behaviour(part)[0] == "I":
-            return [f"{through} <+ {names.value(behaviour(part)[1])};"]
+            return _mutual(part, names, value)
     own = names.branch(part.name)
     names.module.branches.append(f"branch ({a},{b}) {own};")
+    if part.quantity:
+        return [f"V({own}) <+ {names.law(part.law)};"]
     match part.kind:
         case "v":
             value = names.value(_steady(part))
-            if any(part.name in other.sources for other in scope.elements):
+            sensed = (s.lower() for other in names.scope.elements for s in other.sources)
+            if part.key in sensed:
                 # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
                 value += f" + {number(SERIES)}*I({own})"
             return [f"V({own}) <+ {value};"]
@@ -181,20 +211,17 @@ def law(part: Element, scope: Scope, names: Names) -> list[str]:
             return [f"V({own}) <+ {value}*{names.across(part.nodes[2:])};"]
         case "h":
             return [f"V({own}) <+ {value}*I({names.branch(part.sources[0])});"]
-        case "b":
-            return [f"V({own}) <+ {names.value(behaviour(part)[1])};"]
     raise _unsaid(part)
 
 
 def _unsaid(part: Element) -> UsageError:
-    card = part.statement
-    return UsageError("Verilog-A cannot say this card", where=card.where, got=card.text[:80])
+    return UsageError("Verilog-A cannot say this card", where=part.where, got=part.text[:80])
 
 
 def _value(part: Element, names: Names) -> str:
     """The one value of a card; a second one, a multiplier or a model would be left out."""
     known = {"ic"} if part.kind == "c" else set()
-    if len(part.values) != 1 or set(part.params) - known:
+    if len(part.values) != 1 or set(part.settings) - known:
         raise _unsaid(part)
     return names.value(part.values[0])
 
@@ -204,9 +231,9 @@ def _initial(part: Element, through: str, across: str, names: Names) -> list[str
 
     By the clock, because ngspice calls its first time step ``ic``, too.
     """
-    if "ic" not in part.params:
+    if "ic" not in part.settings:
         return []
-    start = names.value(part.params["ic"])
+    start = names.value(part.settings["ic"])
     search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
     return [f"{through} <+ ({search} ? {number(HOLD)} : 0.0)*({across} - {start});"]
 
@@ -216,36 +243,30 @@ def _steady(part: Element) -> str:
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return words[0]
-    match = re.fullmatch(r"(?i)pwl\s*\((.*)\)", " ".join(words), re.DOTALL)
-    listed = match[1].replace(",", " ").split() if match else []
-    points = [literal(word, where=part.statement.where) for word in listed]
+    wave, _, inside = " ".join(words).rstrip(")").partition("(")
+    listed = inside.replace(",", " ").split() if wave.strip().lower() == "pwl" else []
+    points = [literal(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
-    raise UsageError(
-        "a module has no sources with waveforms",
-        where=part.statement.where,
-        got=part.statement.text[:80],
-    )
+    raise UsageError("a module has no sources with waveforms", where=part.where, got=part.text[:80])
 
 
-def _switch(part: Element, scope: Scope, names: Names) -> str:
+def _switch(part: Element, names: Names) -> str:
     """Resistance of a switch without hysteresis."""
-    outer: Scope | None = scope
-    while outer is not None and str(part.model).lower() not in outer.models:
-        outer = outer.parent
-    card = outer.models[str(part.model).lower()].text if outer else ""
-    found = {k.lower(): v for k, v in re.findall(r"(\w+)\s*=\s*([^\s)]+)", card)}
+    model = names.scope.model(part.model)
+    found = {k.lower(): v for k, v in model.parameters.items()} if model else {}
     given = _SWITCH | found
     worth = {k: literal(v, where=names.where) for k, v in given.items()}
-    if not card or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
-        raise UsageError("Verilog-A cannot say this switch", where=names.where, got=card)
+    if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
+        raise UsageError("Verilog-A cannot say this switch", where=names.where, got=str(model))
     on, off, level = (names.value(given[k]) for k in ("ron", "roff", "vt"))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
-def _mutual(part: Element, scope: Scope, names: Names, coupling: str) -> list[str]:
+def _mutual(part: Element, names: Names, coupling: str) -> list[str]:
     """Two contributions of ``M = k sqrt(L1 L2)``."""
-    coils = [e for s in part.sources for e in scope.elements if e.kind == "l" and e.name == s]
+    inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
+    coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:
         raise _unsaid(part)
     first, second = coils

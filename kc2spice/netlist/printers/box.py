@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import ceil
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.elements import Element, behaviour, circuit
-from kc2spice.netlist.expression import Probe, parse, walk
+from kc2spice.netlist.circuit import Element, Param, Pin, Subcircuit
+from kc2spice.netlist.expression import Probe, walk
+from kc2spice.netlist.scope import Scope, circuit
 
 REFERENCES = frozenset({"base", "ref"})
 OPAMP = frozenset({"inp", "inn", "out", "vcc", "vee"})
@@ -68,31 +68,30 @@ def layout(part: Subcircuit) -> Box:
 
 def inputs(part: Subcircuit) -> frozenset[str]:
     """Pins, in lower case, that elements of ``part`` sense but none draws current from."""
-    main = f"* inputs\n.include {part.filename}"
-    top = circuit("inputs", {"inputs": main, part.filename: part.text})
-    scope = top.subcircuits[part.name.lower()]
+    top = circuit("part", {"part": part.circuit})
+    return frozenset({p.name.lower() for p in part.pins} & _sensed(top.find(part.name)))
+
+
+def _sensed(scope: Scope | None) -> set[str]:
+    """Nodes that elements of ``scope`` sense but none draws current from."""
     sensed: set[str] = set()
     loaded: set[str] = set()
-    for each in scope.elements:
+    for each in scope.elements if scope else ():
         two = each.kind in _CONTROLLED and len(each.nodes) == 4
-        loaded |= set(each.nodes[:2] if two else () if each.kind == "x" else each.nodes)
-        sensed |= {*each.nodes[2:]} if two else _probed(each)
-        if each.kind == "x" and (called := scope.find(str(each.model))):
-            quiet = inputs(_inner(part, called.name, called.pins))
-            for pin, node in zip(called.pins, each.nodes, strict=False):
+        loaded |= set(each.ends[:2] if two else () if each.kind == "x" else each.ends)
+        sensed |= {*each.ends[2:]} if two else _probed(each)
+        if each.kind == "x" and scope and (called := scope.find(each.model)):
+            quiet = _sensed(called)
+            for pin, node in zip(called.pins, each.ends, strict=False):
                 (sensed if pin in quiet else loaded).add(node)
-    return frozenset({p.name.lower() for p in part.pins} & (sensed - loaded))
-
-
-def _inner(part: Subcircuit, name: str, pins: tuple[str, ...]) -> Subcircuit:
-    return Subcircuit(name, tuple(Pin(p, "V", "A") for p in pins), (), part.text, part.filename)
+    return sensed - loaded
 
 
 def _probed(part: Element) -> set[str]:
-    if part.kind != "b":
+    if not part.quantity:
         return set()
     try:
-        leaves = walk(parse(behaviour(part)[1]))
+        leaves = walk(part.law)
         return {n.lower() for e in leaves if isinstance(e, Probe) and e.kind == "v"
                 for n in e.names}  # fmt: skip
     except UsageError:

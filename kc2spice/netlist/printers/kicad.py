@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from kc2spice.netlist.box import Box, Place
+from kc2spice.netlist.printers.box import Box, Place
 
 GRID = 2.54  # mm, 100 mil
 TEXT = 1.27  # mm

@@ -17,11 +17,10 @@ from textwrap import shorten
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.box import layout
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.elements import Element, Scope, circuit
-from kc2spice.netlist.kicad import (
+from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers.kicad import (
     GRID,
     HEAD,
     LIBRARY,
@@ -37,8 +36,9 @@ from kc2spice.netlist.kicad import (
     spice,
     write,
 )
-from kc2spice.netlist.lint import GROUND
 from kc2spice.netlist.read import subcircuits
+from kc2spice.netlist.scope import GROUND, Scope
+from kc2spice.netlist.vectors import vector
 
 # grid units at which rows break, and the papers on which the sheet then has a good shape
 _ENOUGH = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
@@ -84,7 +84,7 @@ def project(deck: Deck) -> dict[str, str]:
     ------
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
-    top = circuit(deck.main, deck.files)
+    top = deck.scope
     parts = _parts(deck)
     plain = element_symbols()
     drawn = {name: part_symbol(layout(part)) for name, part in parts.items()}
@@ -92,11 +92,11 @@ def project(deck: Deck) -> dict[str, str]:
     once = Counter(net for item in items for net in item.nets)
     items += [_probe(net, plain["PROBE"]) for net in once if once[net] == 1 and net not in GROUND]
     title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
-    sources = {e.name: _reference(e.statement.words[0]) for e in top.elements}
+    sources = {e.key: _reference(e.name) for e in top.elements}
     commands = [
-        " ".join(sources.get(w.lower(), w) for w in s.text.split())
-        for s in top.commands
-        if s.keyword not in _OURS
+        " ".join(sources.get(w.lower(), w) for w in card.text.split())
+        for card in top.commands
+        if not (isinstance(card, Directive) and card.keyword in _OURS)
     ]
     used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
     return {
@@ -129,30 +129,26 @@ def _reference(name: str) -> str:
 
 
 def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
-    words = element.statement.words
-    letter, name = words[0][0].upper(), _reference(words[0])
-    spelled = {w.lower(): w for w in words}
-    nets = tuple("0" if n in GROUND else spelled[n] for n in element.nodes)
+    letter, name = element.name[0].upper(), _reference(element.name)
+    nets = tuple("0" if n.lower() in GROUND else n for n in element.nodes)
+    given = " ".join(f"{k}={v}" for k, v in element.parameters.items())
     if letter == "X":
-        symbol = parts.get(str(element.model).lower())
+        symbol = parts.get(element.model.lower())
         if symbol is None or len(symbol.ends) != len(nets):
-            raise UsageError(
-                "no such subcircuit", where=element.statement.where, got=str(element.model)
-            )
-        given = " ".join(f"{k}={v}" for k, v in element.params.items())
+            raise UsageError("no such subcircuit", where=element.where, got=element.model)
         fields = symbol.fields | ({"Sim.Params": given} if given else {})
         return _placed(symbol, fields | {"Reference": name}, nets)
     symbol = plain.get(letter)
     if symbol is None or len(symbol.ends) != len(nets):
         raise UsageError(
             "the sheet has no symbol for this card",
-            where=element.statement.where,
-            got=element.statement.text[:80],
+            where=element.where,
+            got=element.text[:80],
             expected=f"one of {', '.join(sorted(k for k in plain if len(k) == 1))} or X",
         )
-    rest = words[1 + len(nets) :]
-    rest = [_reference(w) if w.lower() in element.sources else w for w in rest]
-    value = " ".join(rest)
+    law = f"{element.quantity}={element.expression}" if element.quantity else ""
+    words = (*map(_reference, element.sources), *element.values, given, law)
+    value = " ".join(filter(None, words))
     fields = symbol.fields | {
         "Reference": name, "Value": _shown(value), "Sim.Params": spice(letter, value),
     }  # fmt: skip
@@ -335,15 +331,13 @@ def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     the first of every part before any second one."""
     analysis = next((c for c in commands if c.split()[0].lower() in _KINDS), "")
     kind = _KINDS.get(analysis.split()[0].lower() if analysis else "", "TRAN")
-    results = {
-        name: m[1] for name, (e, _) in deck.vectors.items() if (m := re.fullmatch(r"v\((\w+)\)", e))
-    }
+    found = {name: vector(text) for name, (text, _) in deck.vectors.items()}
+    results = {n: t.names[0] for n, t in found.items() if t and t.quantity == "v"}
     first: dict[str, str] = {}
     for name, node in results.items():
         first.setdefault(name.partition(".")[0], node)
     nodes = [*first.values(), *results.values()]
-    present = {n: w for s in top.elements for n in s.nodes for w in s.statement.words
-               if w.lower() == n}  # fmt: skip
+    present = {node.lower(): node for part in top.elements for node in part.nodes}
     names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]
     gain = kind == "AC"
     traces = [

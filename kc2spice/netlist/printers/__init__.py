@@ -1,0 +1,1 @@
+"""Trees as text of one simulator or tool each."""

@@ -1,0 +1,274 @@
+"""What Xyce and LTspice have in common against ngspice; what neither can say is refused.
+
+Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and LTspice Help
+(B sources, .model SW, .save).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Item,
+    Model,
+    Parameters,
+)
+from kc2spice.netlist.expression import Binary, Call, Choice, Number, Tree, Unary
+from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.vectors import Trace, vector
+
+ANALYSES = (".tran", ".ac", ".dc", ".op")
+OPTIONS = (".options", ".option")
+_SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES})
+_SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters
+# Models that all three read alike: SPICE2's own parameters.
+_SEMICONDUCTORS = {
+    "d": "is rs n tt cjo vj m eg xti fc bv ibv",
+    "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
+    "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
+    "njf": "vto beta lambda rd rs cgs cgd pb is",
+}
+_SEMICONDUCTORS |= {p: _SEMICONDUCTORS[n] for p, n in
+                    (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))}  # fmt: skip
+COMMON = frozenset(
+    ("abs", "acos", "acosh", "asin", "asinh", "atan", "atanh", "ceil", "cos", "cosh", "exp",
+     "floor", "int", "ln", "log10", "max", "min", "sgn", "sin", "sinh", "sqrt", "tan", "tanh",
+     "uramp")
+)  # fmt: skip
+_EULER = "2.718281828459045"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the cards of a deck must know of it: its analysis, whether it starts from initial states
+    (``uic``), whether a controller is in it, and the nodes that initial states of parts meet."""
+
+    analysis: str = ".tran"
+    uic: bool = True
+    controlled: bool = True
+    starting: tuple[str, ...] = ()
+
+
+class Dialect(Printer, ABC):
+    """One simulator's spelling; subclasses override what differs from each other."""
+
+    command = ""
+    option_prefix = ".options"
+    known_options: frozenset[str] = frozenset()
+    joined: frozenset[str] = frozenset()  # commands of which only the last counts
+    functions = COMMON
+    temperature = ""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__()
+        self.setup = setup
+        self.defined: set[str] = set()
+
+    # -- cards ------------------------------------------------------------------------------
+
+    def file(self, circuit: Circuit) -> str:
+        """Text of a whole file; functions that it defines are known in all of it."""
+        self.defined = {item.name.lower() for item in circuit.items if isinstance(item, Function)}
+        return super().file(circuit)
+
+    def lines(self, items: Sequence[Item]) -> Iterator[str]:
+        """Cards, those of one command together where the simulator needs it."""
+        return super().lines(_merged(items, self.joined))
+
+    def card(self, item: Item) -> str:
+        """One card."""
+        if isinstance(item, Parameters) and item.keyword != ".param":
+            raise self.refusal(item.text, f"the command {item.keyword}")
+        if not isinstance(item, Directive):
+            return super().card(item)
+        if item.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
+            return ""
+        if item.keyword in OPTIONS:
+            return self.options(item.words)
+        if item.keyword == ".save":
+            return self.save([self.vector(word) for word in item.words])
+        if item.keyword == ".tran":
+            return self.transient(item)
+        if item.keyword not in _SAME:
+            raise self.refusal(item.text, f"the command {item.keyword}")
+        return self.directive(item)
+
+    def refusal(self, got: str, what: str) -> UsageError:
+        """The error for a construct that this dialect has no words for."""
+        return UsageError(f"{self.title} cannot say {what}", where=self.where, got=got[:120])
+
+    def element(self, part: Element) -> str:
+        """A device that both have."""
+        laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
+        files = any("file" in w.lower() for w in (*part.values, *part.parameters))
+        if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
+            raise self.refusal(part.text, f"this {part.kind.upper()} card")
+        return super().element(part)
+
+    def model(self, model: Model) -> str:
+        """A switch, or a semiconductor of the parameters that all have."""
+        values = {key.lower(): self.value(value) for key, value in model.parameters.items()}
+        if model.type.lower() == "sw":
+            return self.switch(model.name, values)
+        known = _SEMICONDUCTORS.get(model.type.lower(), "").split()
+        if not set(values) <= set(known) or values.get("level", "1") != "1":
+            raise self.refusal(str(model), "this model")
+        return super().model(model)
+
+    def options(self, words: Sequence[str]) -> str:
+        """The simulator settings that exist here; what is dropped becomes a comment."""
+        known = [word.partition("=")[0].lower() in self.known_options for word in words]
+        kept = [word for word, here in zip(words, known, strict=True) if here]
+        dropped = [word for word, here in zip(words, known, strict=True) if not here]
+        lines = [f"{self.option_prefix} {' '.join(kept)}"] if kept else []
+        return "\n".join([*lines, *(f"* {self.title} has no option {word}" for word in dropped)])
+
+    def transient(self, card: Directive) -> str:
+        """The card of a transient analysis."""
+        return card.text
+
+    def save(self, vectors: list[str]) -> str:
+        """The card that asks for results."""
+        return "\n+ ".join([".save", *vectors])
+
+    @abstractmethod
+    def switch(self, name: str, values: Mapping[str, str]) -> str:
+        """A voltage-controlled switch."""
+
+    def vector(self, text: str) -> str:
+        """Name of a result."""
+        found = vector(text)
+        bare = "(" not in text and "@" not in text
+        if found is None or bare or found.parameter.lower() not in ("", "i", "id", "current"):
+            raise self.refusal(text, "this vector")
+        if found.quantity == "i":
+            return f"I({self.device(found)})"
+        return f"V({','.join(self.node(name.split('.')) for name in found.names)})"
+
+    def node(self, path: list[str]) -> str:
+        """A node inside nested instances."""
+        return ":".join(path)
+
+    def device(self, trace: Trace) -> str:
+        """A part inside nested instances."""
+        return ":".join([*trace.path, *trace.names])
+
+    # -- expressions ------------------------------------------------------------------------
+
+    def name(self, text: str) -> str:
+        """A parameter or keyword."""
+        known = {"e": _EULER, "temper": self.temperature}
+        if text.lower() == "hertz":
+            raise self.refusal(text, f"the word {text}")
+        return known.get(text.lower(), text)
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """Functions by what they mean: ``pwl`` is ``table``, ``log`` is the natural one."""
+        if function == "pwl":
+            head, *pairs = [self.write(a) for a in arguments]
+            self._check_table(arguments[1:])
+            rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]
+            return f"table({head},{','.join(rows)})"
+        if function == "pow" and len(arguments) == 2:
+            return self.write(Binary("^", *arguments))
+        spelled = "ln" if function == "log" else function
+        if spelled not in self.functions and function not in self.defined:
+            raise UsageError(
+                f"{self.title} cannot say the function {function}",
+                where=self.where,
+                expected=", ".join(sorted(self.functions | {"pow", "pwl"})),
+            )
+        return super().call(spelled, arguments)
+
+    def _check_table(self, values: tuple[Tree, ...]) -> None:
+        """``pwl`` goes on with its outer slopes, ``table`` stays flat: the ends must be flat."""
+        flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
+        if len(values) % 2 or not flat:
+            raise UsageError(
+                f"{self.title} ends every table flat",
+                where=self.where,
+                got="a pwl() whose outer segments slope",
+                expected="two equal values at both ends",
+            )
+
+    def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
+        """Both simulators have ``if(test, yes, no)``."""
+        return f"if({self.test(test)}, {self.write(yes)}, {self.write(no)})"
+
+    def test(self, tree: Tree) -> str:
+        """A condition; whatever is not zero is true in ngspice, what is above a half in LTspice."""
+        if isinstance(tree, Binary) and tree.op in _COMPARED:
+            return super().write(tree)
+        return f"{self.write(_truth(tree), 3)}>0.5"
+
+    def write(self, tree: Tree, level: int = 0) -> str:
+        """ngspice's power is that of the absolute value; logic is said by choices."""
+        match tree:
+            case Binary("^", left, right):
+                return self.power(self.write(left), self.write(right))
+            case Binary("&&" | "||" | "==" | "!=") | Unary("!"):
+                return self.write(_truth(tree), level)
+        return super().write(tree, level)
+
+    def power(self, base: str, exponent: str) -> str:
+        """A power of the absolute value, as ngspice takes it."""
+        return f"pow(abs({base}), {exponent})"
+
+
+_ONE, _ZERO = Number("1"), Number("0")
+_COMPARED = ("<", "<=", ">", ">=")
+
+
+def _truth(tree: Tree) -> Tree:
+    """A condition as a number, 0 or 1."""
+    match tree:
+        case Binary(op) if op in _COMPARED:
+            return Choice(tree, _ONE, _ZERO)
+        case Binary("&&", left, right):
+            return Binary("*", _truth(left), _truth(right))
+        case Binary("||", left, right):
+            return Call("max", (_truth(left), _truth(right)))
+        case Binary("!=", left, right):
+            return _truth(Binary("-", left, right))
+        case Binary("==", left, right):
+            return _truth(Unary("!", Binary("-", left, right)))
+        case Unary("!", value):
+            return Binary("-", _ONE, _truth(value))
+    return Choice(Binary(">", Call("abs", (tree,)), _ZERO), _ONE, _ZERO)
+
+
+def _merged(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
+    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``.
+
+    All cards of the commands ``joined`` become one where the first of them stands, with the
+    comments of all: the deck's title may be among them.
+    """
+    merged: list[Item] = []
+    first: dict[str, int] = {}
+    for item in items:
+        keyword = item.keyword if isinstance(item, Directive) else ""
+        last = merged[-1] if merged else None
+        at = first.get(keyword)
+        if keyword == ".save" and not item.notes and isinstance(last, Directive):
+            at = len(merged) - 1 if last.keyword == ".save" else None
+        if at is None:
+            if keyword in joined:
+                first[keyword] = len(merged)
+            merged.append(item)
+        else:
+            merged[at] = _with(merged[at], item)
+    return merged
+
+
+def _with(one: Item, two: Item) -> Item:
+    assert isinstance(one, Directive)
+    assert isinstance(two, Directive)
+    return replace(one, words=one.words + two.words, notes=one.notes + two.notes)

@@ -1,0 +1,96 @@
+"""Analog Devices' LTspice: netlists and symbols (``.asy``, file version 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.expression import simplified
+from kc2spice.netlist.printers.box import Box, Place
+from kc2spice.netlist.printers.dialect import Dialect, Setup
+from kc2spice.netlist.vectors import Trace
+
+GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
+_SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
+
+
+class LTspice(Dialect):
+    """Its behavioural sources take parameters as numbers in braces, as text."""
+
+    title = "LTspice"
+    command = "LTspice -b"
+    subckt_keyword = instance_keyword = "params:"
+    temperature = "temp"
+    known_options = frozenset(
+        {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
+    )
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.bare = True  # how parameters are written
+
+    def name(self, text: str) -> str:
+        """Parameters are put in as numbers, so a sign must not meet an operator."""
+        word = super().name(text)
+        plain = self.bare or word != text or text.lower() in ("time", "pi", "temp")
+        return word if plain else f"({{{word}}})"
+
+    def law(self, part: Element) -> str:
+        """The expression of a behavioural source."""
+        self.bare = part.kind != "b"
+        text = self.write(simplified(part.law))
+        quantity, self.bare = part.quantity, True
+        return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
+
+    def switch(self, name: str, values: Mapping[str, str]) -> str:
+        """The same model; the default of ``ROFF`` differs, so both are always written."""
+        given = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
+        return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in given.items())})"
+
+    def element(self, part: Element) -> str:
+        """LTspice gives inductors a milliohm unless told otherwise."""
+        return super().element(part) + (" Rser=0" if part.kind == "l" else "")
+
+    def node(self, path: list[str]) -> str:
+        """Instances are called without their X."""
+        return ":".join([*(each[1:] for each in path[:-1]), path[-1]])
+
+    def device(self, trace: Trace) -> str:
+        """``b:contact:ring0``: letter, instances, rest of the name."""
+        (name,) = trace.names
+        inner = (name[0], *(each[1:] for each in trace.path), name[1:])
+        return ":".join(inner) if trace.path else name
+
+
+def symbol(box: Box, library: str) -> str:
+    """The symbol of one part; ``library`` is the file that LTspice includes for it."""
+    x, y = GRID * box.width, GRID * box.height
+    lines = [
+        "Version 4",
+        "SymbolType BLOCK",
+        f"RECTANGLE Normal {x} {y} {-x} {-y}",
+        f"WINDOW 0 0 {-y} Bottom 2",
+        f"WINDOW 3 0 {y} Top 2",
+        f"SYMATTR Value {box.name}",
+        "SYMATTR Prefix X",
+        f"SYMATTR ModelFile {library}",
+        f"SYMATTR Description {box.title}",
+    ]
+    if box.params:
+        given = " ".join(f"{p.name}={number(p.default)}" for p in box.params)
+        lines.append(f"SYMATTR SpiceLine {given}")
+    for place in box.places:
+        lines += _pin(place, box)
+    return "\n".join(lines) + "\n"
+
+
+def _pin(place: Place, box: Box) -> list[str]:
+    """A pin on the outline; y points down here."""
+    x = max(-box.width, min(box.width, place.x)) * GRID
+    y = -max(-box.height, min(box.height, place.y)) * GRID
+    return [
+        f"PIN {x} {y} {_SIDES[place.side]} 8",
+        f"PINATTR PinName {place.pin.name}",
+        f"PINATTR SpiceOrder {place.number}",
+    ]

@@ -1,0 +1,132 @@
+"""Trees as ngspice reads them; the printers of other simulators say what they do differently."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Item,
+    Model,
+    Parameters,
+    Subcircuit,
+)
+from kc2spice.netlist.expression import Name, Tree, Writer, parse, simplified, walk
+
+_BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
+_WIDTH = 96
+
+
+class Printer(Writer):
+    """One simulator's netlists."""
+
+    title = "ngspice"
+    subckt_keyword = instance_keyword = ""
+
+    def __init__(self) -> None:
+        self.where = "netlist"
+
+    def file(self, circuit: Circuit) -> str:
+        """Text of a whole file."""
+        lines = [*self.lines(circuit.items), *circuit.closing]
+        return "\n".join(lines) + "\n"
+
+    def lines(self, items: Sequence[Item]) -> Iterator[str]:
+        """Cards with the comments above them."""
+        for item in items:
+            yield from item.notes
+            self.where = item.where
+            if card := self.card(item):
+                yield card
+
+    def card(self, item: Item) -> str:
+        """One card, or a subcircuit, without the comments above it; "" for none."""
+        match item:
+            case Element():
+                return self.element(item)
+            case Model():
+                return self.model(item)
+            case Parameters():
+                return f"{item.keyword} {self.pairs(item.values)}"
+            case Function(name, arguments, _):
+                law = self.value(f"{{{item.expression.strip('{}')}}}")
+                return f".func {name}({','.join(arguments)}) {law}"
+            case Circuit():
+                keyword = self.subckt_keyword if item.defaults else ""
+                head = _joined(".subckt", item.name, *item.pins, keyword, self.pairs(item.defaults))
+                body = (*self.lines(item.items), *item.closing)
+                return "\n".join([head, *body, f".ends {item.name}"])
+        return self.directive(item)
+
+    def element(self, part: Element) -> str:
+        """A device."""
+        keyword = self.instance_keyword if part.kind == "x" and part.parameters else ""
+        law = ""
+        if part.quantity:
+            law = self.law(part)
+        values = " ".join(map(self.value, part.values))
+        pairs = self.pairs(part.parameters)
+        return _joined(
+            part.name, *part.nodes, *part.sources, part.model, values, law, keyword, pairs
+        )
+
+    def law(self, part: Element) -> str:
+        """The expression of a behavioural source. One with parameters is evaluated whole: within an
+        expression, braces are put in as text."""
+        tree = simplified(part.law)
+        words = (leaf.text.lower() for leaf in walk(tree) if isinstance(leaf, Name))
+        text = self.write(tree)
+        inner = f"{{{text}}}" if not _BARE.issuperset(words) else text
+        return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
+
+    def model(self, model: Model) -> str:
+        """``.model``."""
+        inside = self.pairs(model.parameters)
+        return _joined(".model", model.name, model.type + (f"({inside})" if inside else ""))
+
+    def directive(self, card: Directive) -> str:
+        """Any other card with a dot; a control block has its commands on lines of their own."""
+        if card.keyword == ".control":
+            return "\n".join([".control", *card.words, ".endc"])
+        return card.text
+
+    def pairs(self, given: Mapping[str, str]) -> str:
+        """Assignments; a word without a value is a flag."""
+        return " ".join(
+            f"{key}={self.value(value)}" if value else key for key, value in given.items()
+        )
+
+    def value(self, text: str) -> str:
+        """A word of a card; what stands in braces or single quotes is an expression."""
+        if text[:1] not in ("{", "'"):
+            return text
+        return f"{{{self.constant(simplified(parse(text, where=self.where)))}}}"
+
+    def constant(self, tree: Tree) -> str:
+        """An expression of parameters alone, without the blanks that would end a word."""
+        return self.write(tree).replace(", ", ",")
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """A function; rows of a table stand on lines of their own."""
+        if function != "pwl":
+            return super().call(function, arguments)
+        head, *numbers = map(self.write, arguments)
+        rows = [", ".join(pair) for pair in zip(numbers[::2], numbers[1::2], strict=False)]
+        lines = textwrap.wrap(", ".join(rows), _WIDTH, break_long_words=False)
+        return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
+
+
+def _joined(*words: str) -> str:
+    return " ".join(filter(None, words))
+
+
+def printed(part: Subcircuit, tree: Circuit) -> Subcircuit:
+    """``part`` with another tree, and the text of that."""
+    new = replace(part, text=Printer().file(tree))
+    vars(new)["circuit"] = tree  # it need not be read again
+    return new

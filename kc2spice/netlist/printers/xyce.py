@@ -1,0 +1,114 @@
+"""Sandia's Xyce."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import Directive, Element
+from kc2spice.netlist.expression import Number, Tree, literal, simplified
+from kc2spice.netlist.printers.dialect import COMMON, Dialect
+
+STEP = 1e-6  # s, largest where a controller closes a loop
+TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e-5
+SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
+
+
+class Xyce(Dialect):
+    """Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
+    replaces the first.
+    """
+
+    title = "Xyce"
+    command = "Xyce"
+    subckt_keyword = instance_keyword = "PARAMS:"
+    option_prefix = ".options timeint"
+    known_options = frozenset({"reltol", "abstol", "method"})
+    joined = frozenset({".options"})
+    functions = COMMON - {"uramp"}
+    temperature = "TEMP"
+
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
+        if function == "uramp":
+            return super().call("max", (Number("0"), *arguments))
+        return super().call(function, arguments)
+
+    def element(self, part: Element) -> str:
+        """Xyce obeys ``IC=`` of a part without ``uic`` too, where ngspice ignores it."""
+        if not self.setup.uic and part.kind in "cl":
+            kept = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
+            part = replace(part, parameters=kept)
+        return super().element(part)
+
+    def directive(self, card: Directive) -> str:
+        """A logarithmic range goes on to the first point at or beyond its end, as Xyce stops short
+        of an end that is not one of its points."""
+        if card.keyword != ".ac" or not card.words:
+            return super().directive(card)
+        given = [literal(word, where=card.where) for word in card.words[1:]]
+        per = {"dec": 10.0, "oct": 2.0}.get(card.words[0].lower())
+        if per is None or len(given) != 3 or None in given:
+            return super().directive(card)
+        count, start, stop = (float(value or 0.0) for value in given)
+        steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
+        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose it
+        return " ".join([card.keyword, *card.words[:3], number(beyond)])
+
+    def options(self, words: Sequence[str]) -> str:
+        """Its error control is looser than ngspice's at one ``reltol``."""
+        return super().options(words if self.setup.analysis != ".tran" else [*map(_tight, words)])
+
+    def transient(self, card: Directive) -> str:
+        """A ceiling of the step where a controller closes a loop: Xyce's error control alone loses
+        5e-4 of a launch. Contacts begin from where they rest, not from a bounce."""
+        if not self.setup.uic and self.setup.starting:
+            guesses = " ".join(f"V({node})=0" for node in self.setup.starting)
+            return f".nodeset {guesses}\n{self._limited(card)}"
+        return self._limited(card)
+
+    def _limited(self, card: Directive) -> str:
+        if not self.setup.controlled:
+            return card.text
+        words = [w for w in card.words if w.lower() == "uic"]
+        numbers = [w for w in card.words if w not in words]
+        step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
+        given = literal(ceiling, where=card.where)
+        if given is None or given > STEP:
+            ceiling = number(STEP)
+        return " ".join([card.keyword, step, stop, start, ceiling, *words])
+
+    def law(self, part: Element) -> str:
+        """Braces around all expressions are required."""
+        quantity = part.quantity if part.kind == "b" else "value"
+        return f"{quantity}={{{self.write(simplified(part.law))}}}"
+
+    def save(self, vectors: list[str]) -> str:
+        """Results are printed per analysis."""
+        kind = self.setup.analysis.removeprefix(".").upper()
+        return "\n+ ".join([f".print {kind} format=raw", *vectors])
+
+    def switch(self, name: str, values: Mapping[str, str]) -> str:
+        """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
+        given = " ".join(f"{key.upper()}={value}" for key, value in values.items())
+        band, middle = (literal(values.get(key, "0"), where=self.where) for key in ("vh", "vt"))
+        if band != 0.0:
+            raise self.refusal(given, "a switch with hysteresis")
+        if middle is None:
+            raise self.refusal(given, "a switch whose threshold is an expression")
+        return (
+            f".model {name} VSWITCH(VON={number(middle + SWITCH_BAND)} "
+            f"VOFF={number(middle - SWITCH_BAND)} "
+            f"RON={values.get('ron', '1')} ROFF={values.get('roff', '1e12')})"
+        )
+
+
+def _tight(word: str) -> str:
+    """An option of ngspice, ``reltol`` as Xyce needs it."""
+    name, _, value = word.partition("=")
+    if name.lower() != "reltol":
+        return word
+    given = literal(value, where="reltol")
+    return f"{name}={number(TIGHT if given is None else min(given / 10, TIGHT))}"
