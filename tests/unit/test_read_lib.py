@@ -44,7 +44,7 @@ def test_libraries_of_others_have_what_their_cards_say(tmp_path):
 def test_what_stands_inside_of_another_is_no_part(tmp_path):
     text = (
         ".param z=1\n.csparam y=2\n"
-        ".subckt\n.ends\n.subckt Outer a b k=-1k g={2*3} PARAMS: h=5\n.subckt inside c\n"
+        ".subckt Outer a b k=-1k g={2*3} PARAMS: h=5\n.subckt inside c\n"
         "R1 c 0 1\n.ends\n.csparam n=1\n.subckt uncalled d\nR1 d 0 1\n.ends\nX1 a inside\n"
         "Xlast b tail params: x=1\n.ends\n"
         ".subckt tail p x=2\nR1 p 0 1\n.ends\n.subckt second q\nR1 q 0 1\n.ends\n"
