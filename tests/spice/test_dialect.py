@@ -203,11 +203,10 @@ def one(cards_):
 
 REFUSED = [
     "B1 a 0 I=pwl(V(c), 0, 0, 1, 1)",  # ngspice goes on with the slope, a table stays flat
-    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 1)", "B1 a 0 I=limit(V(c), 0, 1)", "B1 a 0 I=V(b)^2",
-    ".param a={b**2}", "B1 a 0 I=V(b)*temper", "B1 a 0 I=V(b)==1 ? 1 : 2", "B1 a 0 I=e*V(b)",
-    "E1 a 0 POLY(1) b 0 1 2 3", "E1 a 0 vol='V(b)'", ".model d D(IS=1e-14 LEVEL=3)",
-    ".model n NMOS(LEVEL=49)", ".control\n.endc", ".func f(x) {x}", "Z1 a b c d", ".width out=80",
-    ".save @m1[gm]", "V1 a 0 PWL(file=x)",
+    "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 1)", "B1 a 0 I=limit(V(c), 0, 1)", "B1 a 0 I=V(b)*hertz",
+    "E1 a 0 LAPLACE {V(b)} {1/(1+s)}", ".model d D(IS=1e-14 LEVEL=3)", ".csparam c=1",
+    ".model n NMOS(LEVEL=49)", ".control\n.endc", "Z1 a b c d", "A1 a b c", ".width out=80",
+    ".save @m1[gm]", ".save nothing", "V1 a 0 PWL(file=x)",
 ]  # fmt: skip
 
 
@@ -304,6 +303,50 @@ def value(law, volts, params, *, table):
 
 def flat(x, *points):
     return float(np.interp(x, points[::2], points[1::2]))
+
+
+def logic(v, b, c, k):
+    """What ngspice computes: whatever is not zero is true."""
+    return 3.0 if (v > 1 or c == 0) and b != 0 and k != 7 else -2.0
+
+
+TREES = {  # of v = V(a,b) …, as ngspice 46 documents its functions
+    "B1 x 0 I=k*V(a)^3-V(b)**2": lambda a, b, c, k: k * abs(a) ** 3 - abs(b) ** 2,
+    "B1 x 0 I=pow(V(a),3)/{k^2}": lambda a, b, c, k: abs(a) ** 3 / k**2,
+    "B1 x 0 I=(V(a)>1||V(c)==0)&&V(b)&&!(k==7)?3:-2": logic,
+    "B1 x 0 I=V(b)!=0?V(a):k": lambda a, b, c, k: a if b != 0 else k,
+    "E1 x 0 vol='V(a)*exp(-V(b))'": lambda a, b, c, k: a * math.exp(-b),
+    "G1 x 0 value={0.0/(k+V(a))+1*V(b)+e}": lambda a, b, c, k: b + math.e,
+    "G1 x 0 POLY(2) a 0 b 0 1 2 3 4 5 6":
+        lambda a, b, c, k: 1 + 2 * a + 3 * b + 4 * a * a + 5 * a * b + 6 * b * b,
+    "E1 x 0 POLY(1) a 0 2": lambda a, b, c, k: 2 * a,
+    "E1 x 0 TABLE {V(a)} = (-1,3) (1,4)": lambda a, b, c, k: flat(a, -1, 3, 1, 4),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+def test_whatever_ngspice_reads_has_its_value_in_other_words(dialect):
+    known = {"if_": lambda test, yes, no: yes if test else no, "abs": abs, "exp": math.exp,
+             "pow": pow, "max": max, "table": flat}  # fmt: skip
+    for card, expected in TREES.items():
+        text = translate(one(card), dialect).files["one.cir"].partition("\n")[2]
+        written = text.replace("\n+", "").splitlines()[0].split("=", 1)[1]
+        law = re.sub(r"V\((\w)(,0)?\)", r"\1", written.replace("if(", "if_("))
+        law = law.replace("{", "(").replace("}", ")")
+        for a in (-1.5, 0.0, 0.5, 2.0):
+            for b, c, k in ((0.0, 0.0, 2.0), (0.3, 1.0, 7.0), (-1.0, 0.0, 2.0)):
+                got = eval(law, known | {"a": a, "b": b, "c": c, "k": k})
+                assert got == pytest.approx(expected(a, b, c, k), rel=1e-14), (card, written)
+
+
+def test_functions_and_models_are_said_however_they_were_spelled():
+    deck = one(".func f(x) {2*x}\nB1 a 0 V=f(V(b))\nS1 a 0 b 0 m\n.model m SW VT=2 RON=3")
+    xyce, ltspice = (translate(deck, name).files["one.cir"] for name in ("xyce", "ltspice"))
+    for text in (xyce, ltspice):
+        assert ".func f(x) {2*x}\nB1 a 0 V=" in text
+        assert "f(V(b))" in text
+    assert ".model m VSWITCH(VON=2.001 VOFF=1.999 RON=3 ROFF=1e12)" in xyce
+    assert ".model m SW(VT=2 VH=0 RON=3 ROFF=1e12)" in ltspice
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])

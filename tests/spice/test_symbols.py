@@ -9,7 +9,6 @@ import pytest
 from device import deck_of
 
 from kc2spice.netlist.deck import Block
-from kc2spice.netlist.scope import circuit
 from kc2spice.netlist.symbol import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
@@ -112,12 +111,11 @@ def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
             else:
                 ends[reference, int(number)] = at
     named = {key: labels[at].lower() for key, at in ends.items() if not key[0].startswith("#FLG")}
-    top = circuit(deck.main, deck.files)
-    for element in top.elements:
-        name = element.statement.words[0]
+    for element in deck.scope.elements:
+        name = element.name
         reference = name if name[-1].isdigit() else f"{name}1"
         nets = [named.pop((reference, k)) for k, _ in enumerate(element.nodes, 1)]
-        assert tuple(nets) == element.nodes
+        assert tuple(nets) == element.ends
     assert sorted(named.values()) == ["mirror", "spare"]  # what one pin alone is on has a probe
     assert all(reference.startswith("TP") for reference, _ in named)
 

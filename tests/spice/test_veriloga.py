@@ -288,6 +288,10 @@ ELEMENTS = {
     "L1 a b 1\nL2 a b 4\nK1 L1 L2 0.5": "V(br_l1) <+ ddt(0.5*sqrt(1.0*4.0)*I(br_l2));",
     "B1 a b V=sgn(V(a))*uramp(V(b))": "(V(a) > 0.0 ? 1.0 : (V(a) < 0.0 ? -1.0 : 0.0))",
     "B1 a b I=V(a) > 1 ? log(V(b)) : 0": "(V(a)>1.0 ? ln(V(b)) : 0.0)",
+    "B1 a b I=V(a)^3+pow(V(b), 2)": "I(a,b) <+ (pow(abs(V(a)), 3.0)+pow(abs(V(b)), 2.0));",
+    "E1 a b vol='k*V(a)'": "V(br_e1) <+ (k*V(a));",
+    ".func half(x) {x/2}\nG1 a b value={half(V(a)-V(b))}": "I(a,b) <+ ((V(a)-V(b))/2.0);",
+    "B1 a b I=V(a)*0+1*V(b)-0/k": "I(a,b) <+ V(b);",
     "R1 a slew {k}\nR2 slew k {k}\nR3 k b 1": "V(slew_,k_)/k;",  # a word of the language
 }
 
