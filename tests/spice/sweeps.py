@@ -42,7 +42,8 @@ def command(scene, *sets, out, more=()):
 
 def sweep(scene, *sets, out, more=(), code=0, **options):
     """The summary of the command, or what it says where it is to fail."""
-    words = command(scene, *sets, out=out, more=("--json", "--quiet", *more))
+    workers = () if "--workers" in more else ("--workers", "1")
+    words = command(scene, *sets, out=out, more=("--json", "--quiet", *workers, *more))
     done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr

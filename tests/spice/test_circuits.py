@@ -331,19 +331,6 @@ def test_where_a_response_peaks_and_what_it_is_at_a_frequency():
     assert result.record["metric_units"] == {"peak_at": "Hz", "there": "V", "half": "A"}
 
 
-def test_a_value_at_a_time_keeps_its_sign_and_stays_within_the_run(tmp_path):
-    wave = {"sine": {"amplitude": 2.0, "frequency": 10e3}}
-    probes = {"low": {"of": "supply.v", "at": "75 us"}}
-    _, found = run(rlc(wave, {"stop": 1e-4}, probes=probes, solver={"max_step": 2e-7}), tmp_path)
-    assert found["low"] == pytest.approx(-2.0, rel=1e-4)
-    for probe, words in (({"at": "46 Hz"}, "outside the analysis"), ({"at": "1 K"}, "no place"),
-                         ({"take": "value"}, "at goes with"),
-                         ({"take": "rms", "at": 1e-5}, "at goes with")):  # fmt: skip
-        with pytest.raises(UsageError, match=words) as caught:
-            load_scene(rlc(wave, {"stop": 1e-4}, probes={"low": {"of": "supply.v", **probe}}))
-        assert "probes.low" in str(caught.value)
-
-
 def test_a_probe_of_nothing_names_what_there_is(tmp_path):
     probes = {"top": {"of": "cap.volt", "take": "max"}}
     with pytest.raises(UsageError, match=r"(?s)probes\.top\.of.*cap\.v"):

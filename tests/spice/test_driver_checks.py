@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from device import built
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
@@ -160,14 +160,3 @@ def test_what_a_netlist_states_of_itself_is_checked(rating, violated, tmp_path):
         return
     with pytest.raises(SimulationError, match=violated):
         simulate(build, make_deck(build), tmp_path)
-
-
-def test_a_rating_of_no_pin_is_an_error(tmp_path):
-    (tmp_path / "mine.lib").write_text(RATED)
-    (tmp_path / "a.toml").write_text(
-        "[mine]\npart = 'netlist'\nfile = 'mine.lib'\nsubckt = 'mine'\n"
-        "ratings = { outt = { high = 1 } }\npins = { command = 'load.a', out = 'load.b' }\n"
-        "[load]\npart = 'resistor'\nresistance = 1000.0\n[analysis]\nstop = 1e-5\n"
-    )
-    with pytest.raises(UsageError, match="no such pin"):
-        load_scene(tmp_path / "a.toml")

@@ -111,11 +111,6 @@ def test_an_early_end_is_noticed(tmp_path):
         run_deck(deck(RC.format("1m"), stop=2e-3), tmp_path)
 
 
-def test_a_vector_that_was_not_saved_is_named(tmp_path):
-    with pytest.raises(SimulationError, match="did not save"):
-        run_deck(deck(RC.format("1m"), {"x": ("v(nowhere)", 1.0)}, 1e-3), tmp_path)
-
-
 def test_time_limit(tmp_path):
     with pytest.raises(SimulationError, match="did not finish"):
         run_deck(deck(RC.format("1000").replace("1u 1000", "1u 1000 0 1u"), stop=1e3), tmp_path,

@@ -6,7 +6,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import tomllib
 
 import numpy as np
 import pytest
@@ -145,15 +144,6 @@ def test_meshes_on_a_dask_worker(name, home):
     assert (home / "out" / "sweep.csv").read_text().count(expected) == 2, ran.stderr
     assert ran.returncode == (5 if expected == "failed: " else 0)
     assert not victim.exists()
-
-
-def test_a_program_may_name_a_mesh_anywhere(home):
-    """Tables that a Python program hands over are its own words."""
-    outside = home.parent / "bar.msh"
-    outside.write_bytes(meshes.mesh())
-    tables = tomllib.loads(meshes.SCENE.format(mesh="bar.msh", more=""))
-    tables["bar"]["mesh"] = str(outside)
-    assert api.build(tables)["bar"].facts["mass_kg"] > 0
 
 
 def test_a_file_without_unit_needs_one(home):

@@ -85,16 +85,6 @@ def test_impact_agrees_with_scipy(model, electrical, tmp_path):
     assert waves["sphere.v"][-1] == pytest.approx(v[-1], rel=1e-4)
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.01])
-def test_slow_impacts_are_as_exact_as_fast_ones(model, speed, tmp_path):
-    """Displacements shrink with the speed; steps of error control alone must follow them."""
-    keys = {"impact.velocity": -speed, "impact.gap": speed * 1e-6, "solver.max_step": 1e-6}
-    scene = thrown("short", **keys)
-    waves = run_deck(deck_of(scene, model), tmp_path)
-    _, _, v = exact.impact(scene, model)
-    assert waves["sphere.v"][-1] == pytest.approx(v[-1], rel=1e-4)
-
-
 @pytest.mark.parametrize("electrical", ["open", "short"])
 def test_imprint_agrees_with_the_static_solution(model, electrical, tmp_path):
     tables = {"name": "imprint", "kick": {"electrical": electrical}, "imprint": {"steps": 50}}

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -57,21 +58,19 @@ def test_a_point_is_the_run_of_that_scene(charge):
 def test_python_gives_the_same_table_on_any_executor(charge):
     scene, _, summary = charge
     values = {"wire.resistance": [500, 1000, 1500, 2000], "supply.pulse.high": ["5 V", "10 V"]}
-    tables = [kc.sweep(scene, values)]
-    with processes(2)() as (executor, _):
-        tables.append(kc.sweep(scene, values, executor=executor))
-    wanted = [float(row["charged"]) for row in rows(summary)]
-    for table in tables:
-        assert table["charged"] == wanted
-        assert table[3]["supply.pulse.high"] == "10 V"
+    with ThreadPoolExecutor(1) as executor:
+        table = kc.sweep(scene, values, executor=executor)
+    assert table["charged"] == [float(row["charged"]) for row in rows(summary)]
+    assert table[3]["supply.pulse.high"] == "10 V"
 
 
 def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(charge, tmp_path):
     pytest.importorskip("distributed")
     scene, _, _ = charge
-    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--dask", "tcp://127.0.0.1:9"), code=3)
+    few = ("wire.resistance=500,900",)
+    said = sweep(scene, *few, out=tmp_path / "o", more=("--dask", "tcp://127.0.0.1:9"), code=3)
     assert "no Dask scheduler" in said
-    assert sweep(scene, *GRID, out=tmp_path / "o")["failed"] == 0
+    assert sweep(scene, *few, out=tmp_path / "o")["failed"] == 0
 
 
 # --- what is asked ------------------------------------------------------------------------------
@@ -103,8 +102,6 @@ def test_an_unknown_column_is_refused_with_the_nearest(charge, tmp_path):
     said = sweep(scene, *GRID, out=tmp_path / "o", more=("--metric", "chargd"), code=2)
     assert "charged" in said
     assert not (tmp_path / "o" / "sweep.csv").exists()
-    said = sweep(scene, *GRID, out=tmp_path / "o", more=("--format", "xlsx"), code=2)
-    assert "csv or parquet" in said
 
 
 # --- failures -----------------------------------------------------------------------------------
@@ -134,7 +131,7 @@ def test_a_run_that_takes_too_long_is_a_failure(tmp_path):
 
 # --- kills --------------------------------------------------------------------------------------
 
-MANY = ("wire.resistance=500:2000:16", "solver.max_step=0.1 us")
+MANY = ("wire.resistance=500:2000:8", "solver.max_step=0.2 us")
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +174,7 @@ def session(leader):
 def goes_on(scene, out, undisturbed, code=0):
     before = recorded(out)
     summary = sweep(scene, *MANY, out=out, code=code)
-    assert (summary["points"], summary["failed"], summary["resumed"]) == (16, 0, before)
+    assert (summary["points"], summary["failed"], summary["resumed"]) == (8, 0, before)
     assert Path(summary["table"]).read_bytes() == undisturbed
     return before
 
@@ -197,9 +194,10 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(undisturbed, tmp_path
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert not (out / "sweep.csv").exists()
-    assert 2 <= goes_on(scene, out, undisturbed) < 16
+    assert 2 <= goes_on(scene, out, undisturbed) < 8
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_that_the_same_command_goes_on(undisturbed, tmp_path):
     scene, out = circuit(tmp_path), tmp_path / "o"
     process = begun(scene, out)
@@ -208,7 +206,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(undisturbed, tmp_path):
     assert process.returncode == 130
     assert "the same command runs the rest" in said
     assert "Traceback" not in said
-    assert 2 <= goes_on(scene, out, undisturbed) < 16
+    assert 2 <= goes_on(scene, out, undisturbed) < 8
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -223,6 +221,7 @@ def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_simulator_loses_no_point(undisturbed, tmp_path):
     scene, out = circuit(tmp_path), tmp_path / "o"
@@ -243,7 +242,8 @@ def test_a_killed_simulator_loses_no_point(undisturbed, tmp_path):
 # --- what travels -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["processes", "dask"])
 def test_a_scene_file_takes_its_netlists_along(tmp_path, kind):
     """The gallery's scene with a user's driver, in one directory that then vanishes."""
     name, folder = "bring_your_own", tmp_path / "mine"

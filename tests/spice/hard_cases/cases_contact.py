@@ -50,7 +50,7 @@ def _penalty(value, slow=False):
 
 
 for value in ("1e6", "1e7", "1e8", "1e9", "1e10", "1e11"):
-    _penalty(value, slow=value in ("1e7", "1e9", "1e11"))
+    _penalty(value, slow=value not in ("1e6", "1e8"))
 
 
 @case("all six rings at once", "rebound velocity, relative", 1e-4)
@@ -132,7 +132,7 @@ def rest_on_a_chip(bench):
     return np.abs(waves["contact.force"] / (MASS * 9.81) - 1.0).max()
 
 
-@case("resting contact", "height over its travel", 1e-3)
+@case("resting contact", "height over its travel", 1e-3, slow=True)
 def chatter_after_a_kick_of_one_volt(bench):
     """The sphere hops by nanometres: steps must resolve them, or the run must notice."""
     study = kick("kick.drive.voltage=1 V", "solver.stop=0.2 ms")
@@ -154,7 +154,7 @@ def hundred_bounces_on_a_rigid_plane(bench):
     return abs(found.energy) + abs(found.missed)
 
 
-@case("100 elastic bounces", "energy of sphere and chip, relative", 1e-3)
+@case("100 elastic bounces", "energy of sphere and chip, relative", 1e-3, slow=True)
 def bounces_on_an_undamped_chip(bench):
     """A strong pull brings the sphere down again and again; what it loses the chip must hold."""
     pull = 1e4
