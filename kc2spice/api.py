@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kc2spice.core.waveforms import Waveforms
     from kc2spice.netlist.circuit import Subcircuit
     from kc2spice.netlist.deck import Deck
-    from kc2spice.rom.linear import LinearModel
+    from kc2spice.rom.linear import LinearModel, Norm
     from kc2spice.scene.judge import Check
     from kc2spice.scene.model import Scene
     from kc2spice.scene.parttype import PartType
@@ -120,19 +120,22 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
 ) -> LinearModel:
     """Reduce a linear model to the smallest one within ``tolerance``, or to ``order`` states.
 
     The result has the same ports in the same order and a ``certificate`` of its error with respect
-    to ``model``: the largest relative error of any transfer function over ``band``, two frequencies
-    in Hz or as texts (``"20 kHz"``). Without a
-    band it is the model's own, else up to a little above the fifth natural frequency. An order of a
-    symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter and
-    Bechtold, Actuators 10 (2021) 279, section 2.3.
+    to ``model``: the largest error of any transfer function over ``band``, two frequencies in Hz or
+    as texts (``"20 kHz"``), relative at every frequency (``norm="pointwise"``) or to the entry's
+    largest value in the band (``"peak"``, unless told for models whose ports are all signals).
+    Without a band it is the model's own, else up to a little above the fifth natural frequency. An
+    order of a symmetric definite model is the block Arnoldi reduction at s0 = 0 of Schütz, Maeter
+    and Bechtold, Actuators 10 (2021) 279, section 2.3.
 
     Raises
     ------
-    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range.
+    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
+        unknown norm.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
     from kc2spice.core.units import quantity
@@ -152,7 +155,8 @@ def reduce(
             got=repr(model.rayleigh), expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
             hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
         )  # fmt: skip
-    return reduction.reduce(model, tolerance=tolerance, order=order, band=band)
+    norm = norm or reduction.default_norm(model)
+    return reduction.reduce(model, tolerance=tolerance, order=order, band=band, norm=norm)
 
 
 def subcircuit(rom: LinearModel, name: str) -> Subcircuit:

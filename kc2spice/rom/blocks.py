@@ -57,11 +57,11 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     A, B, C, D = model.state_space()
     if dense:
         return BlockModel((A,), B, C, D)
-    blocks, X, inverse = _diagonalised(A)
+    blocks, X, inverse = decoupled(A)
     return BlockModel(blocks, inverse @ B, C @ X, D)
 
 
-def _diagonalised(A: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
+def decoupled(A: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """``A = X diag(blocks) X^-1``; the forms of energy coordinates are kept exactly."""
     one = np.eye(len(A))
     if _in_pairs(A):

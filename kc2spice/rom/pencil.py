@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.exact import Exact
 from kc2spice.linalg.factor import Factor, Solver, factorise
 from kc2spice.rom.operators import (
     SAME,
@@ -27,6 +28,7 @@ from kc2spice.rom.operators import (
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
+REGULAR = 1e6  # condition of an inertia that may be divided by: ten times as fast as a pencil
 BATCH_BYTES = 8e6  # of matrices solved at once
 
 
@@ -186,17 +188,16 @@ class Pencil:
     def project_exactly(self, V: np.ndarray) -> Pencil:
         """:meth:`project` of a dense pencil with 19 digits in between: soft motions of stiff
         matrices are small differences of large numbers, which 16 digits lose."""
-        long = V.astype(np.longdouble)
-        reduced = []
+        left, reduced = Exact(V.T), []
         for P in self.coefficients:
-            R = np.asarray(long.T @ (P.astype(np.longdouble) @ long), dtype=float)
+            R = np.asarray(left @ (Exact(P) @ V), dtype=float)
             if self.symmetric:
                 R = 0.5 * (R + R.T)
             elif np.array_equal(P, -P.T):
                 R = 0.5 * (R - R.T)
             reduced.append(R)
-        B = np.asarray(long.T @ self.B, dtype=float)
-        C = B.T.copy() if self.collocated else np.asarray(self.C @ long, dtype=float)
+        B = np.asarray(left @ self.B, dtype=float)
+        C = B.T.copy() if self.collocated else np.asarray(Exact(self.C) @ V, dtype=float)
         return Pencil(tuple(reduced), B, C, self.D)
 
     def leading(self, order: int) -> Pencil:
@@ -278,6 +279,11 @@ class Pencil:
             tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
             omega = float(tops ** (1 / self.degree))
         P = [omega**k * each for k, each in enumerate(full)]
+        if sizes[-1] and np.linalg.cond(P[-1]) < REGULAR:
+            inner = np.linalg.solve(P[-1], np.hstack(P[:-1]))
+            if self.degree == 2:
+                inner = np.block([[np.zeros((q, q)), -one], [inner]])
+            return np.asarray(-omega * np.linalg.eigvals(inner))
         scale = 1 / max([largest(each) for each in P] + [np.finfo(float).tiny])
         if self.degree == 1:
             values = scipy.linalg.eigvals(-scale * P[0], scale * P[1])

@@ -18,13 +18,15 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import LinAlgError, cholesky, solve_continuous_lyapunov, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.linalg.factor import Solver, inverses
+from kc2spice.rom import balance
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
@@ -40,8 +42,7 @@ from kc2spice.rom.response import (
     grid,
     telling,
 )
-from kc2spice.rom.statespace import state_space
-from kc2spice.rom.structure import Structure, structure
+from kc2spice.rom.structure import FORM, Structure, structure
 from kc2spice.rom.subspace import Subspace, is_definite, subspace
 
 ROUNDING = 1e-11  # no estimate says less: direct solutions are hardly better in the response
@@ -51,7 +52,10 @@ FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
 RIGID = 100.0  # times the rounding of the projected stiffness
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
-BALANCED, STRICT = 1200, 1e-9  # states at most; damping of the slowest pole, per rad
+BALANCED = 1200  # first-order states at most
+# Definite matrices become resonators, which prove their stability: they are given up for a model
+# of this share of their states, not for one with few fewer.
+FORM_SHARE = 0.91
 RANK = 1e-13  # singular values of the response below this are rounding
 FIT = 101
 TAIL = 8.0  # snapshots of mechanical ports reach so many times the band's upper edge
@@ -75,8 +79,8 @@ def reduce(
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
 
     The result has the same ports, and a certificate of its error in ``model``, in the ``norm`` of
-    :class:`Certificate`. In the norm *peak* models whose ports are signals are reduced by balanced
-    truncation too, to first order, where that needs fewer states. An order of a
+    :class:`Certificate`. Models whose ports are signals are reduced by balanced truncation too, to
+    first order, where that needs fewer states and no passive resonators are lost. An order of a
     symmetric positive definite model is the paper's reduction (2.3): block Arnoldi at s0 = 0.
     Without a band it is the model's own, else up to a little above the fifth natural frequency.
     Where rounding of the full model's entries moves its response by more than ``tolerance``, the
@@ -84,9 +88,9 @@ def reduce(
 
     Raises
     ------
-    UsageError : not one of tolerance and order, an empty band, a tolerance below rounding, an order
-        beyond what the response has, a model too large for this machine, one that answers to
-        derivatives of its input.
+    UsageError : not one of tolerance and order, an empty band, an unknown norm, a tolerance below
+        rounding, an order beyond what the response has, a model too large for this machine, one
+        that answers to derivatives of its input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
     if (tolerance is None) == (order is None):
@@ -98,6 +102,8 @@ def reduce(
         )  # fmt: skip
     if order is not None and order < 1:
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
+    if norm not in get_args(Norm):
+        raise UsageError("unknown norm", where="norm", got=norm, expected=", ".join(get_args(Norm)))
     pencil = proportional(eliminated(model.pencil))
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
@@ -123,7 +129,7 @@ def reduce(
     both = (full.stable, certificate.stable)
     stable = False if False in both else None if None in both else True
     method = certificate.method
-    if not full.stable or full.proof != "definite matrices":
+    if not full.stable or full.proof != FORM:
         method += f"; stability of the full model from {full.proof}"
     known = replace(certificate, method=method, stable=stable,
                     passive=certificate.passive and full.passive)  # fmt: skip
@@ -148,20 +154,14 @@ def _reduced(
         within = within if within > 0.5 * tolerance else tolerance
         orders = [each.smallest(within) for each in found]
         best = int(np.argmin(orders))
-        if norm == "peak" and default_norm(model) == "peak":
-            other = balanced(found[best])
-            less = None if other is None else other.fewer(within, found[best].states(orders[best]))
-            if other is not None and less is not None:
-                kept = f"{orders[best]} of {'second' if pencil.degree == 2 else 'first'} order"
-                kept = f"balanced truncation, where a congruence needs {kept}; "
-                return replace(other, origin=kept).model(less)
+        chosen, least = _with_or_without_form(model, found[best], orders[best], within)
         if space.floor > tolerance:
             warnings.warn(
                 f"the full model itself is only good to {space.floor:.1e}: so far rounding of its "
                 "entries moves its response; other units or fewer elements may condition it better",
                 stacklevel=2,
             )
-        result = found[best].model(orders[best])
+        result = chosen.model(least)
         estimate = result.certificate.error_estimate  # type: ignore[union-attr]
         if space.floor <= tolerance < estimate:
             warnings.warn(
@@ -179,6 +179,24 @@ def _reduced(
     return min((each for each in found if order <= each.size), key=lambda r: r.error(order)).model(
         order
     )
+
+
+def _with_or_without_form(
+    model: LinearModel, kept: Reduction, order: int, tolerance: float
+) -> tuple[Reduction, int]:
+    """The congruence, or the balanced model that needs fewer states where all ports are signals and
+    no passive resonators would be lost. Either says what the other needs."""
+    other = balanced(kept, order, tolerance)
+    if other is None:
+        return kept, order
+    free, less = other
+    form = "second" if kept.pencil.degree == 2 else "first"
+    resonators = kept.pencil.degree == 2 and kept.structure(order).passive
+    if default_norm(model) == "peak" and not resonators:
+        text = f"{free.origin}, where a congruence needs {order} of {form} order; "
+        return replace(free, origin=text), less
+    text = f"{kept.states(order)} first-order states, {less} without keeping the form; "
+    return replace(kept, origin=text), order
 
 
 def default_norm(model: LinearModel) -> Norm:
@@ -240,18 +258,33 @@ class Reduction:
         return self.pencil.size
 
     @cached_property
+    def reference(self) -> tuple[np.ndarray, np.ndarray]:
+        """Response of the subspace model at the frequencies and peaks of its entries."""
+        H = self.whole.transfer(2j * np.pi * self.frequency)
+        return H, self.whole.peaks(self.frequency, H, self.band, self.space.static)
+
+    @cached_property
     def _judge(self) -> Judge:
         return Judge(self.whole, self.frequency, self.band, self.space.static, self.norm)
 
     def error(self, order: int) -> float:
         """Estimated largest relative error of any transfer function over the band."""
-        found = Response(self.pencil.leading(order))
-        error = self.space.error + SAFETY * self._judge.error(found)
+        error = self.space.error + SAFETY * self._judge.error(self._leading(order))
         return max(error, ROUNDING)
 
     def structure(self, order: int) -> Structure:
         """Stability and passivity of the model of this order."""
-        return structure(self.pencil.leading(order), self.band)
+        found = self._leading(order)
+        return structure(found.pencil, self.band, None if found.decoupled else found.poles)
+
+    def _leading(self, order: int) -> Response:
+        if order not in self._models:
+            self._models[order] = Response(self.pencil.leading(order))
+        return self._models[order]
+
+    @cached_property
+    def _models(self) -> dict[int, Response]:
+        return {}
 
     def smallest(self, tolerance: float) -> int:
         """Bisect for an order whose estimate is within ``tolerance`` while one less is not.
@@ -322,33 +355,34 @@ def _certified(
     return result
 
 
-def balanced(like: Reduction) -> Reduction | None:
-    """The same subspace model in first order and balanced coordinates: states in the order in which
-    they are reached and seen. None where that is not strictly stable, or too large.
-
-    Source: square root method, Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987)
-    115; Gramians of ``A`` per rad at the band's end by Bartels and Stewart.
-    """
-    pencil, omega = like.space.pencil, 2 * np.pi * like.band[1]
+def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, int] | None:
+    """The same subspace model in first order and balanced coordinates, over all frequencies or over
+    the band, if that has fewer states than ``like`` of this ``order``; None where it has not, or
+    the model is free to move or too large."""
+    pencil, top = like.space.pencil, like.band[1]
     if not like.space.static or like.states(pencil.size) > BALANCED:
         return None
-    A, B, C, D = state_space(pencil, like.band[1])
-    A, B = A / omega, B / omega
-    if np.linalg.eigvals(A).real.max() > -STRICT:
-        return None
-    reached, seen = (_root(solve_continuous_lyapunov(P, -Q @ Q.T)) for P, Q in ((A, B), (A.T, C.T)))
-    U, size, Vt = np.linalg.svd(seen.T @ reached)
-    kept = int((size > RANK * size[0]).sum())
-    T = reached @ Vt[:kept].T / np.sqrt(size[:kept])
-    W = seen @ U[:, :kept] / np.sqrt(size[:kept])
-    small = Pencil((-omega * (W.T @ A @ T), np.eye(kept)), omega * (W.T @ B), C @ T, D)
-    return replace(like, pencil=small, first=0)
-
-
-def _root(gramian: np.ndarray) -> np.ndarray:
-    """R with ``R R' = gramian``, which rounding may leave slightly indefinite."""
-    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    model = Response(balance.standard(pencil, top))
+    H, peak = like.reference
+    ways = {
+        "balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak)),
+        "balanced truncation over the band": lambda: balance.by_samples(
+            model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
+        ),
+    }
+    best = None
+    states = like.states(order)
+    if like.pencil.degree == 2 and like.structure(order).proof == FORM:  # worth a few states
+        states = int(np.ceil(FORM_SHARE * states))
+    for name, way in ways.items():
+        small = way()
+        if small is None:
+            continue
+        other = replace(like, pencil=balance.in_hertz(small, top), first=0, origin=name)
+        fewer = other.fewer(tolerance, states)
+        if fewer is not None:
+            best, states = (other, fewer), fewer
+    return best
 
 
 def ordered(
@@ -356,10 +390,11 @@ def ordered(
     tolerance: float | None,
 ) -> Reduction:  # fmt: skip
     """Order the directions of the subspace by what they contribute to the response."""
-    pencil = space.pencil.project(
-        _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
-    )
-    response = Response(pencil)
+    whole = space.response
+    basis = _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
+    # Modes are found anew where that is cheap and better conditioned.
+    response = Response(space.pencil.project(basis)) if whole.decoupled else whole.turned(basis)
+    pencil = response.pencil
     conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
     first = np.empty((pencil.size, 0)) if space.static else _rigid(pencil, space.rounding)
     if space.static and (band[0] == 0 or conservative):
@@ -367,14 +402,13 @@ def ordered(
     frequency, weight = _snapshots(response, band, space.static, conservative, tolerance)
     sets = [_weighted(response, frequency, weight)]
     if two_sided:
-        sets.append(_weighted(Response(pencil.transposed()), frequency, weight))
+        sets.append(_weighted(response.transposed(), frequency, weight))
     pencil = pencil.project(_directions(np.hstack(sets), first))
     if not space.static:
         rest = pencil.coefficients[0].copy()
         rest[: first.shape[1]] = rest[:, : first.shape[1]] = 0.0
         pencil = replace(pencil, coefficients=(rest, *pencil.coefficients[1:]))
-    whole = Response(space.pencil)  # the same response, in coordinates that may decouple
-    points = telling(whole, band, space.static)
+    points = space.points(band)
     kept = first.shape[1] if conservative else 0
     return Reduction(model, pencil, space, band, kept, points, whole)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -36,11 +36,12 @@ PEAKS, PEAK_ROUNDS = 40, 3
 LOOSE = 1e-2
 CONTOUR, APART = 128, 1.2  # points on a circle around those poles, ratio of radii that it parts
 
-FEW, MANY = 12, 450  # unknowns between which eigenvectors pay
+FEW, MANY = 12, 900  # unknowns, and states, between which eigenvectors pay
 REPRODUCED = 1e-11
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
+Change: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class Response:
@@ -54,7 +55,7 @@ class Response:
         self.pencil = pencil
         self.modes = _decoupled(pencil)
         self.decoupled = self.modes is not None
-        if self.modes is None and FEW < pencil.size <= MANY:
+        if self.modes is None and FEW < pencil.size <= MANY / pencil.degree:
             self.modes = _eigenvectors(pencil)
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -67,7 +68,27 @@ class Response:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
         if self.modes is None:
             return self.pencil.transfer(s)
-        return np.asarray((self.pencil.C @ self.modes[0]) @ self._modal(s) + self.pencil.D)
+        T, L, _ = self.modes
+        residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
+        found = self._gains(s) @ residues.reshape(len(residues), -1)
+        return np.asarray(found.reshape(-1, *self.pencil.D.shape) + self.pencil.D)
+
+    def transposed(self) -> Response:
+        """That of the dual model, whose coordinates are known."""
+        return self._known(self.pencil.transposed(), lambda T, L: (L.T, T.T))
+
+    def turned(self, V: np.ndarray) -> Response:
+        """That of the congruence ``V'PV`` by a square V."""
+        left = partial(np.linalg.solve, V)
+        return self._known(self.pencil.project(V), lambda T, L: (left(T), left(L.T).T))
+
+    def _known(self, pencil: Pencil, change: Change) -> Response:
+        found = object.__new__(Response)
+        found.pencil, found.decoupled, found.modes = pencil, self.decoupled, None
+        if self.modes is not None:
+            T, L, diagonals = self.modes
+            found.modes = (*change(T, L), diagonals)
+        return found
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
         """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
@@ -123,19 +144,25 @@ class Response:
         return np.asarray(np.abs(H).max(axis=0))
 
     def _modal(self, s: np.ndarray) -> np.ndarray:
-        _, L, diagonals = self.modes  # type: ignore[misc]
+        L = self.modes[1]  # type: ignore[index]
+        return self._gains(s)[:, :, None] * (L @ self.pencil.B)
+
+    def _gains(self, s: np.ndarray) -> np.ndarray:
+        """``1 / sum_k s^k diagonals_k`` (len(s), n)."""
         s = np.asarray(s, dtype=complex)[:, None]
-        return (1 / sum(s**k * d for k, d in enumerate(diagonals)))[:, :, None] * (
-            L @ self.pencil.B
-        )
+        diagonals = self.modes[2]  # type: ignore[index]
+        return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Finite poles [1/s] of a model whose modes are coupled."""
+        return self.pencil.poles() if self.modes is None else -self.modes[2][0]
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
         if not self.decoupled or self.pencil.degree == 1:
-            found = np.empty(0)
-            if not self.decoupled:
-                found = self.pencil.poles() if self.modes is None else -self.modes[2][0]
+            found = np.empty(0) if self.decoupled else self.poles
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
         k, e, m = self.modes[2]  # type: ignore[index]

@@ -16,6 +16,7 @@ from kc2spice.rom.pencil import Pencil
 ROUNDING = 1e-12
 # Growth by e in a hundred million radians is rounding of an eigenvalue on the imaginary axis.
 GROWTH = 1e-8
+FORM = "definite matrices"
 DENSE = 1200  # first-order states up to which all poles of a full model are computed
 
 
@@ -31,7 +32,9 @@ class Structure:
     proof: str
 
 
-def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
+def structure(
+    pencil: Pencil, band: tuple[float, float], poles: np.ndarray | None = None
+) -> Structure:
     """Stability and passivity of a full or reduced model, from its form where that shows it.
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
@@ -39,19 +42,16 @@ def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
     velocity, voltage and current. First order with E symmetric positive semi-definite and
     ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
     on stability, and passivity is not claimed; of more than ``DENSE`` states they are not known.
+    ``poles`` [1/s] spare their computation.
     """
-    rest, *others = pencil.coefficients
-    dissipative = semidefinite(others[-1]) and _dissipative(others[0] if others[1:] else rest)
-    if pencil.degree == 2:
-        dissipative = dissipative and semidefinite(rest)
-    if dissipative:
+    if dissipative(pencil):
         passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
-        return Structure(True, passive, "definite matrices")
+        return Structure(True, passive, FORM)
     states = pencil.degree * pencil.size
     if states > DENSE:
         return Structure(None, False, f"nothing: {states} states are too many to know all poles")
     omega = 2 * np.pi * band[1]
-    values = pencil.poles(omega)
+    values = pencil.poles(omega) if poles is None else poles
     limit = GROWTH * np.maximum(np.abs(values), omega)
     grows = values.real > limit
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
@@ -60,11 +60,14 @@ def structure(pencil: Pencil, band: tuple[float, float]) -> Structure:
     return Structure(not grows.any(), False, "poles")
 
 
-def _dissipative(matrix: Matrix) -> bool:
-    """Whether the symmetric part is semidefinite."""
-    if isinstance(matrix, (Schur, Sum)):
-        return semidefinite(matrix)
-    return semidefinite(matrix + matrix.T)
+def dissipative(pencil: Pencil) -> bool:
+    """Whether the form of a model shows an energy that nothing but its ports can add to."""
+    rest, *others = pencil.coefficients
+    loss = others[0] if others[1:] else rest
+    loss = loss if isinstance(loss, (Schur, Sum)) else loss + loss.T
+    if not (semidefinite(others[-1]) and semidefinite(loss)):
+        return False
+    return pencil.degree == 1 or semidefinite(rest)
 
 
 def semidefinite(matrix: Matrix) -> bool:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -30,17 +31,22 @@ from kc2spice.rom.response import (
     FLANK,
     FLOOR,
     GRID,
+    SHARPEST,
     Response,
     around,
     clear_of_poles,
     graded,
     grid,
     relative_size,
+    telling,
 )  # fmt: skip
+from kc2spice.rom.sampled import sampled, uncertainty
+from kc2spice.rom.structure import dissipative
 
-EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
+EXTENDED = 1000  # unknowns up to which a model is turned into its modes with 19 digits
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
-WHOLE_DECOUPLED, WHOLE = 1300, 300  # unknowns up to which nothing is sampled
+# Unknowns of decoupled models, states of others up to which nothing is sampled.
+WHOLE_DECOUPLED, WHOLE = 1300, 600
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
 # Krylov blocks at zero and at each other point before their gain is judged; less gain calls for a
@@ -70,6 +76,21 @@ class Subspace:
     rounding: float = 0.0
     floor: float = 0.0
 
+    @cached_property
+    def response(self) -> Response:
+        """Its frequency response."""
+        return Response(self.pencil)
+
+    def points(self, band: tuple[float, float]) -> np.ndarray:
+        """Frequencies [Hz] over the band at which its errors show."""
+        if band not in self._points:
+            self._points[band] = telling(self.response, band, self.static)
+        return self._points[band]
+
+    @cached_property
+    def _points(self) -> dict[tuple[float, float], np.ndarray]:
+        return {}
+
 
 def subspace(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
@@ -82,9 +103,16 @@ def subspace(
     SimulationError : not even ``limit`` is met.
     """
     if pencil.size <= WHOLE_DECOUPLED:
-        whole = _whole(pencil.scaled(2 * np.pi * band[1]).dense(), band, limit)
+        full = pencil.scaled(2 * np.pi * band[1]).dense()
+        energy = pencil.degree == 2 or dissipative(full)
+        whole = _whole(full, band, limit, required=energy)
         if whole is not None:
             return whole
+        if not energy:  # which a congruence would need, to converge and to stay stable
+            try:
+                return _sampled(full, band, target, limit)
+            except SimulationError:
+                pass  # free to move at zero frequency, or with too many resonances
     if is_definite(pencil, solver, undamped_too=True):
         return _block_krylov(pencil, band, target, limit, solver)
     return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit, solver)
@@ -113,8 +141,33 @@ def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -
 # ------------------------------------------------------------------------------ small models
 
 
-def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
-    """All of a small model; None where its response would take too long to evaluate."""
+def _sampled(full: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+    """An ill-conditioned first-order model by exact samples."""
+    pencil, error, count = sampled(full, band, target, limit)
+    proof = f"checked against the full model at {count} frequencies with refined solutions"
+    at, ratio = Response(pencil).within(band)
+    at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
+    return Subspace(pencil, error, True, proof + _told(at, uncertainty(full, at), 2 * limit))
+
+
+def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
+    """What the last digits of a given model mean for its response, for the certificate; said as a
+    warning too where that is more than the tolerance."""
+    worst = int(size.argmax())
+    text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
+    if size[worst] > tolerance:
+        warnings.warn(
+            f"{text}: so far the last digits of the given matrices move it; they are reduced as "
+            "they are given", stacklevel=2,
+        )  # fmt: skip
+    return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
+
+
+def _whole(
+    full: Pencil, band: tuple[float, float], limit: float, *, required: bool = True
+) -> Subspace | None:
+    """All of a small model; None where its response would take too long to evaluate, or is too
+    inaccurate and not ``required`` to be good."""
     sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
     eps = np.finfo(float).eps
     static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
@@ -124,10 +177,12 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
         full = full.project_exactly(T)
     response = Response(full)
     if not response.decoupled and (
-        full.size > WHOLE or (response.modes is None and full.size > 150)
+        full.degree * full.size > WHOLE or (response.modes is None and full.size > 150)
     ):
         return None
     error = _solution_error(response, band, static)
+    if error > limit and not required:
+        return None
     if error > limit:
         raise SimulationError(
             "the full model itself is not that accurate", where="reduction",
@@ -137,7 +192,9 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     proof = f"being all of the full model, solved to {error:.0e}"
     if T is not None:
         proof += _own_uncertainty(given, T, response, band, 2 * limit)
-    return Subspace(full, error, static, proof, rounding)
+    found = Subspace(full, error, static, proof, rounding)
+    found.__dict__["response"] = response  # as the cached property would
+    return found
 
 
 def _undamped_modes(full: Pencil) -> np.ndarray | None:
@@ -169,14 +226,7 @@ def _own_uncertainty(
     moved *= np.finfo(float).eps / np.maximum(np.abs(energy), np.finfo(float).tiny)
     nearest = np.abs(frequency[:, None] / (2 * np.pi) - at).argmin(axis=0)
     size = moved[nearest] / (2 * np.maximum(ratio, FLANK))
-    worst = int(size.argmax())
-    text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
-    if size[worst] > tolerance:
-        warnings.warn(
-            f"{text}: so far the last digits of the given matrices move it; they are reduced as "
-            "they are given", stacklevel=2,
-        )  # fmt: skip
-    return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
+    return _told(at, size, tolerance)
 
 
 def _solution_error(response: Response, band: tuple[float, float], static: bool = True) -> float:

@@ -20,7 +20,7 @@ from kc2spice.netlist.plotscript import plot_script
 from kc2spice.netlist.symbol import symbol_files
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
@@ -56,9 +56,6 @@ def reduce(
     MissingToolError : pypardiso is asked for and not installed.
     """
     chosen = _solver(solver)
-    if norm not in (None, *get_args(Norm)):
-        expected = ", ".join(get_args(Norm))
-        raise UsageError("unknown norm", where="--norm", got=norm, expected=expected)
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
     name = f"{model.name}_rom"
@@ -66,9 +63,13 @@ def reduce(
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
-    measured: Norm = default_norm(model) if norm is None else norm  # type: ignore[assignment]
     reduced = reduce_model(
-        model, band=band, tolerance=tolerance, order=order, solver=chosen, norm=measured
+        model,
+        band=band,
+        tolerance=tolerance,
+        order=order,
+        solver=chosen,
+        norm=norm or default_norm(model),  # type: ignore[arg-type]
     )
     subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
     with staged(directory) as work:
