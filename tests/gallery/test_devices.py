@@ -165,6 +165,7 @@ def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(
     assert moved == pytest.approx(abs(waves["beam.u.tip"][k]), rel=0.02)
 
 
+@pytest.mark.slow
 def test_fields_at_chosen_instants_are_written_and_drawn(results):
     short = ("solver.stop=0.03", "analysis.stop=0.03", 'beam.fields=["10 ms", "20 ms"]')
     _, waves, out = results("harvester_bridge", *short)

@@ -78,6 +78,7 @@ def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
     assert model.facts["resonance_short_hz"] == pytest.approx(first, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_parallel_wiring_doubles_stroke_and_quadruples_capacitance():
     layers = [("PZT-5A", "0.2 mm"), ("brass", "0.1 mm"), ("PZT-5A", "0.2 mm")]
     series, parallel = (

@@ -72,6 +72,7 @@ def test_imprint_by_hand(own, electrical):
     np.testing.assert_allclose(found.ring_force, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_impact_by_hand(own):
     """In modes, with adaptive steps; what is left is the error of steps of 5 ns."""
     M, K, _, _, shapes = own

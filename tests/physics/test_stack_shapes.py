@@ -98,6 +98,7 @@ def test_a_stack_poled_across_the_field_shears_by_d15_without_stress():
     assert facts["capacitance_free_f"] == pytest.approx(capacitance, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_shear_agrees_with_solid_elements_over_the_whole_section():
     """The same stack without symmetry planes, in the code of ``body``."""
     side, depth, height, layers = 1.5e-3, 1.0e-3, 0.8e-3, 2
