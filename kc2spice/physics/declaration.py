@@ -30,10 +30,11 @@ from typing import Literal
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.expression import Name, Tree
+from kc2spice.netlist.expression import Name, Tree, Writer
 from kc2spice.physics.expression import (
     ZERO,
     derivative,
+    evaluated,
     expression,
     minus,
     names,
@@ -194,8 +195,28 @@ class Declaration:
     @cached_property
     def lost(self) -> Tree:
         """The power [W] that becomes heat."""
-        rates = [b.name + (RATE if b.kind == "displacement" else "") for b in self.branches]
-        return plus(*(times(Name(rate), derivative(self._content, rate)) for rate in rates))
+        own = [b.name for b in self.branches if b.kind != "displacement"]
+        return plus(self.dragged, *(self._heat(name) for name in own))
+
+    @cached_property
+    def dragged(self) -> Tree:
+        """The part of :attr:`lost` that motion loses."""
+        return plus(*map(self._heat, self.rates))
+
+    def _heat(self, rate: str) -> Tree:
+        return times(Name(rate), derivative(self._content, rate))
+
+    @cached_property
+    def equations(self) -> tuple[str, ...]:
+        """What is through every branch, as text; a current's voltage."""
+        return tuple(filter(None, map(self._equation, self.branches)))
+
+    def _equation(self, branch: Branch) -> str:
+        direct, kept = self.direct(branch), self.kept(branch)
+        terms = [f"d/dt ({Writer().write(kept)})"] if kept != ZERO else []
+        terms += [Writer().write(direct)] if direct != ZERO else []
+        name = "v" if branch.kind == "current" else branch.through
+        return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def at_rest(self, tree: Tree) -> Tree:
         """``tree`` where all coordinates and rates are zero."""
@@ -209,9 +230,7 @@ class Declaration:
 
     def values(self, keys: Section) -> dict[str, float]:
         """Parameters of a part by name, in SI."""
-        from kc2spice.physics.expression import function
-
         found = {name: float(getattr(keys, name)) for name in self.numbers}
         for name, tree in self.fixed.items():
-            found[name] = float(function((tree,), found)(*found.values())[0])
+            found[name] = float(evaluated(tree, found))
         return found

@@ -334,3 +334,15 @@ def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., t
     values = "".join(f"{_Python().write(tree)}, " for tree in trees)
     made: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", dict(_SCOPE))
     return made
+
+
+def evaluated(tree: Tree, known: Mapping[str, Any]) -> Any:
+    """``tree`` by the values of names, numbers or arrays."""
+    corners = kinks(tree)
+    arguments = (*known, *(f"flag{k}" for k in range(len(corners))))
+    flags: list[Any] = [0.0] * len(corners)
+    for k, corner in enumerate(corners):
+        made = function((flagged(corner, corners),), arguments)
+        flags[k] = np.where(np.asarray(made(*known.values(), *flags)[0]) > 0.0, 1.0, 0.0)
+    made = function((flagged(tree, corners),), arguments)
+    return np.asarray(made(*known.values(), *flags)[0])

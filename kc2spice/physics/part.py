@@ -15,7 +15,7 @@ from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.expression import Tree
 from kc2spice.physics.cards import body, force_node, meter
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import derivative, flagged, function, kinks, names
+from kc2spice.physics.expression import derivative, evaluated, names
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.keys import model_keys
@@ -64,7 +64,7 @@ class DeclaredPart(PartType):
         for b in self.declaration.branches:
             if b.kind == "displacement":
                 slope = self.declaration.at_rest(derivative(self.declaration.direct(b), b.name))
-                if float(_value(slope, values)):
+                if float(evaluated(slope, values)):
                     yield b.plus, b.minus
 
     def _parameters(self, part: Part) -> tuple[Param, ...]:
@@ -147,7 +147,7 @@ class DeclaredPart(PartType):
         known = {} if "frequency" in waves else self._seen(part, waves)
         for what, tree in d.bounds.items():
             if names(tree) - set(d.parameters) <= set(known):
-                value = float(np.min(_value(tree, d.values(part.keys) | known)))
+                value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
                 yield Check(
                     f"{what} of {part.name}", -value, 0.0, "over the limit",
                     f"{d.limits[what]} must stay above zero",
@@ -166,10 +166,7 @@ class DeclaredPart(PartType):
     # --- what explain says ------------------------------------------------------------------
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
-        d = self.declaration
-        stated = {"energy": d.energy, "coenergy": d.coenergy, "content": d.content}
-        detail = "; ".join(f"{what} {text}" for what, text in stated.items() if text != "0")
-        return Modelled(part.name, "closed form", detail)
+        return Modelled(part.name, "closed form", "; ".join(self.declaration.equations))
 
     def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
         yield from (LeftOut(*row) for row in self.declaration.neglected)
@@ -181,37 +178,31 @@ def across_pins(build: Build, part: Part, branch: Branch) -> str:
     return f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
 
 
-def _value(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """``tree`` by the names of what it depends on; numbers or arrays."""
-    corners = kinks(tree)
-    names = (*known, *(f"flag{k}" for k in range(len(corners))))
-    flags: list[Any] = [0.0] * len(corners)
-    for k, corner in enumerate(corners):
-        made = function((flagged(corner, corners),), names)
-        flags[k] = np.where(np.asarray(made(*known.values(), *flags)[0]) > 0.0, 1.0, 0.0)
-    return np.asarray(function((flagged(tree, corners),), names)(*known.values(), *flags)[0])
-
-
 def energies(
     declaration: Declaration, part: Part, seen: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Balance | None:
-    """The balance of a transient, where all coordinates were recorded."""
+    """The balance of a transient, where all coordinates were recorded and something moves.
+
+    What a voltage brings in is ``int v dq``, a current ``int i dl``, and what both turn into heat.
+    """
     if "time" not in waves or set(seen) != set(declaration.coordinates):
         return None
-    time, rated = waves["time"], dict(seen)
-    for b in declaration.damped:
-        rated[b.name + RATE] = np.gradient(seen[b.name], time)
-    known = declaration.values(part.keys) | rated
-    stored = _value(declaration.stored, known) * np.ones_like(time)
-    lost = _value(declaration.lost, known) * np.ones_like(time)
-    heat, brought = _integral(lost, time), np.zeros_like(time)
-    for b in declaration.branches:
-        through, across = waves[f"{part.name}.{b.through}"], seen[b.name]
-        if b.kind == "current":
-            across = waves[f"{part.name}.v"]
-        brought += _integral(through, across) if b.kind == "displacement" else _integral(
-            through * across, time
-        )  # fmt: skip
+    time, moved = waves["time"], [b for b in declaration.branches if b.kind == "displacement"]
+    if not moved:
+        return None
+    rates = {b.name + RATE: np.gradient(seen[b.name], time) for b in declaration.damped}
+    known = declaration.values(part.keys) | dict(seen) | rates
+
+    def over_time(tree: Tree) -> np.ndarray:
+        return np.asarray(evaluated(tree, known) * np.ones_like(time))
+
+    stored, heat = over_time(declaration.stored), _integral(over_time(declaration.lost), time)
+    brought = heat - _integral(over_time(declaration.dragged), time)
+    for b in declaration.branches:  # a jump of a current is no jump of a charge
+        through, over = seen[b.name], over_time(declaration.kept(b))
+        if b in moved:
+            through, over = waves[f"{part.name}.{b.through}"], seen[b.name]
+        brought = brought + _integral(through, over)
     missing = brought - heat - (stored - stored[0])
     turned = float(np.abs(np.diff(brought)).sum() + np.abs(heat[-1]))
     entries = {"brought in by pins": float(brought[-1]), "heat": float(heat[-1]),
