@@ -153,8 +153,9 @@ def _largest_share(runs: _Runs, now: Tried, shares: dict[str, float], limit: flo
             shares[axis.name] = max(_differences(now, one).values(), default=0.0)
     for name in sorted(shares, key=lambda name: shares[name], reverse=True):
         axis = next(axis for axis in runs.found if axis.name == name)
-        far = math.log(max(shares[name] / limit, 1.0)) / math.log(PER_NOTCH)
-        notches = _with_room(axis, now.notches.get(name, 0), min(max(int(far), 1), FARTHEST))
+        far = int(math.log(max(shares[name] / limit, 1.0)) / math.log(PER_NOTCH))
+        most = 1 if axis.model else min(max(far, 1), FARTHEST)
+        notches = _with_room(axis, now.notches.get(name, 0), most)
         if not notches:
             return None  # at its finest: what else is refined leaves its error
         near = alone.get(name) if notches == 1 else None

@@ -1,0 +1,284 @@
+"""Random devices under error budgets: ``python tests/spice/hard_cases/budgets.py [FIRST LAST]``.
+
+A chip's kick, a buzzer's current and a bimorph's step in turn. Each is run as ``kc2spice run`` runs
+it and judged by what shares no code with it: the kick by an own integrator on 480 modes, the
+current by a sparse solution of the full model on a finer mesh, the step by 60 of that one's modes.
+The budget holds, or the run says that it does not.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import signal, sparse
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+import kc2spice as kc
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.judge import metrics
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.run import Completed, complete
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hard_cases.modal_kick import Kick
+
+COUNT = 20
+FINER = 3  # cells of the oracle along the edge of one of the scene
+MODES = 60  # of a bimorph; what others add at rest is added
+START, FLIGHT = 5e-6, 35e-6  # s: the kick, and what follows it
+LATEST = 20e-6  # s after its start a kick has thrown
+EXACT = {"order": 480, "band": [0.0, 2e6]}
+STEP = 0.5e-9  # s of the oracle's steps
+
+
+@dataclass(frozen=True)
+class Budgeted:
+    """One draw: the true ``error`` of the metric, what the run ``stated`` of it, and what of the
+    worst of all metrics."""
+
+    family: str
+    outcome: str
+    budget: float
+    error: float
+    stated: float
+    worst: str
+    runs: int
+    scene: Mapping[str, Any]
+
+
+def between(rng: np.random.Generator, low: float, high: float) -> float:
+    """Log-uniform, four digits."""
+    return float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.4g}")
+
+
+# --- a kick --------------------------------------------------------------------------------------
+
+
+def kick(rng: np.random.Generator) -> dict[str, Any]:
+    """The paper's chip, damped by 1 % or 0.3 %, under a sphere and a pulse."""
+    width, damping = between(rng, 5e-6, 5e-5), float(rng.choice([1e-2, 3e-3]))
+    edge = min(between(rng, 1e-8, 2e-6), width)
+    drive = {"voltage": between(rng, 40, 120), "width": width, "edge": edge, "start": START}
+    return {
+        "gravity": 9.81, "error_budget": between(rng, 2e-4, 1e-2),
+        "kick": {"drive": drive, "damping": {"ratio": damping}},
+        "contact": {"penalty": between(rng, 1e7, 1e9)},
+        "sphere": {"radius": between(rng, 0.5e-3, 1.5e-3), "density": between(rng, 3e3, 15e3)},
+        "solver": {"stop": START + min(width, LATEST) + FLIGHT},
+    }  # fmt: skip
+
+
+@cache
+def _chip(damping: float) -> Any:
+    """Its modes, all rings as ports, before the residual ones lose their inertia."""
+    found = load_scene({
+        "kick": {"damping": {"ratio": damping}}, "contact": {"rings": 6, "inertia": "lumped"},
+        "sphere": {}, "rom": EXACT,
+    })  # fmt: skip
+    return resonators(build_models(found, Clock(silent)).models["kick"])
+
+
+def kick_error(done: Completed) -> float:
+    """Relative error of the launch velocity."""
+    waves, scene = done.outcome.waves, done.build.scene
+    time, ball, chip = waves["time"], scene.parts["sphere"].keys, scene.parts["kick"].keys
+    model = _chip(chip.damping.ratio)
+    pulse = chip.drive
+    corners = np.array([0.0, pulse.edge, pulse.width, pulse.width + pulse.edge]) + pulse.start
+    volts = pulse.voltage * np.array([0.0, 1.0, 1.0, 0.0])
+    weight = np.array([[0.0, -ball.mass * 9.81], [time[-1], -ball.mass * 9.81]])
+    oracle = Kick(
+        model.omega, chip.damping.beta * model.omega**2, model.gain, chip.mesh.ring_spacing,
+        ball.radius, ball.mass, 4 * scene.parts["contact"].keys.penalty,
+        np.stack([corners, volts], axis=1), weight,
+    )  # fmt: skip
+    times, _, speeds, touched = oracle.flight(STEP, float(time[-1]))
+    at = max(touched, float(metrics(waves, done.build)["launch_time_s"]))
+    exact = float(np.interp(at, times, speeds))
+    return float(abs(np.interp(at, time, waves["sphere.v"]) / exact - 1))
+
+
+# --- full models of bodies -----------------------------------------------------------------------
+
+
+def _full(done: Completed, part: str) -> Any:
+    """The full model of a body of the drawn scene on a finer mesh."""
+    tables = {k: v for k, v in done.build.scene.tables.items() if k != "error_budget"}
+    drawn = load_scene({**tables, part: {**tables[part], "mesh": {"refine": FINER}}})
+    return kc.build(drawn)[part]
+
+
+def _whole(K: Any) -> tuple[sparse.csc_array, int]:
+    """The stiffness with its electric potentials, and how many of its unknowns move."""
+    if sparse.issparse(K):
+        return sparse.csc_array(K), K.shape[0]
+    return sparse.csc_array(sparse.bmat([[K.uu, K.up], [K.pu, K.pp]])), K.shape[0]
+
+
+def _padded(matrix: Any, size: int) -> sparse.csc_array:
+    found = sparse.coo_array(matrix)
+    return sparse.csc_array((found.data, found.coords), shape=(size, size))
+
+
+# --- a buzzer ------------------------------------------------------------------------------------
+
+
+def buzzer(rng: np.random.Generator) -> dict[str, Any]:
+    """A ceramic on a plate of brass, its current at one frequency and at its peak."""
+    wide, thick = between(rng, 10e-3, 30e-3), between(rng, 0.1e-3, 0.3e-3)
+    ceramic = float(f"{wide * rng.uniform(0.5, 0.85):.4g}")
+    layers = [
+        {"material": "brass", "diameter": wide, "thickness": thick},
+        {"material": "PZT-5A", "diameter": ceramic, "thickness": between(rng, 0.1e-3, 0.3e-3),
+         "electrodes": float(f"{0.9 * ceramic:.4g}")},
+    ]  # fmt: skip
+    at = between(rng, 1e3, 1e4)
+    return {
+        "error_budget": between(rng, 1e-3, 5e-2),
+        "disc": {
+            "part": "disc", "layers": layers, "damping": {"quality": between(rng, 10, 100)},
+            "support": str(rng.choice(["free", "clamped", "simply_supported"])),
+        },
+        "analysis": {
+            "type": "ac", "start": 500, "stop": 15e3, "points": int(rng.integers(60, 400)),
+        },
+        "probes": {"current_a": {"of": "disc.current", "at": f"{at!r} Hz"}},
+    }  # fmt: skip
+
+
+def buzzer_error(done: Completed) -> float:
+    """Relative error of the current at the probe's frequency."""
+    model = _full(done, "disc")
+    s = 2j * np.pi * done.build.scene.probes["current_a"].at
+    alpha, beta = model.rayleigh
+    K, moving = _whole(model.K)
+    P = (1 + s * beta) * K + (s**2 + s * alpha) * _padded(model.M, K.shape[0])
+    port = model.inputs.index("anode")
+    load = np.zeros(K.shape[0], complex)
+    load[:moving] = model.B[:, port]
+    x = splu(sparse.csc_array(P)).solve(load)[:moving]
+    exact = abs(s * (model.C[port] @ x + model.D[port, port]))
+    return float(abs(metrics(done.outcome.waves, done.build)["current_a"] / exact - 1))
+
+
+# --- a bimorph -----------------------------------------------------------------------------------
+
+
+def bimorph(rng: np.random.Generator) -> dict[str, Any]:
+    """A cantilever of two layers under a pulse."""
+    thick = between(rng, 0.2e-3, 0.5e-3)
+    layers = [{"material": "PZT-5A", "thickness": thick}] * 2
+    pulse = {"high": between(rng, 10, 100), "start": 1e-4, "width": between(rng, 0.5e-3, 3e-3),
+             "edge": between(rng, 2e-5, 2e-4)}  # fmt: skip
+    return {
+        "error_budget": between(rng, 1e-3, 5e-2),
+        "beam": {
+            "part": "bimorph", "length": between(rng, 20e-3, 40e-3), "width": 5e-3,
+            "layers": layers, "wiring": str(rng.choice(["series", "parallel"])),
+            "damping": {"quality": between(rng, 10, 100)}, "pins": {"anode": "drive.out"},
+        },
+        "drive": {"part": "source", "pulse": pulse},
+        "analysis": {"type": "transient", "stop": 3e-3},
+        "probes": {"stroke_m": {"of": "beam.u.tip", "take": "max"}},
+    }  # fmt: skip
+
+
+def bimorph_error(done: Completed) -> float:
+    """Relative error of the largest displacement of the tip."""
+    model = _full(done, "beam")
+    alpha, beta = model.rayleigh
+    K, moving = _whole(model.K)
+    rest = splu(K)
+
+    def inverse(b: np.ndarray) -> np.ndarray:
+        load = np.zeros(K.shape[0])
+        load[:moving] = b.ravel()
+        return np.asarray(rest.solve(load)[:moving])
+
+    size = (moving, moving)
+    softest, modes = eigsh(
+        sparse.csc_matrix(model.M), k=MODES, which="LM", M=LinearOperator(size, model.K.__matmul__),
+        Minv=LinearOperator(size, inverse),
+    )  # fmt: skip
+    omega = 1 / np.sqrt(softest)  # M phi = mu K phi, phi' K phi = 1
+    push, show = model.B[:, model.inputs.index("anode")], model.C[model.outputs.index("tip")]
+    gain = (modes.T @ push) * (show @ modes)
+    wave = done.build.scene.parts["drive"].keys.pulse
+    corners = wave.start + np.array([0.0, wave.edge, wave.width, wave.width + wave.edge])
+    time = np.linspace(0, 3e-3, 30_001)
+    volts = np.interp(time, corners, wave.high * np.array([0.0, 1.0, 1.0, 0.0]))
+    tip = (show @ inverse(push) - gain.sum()) * volts
+    for w, g in zip(omega, gain, strict=True):
+        damp = alpha + beta * w**2
+        tip += signal.lsim(([g * w**2], [1.0, damp, w**2]), volts, time)[1]
+    exact = float(tip.max())
+    return float(abs(metrics(done.outcome.waves, done.build)["stroke_m"] / exact - 1))
+
+
+# --- all of them ---------------------------------------------------------------------------------
+
+Draw, Judge = Callable[[np.random.Generator], dict[str, Any]], Callable[[Completed], float]
+FAMILIES: dict[str, tuple[Draw, Judge]] = {
+    "kick": (kick, kick_error),
+    "buzzer": (buzzer, buzzer_error),
+    "bimorph": (bimorph, bimorph_error),
+}
+METRICS = {"kick": "launch_velocity_m_s", "buzzer": "current_a", "bimorph": "stroke_m"}
+
+
+def judged(number: int) -> Budgeted:
+    """Run one draw and compare it with its oracle."""
+    family = list(FAMILIES)[number % len(FAMILIES)]
+    draw, judge = FAMILIES[family]
+    tables = {"name": f"drawn_{number}", **draw(np.random.default_rng((7, number)))}
+    budget = tables["error_budget"]
+    try:
+        with tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            done = complete(load_scene(tables), Path(work))
+    except (UsageError, SimulationError) as error:
+        why = f"refused: {error.message} {error.got or ''}"
+        return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
+    found = done.converged
+    assert found is not None
+    error = judge(done)
+    outcome = "said" if not found.check.passed else "holds" if error <= budget else "SILENT"
+    stated = found.taken.errors.get(METRICS[family], np.nan)
+    worst = f"{found.check.name.removeprefix('error of ')} {found.check.value:.1e}"
+    return Budgeted(family, outcome, budget, error, stated, worst, len(found.tried), tables)
+
+
+def budgets(first: int = 0, last: int = COUNT) -> Iterator[Budgeted]:
+    """The draws ``first`` to ``last``."""
+    return map(judged, range(first, last))
+
+
+def main() -> None:
+    """Print every draw, then how many budgets held."""
+    count = Counter[tuple[str, str]]()
+    first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, COUNT)
+    print("     family   budget   error    stated   estimates  outcome")
+    for number, found in enumerate(budgets(first, last), first):
+        count[found.family, found.outcome.partition(":")[0]] += 1
+        print(f"{number:3d}  {found.family:7s}  {found.budget:.1e}  {found.error:.1e}  "
+              f"{found.stated:.1e}  {found.runs:9d}  {found.outcome}; {found.worst}",
+              flush=True)  # fmt: skip
+        if found.outcome == "SILENT":
+            print("    ", found.scene, flush=True)
+    print(dict(count))
+
+
+if __name__ == "__main__":
+    main()
