@@ -6,6 +6,7 @@ declared. ``error_budget`` and ``bench`` move along the same axes, and ``explain
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,7 +16,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import Notch
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import Analysis, Part, Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.scene.settings import Rom, Solver
 
@@ -29,7 +30,8 @@ class Axis:
 
     ``low`` and ``high`` bound the value. ``finer`` are further keys that any notch finer sets.
     ``band`` goes with a reduction's tolerance; its highest frequency grows by ``wider`` a notch
-    finer. ``model`` marks settings that cost no time of the simulator, as that of a mesh.
+    finer. ``decades`` are those of a grid of equal points in each, whose finer ones contain it.
+    ``model`` marks settings that cost no time of the simulator, as that of a mesh.
     """
 
     name: str
@@ -40,11 +42,16 @@ class Axis:
     finer: Mapping[str, Any] = field(default_factory=dict)
     band: tuple[float, float] | None = None
     wider: float = 1.0
+    decades: float = 0.0
     model: bool = False
 
     def at(self, notches: float) -> dict[str, Any]:
         """Keys so many notches finer, or coarser below zero; none where that changes nothing."""
-        value = min(max(self.notch.moved(self.value, notches), self.low), self.high)
+        value = self.notch.moved(self.value, notches)
+        if self.decades and notches:
+            each = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
+            value = math.floor(each * self.decades)
+        value = min(max(value, self.low), self.high)
         if value == self.value:
             return {}
         found: dict[str, Any] = {self.name: value}
@@ -75,10 +82,18 @@ def _axes(scene: Scene, build: Build | None) -> Iterator[Axis]:
             axis = _axis("solver.max_step", step, Solver.model_fields["max_step"])
             yield replace(axis, low=min(step, scene.stop / MOST_POINTS))
     elif scene.analysis.type == "ac" and "analysis" in scene.tables:
-        yield from _marked(scene.analysis, "analysis")
+        (axis,) = _marked(scene.analysis, "analysis")
+        yield replace(axis, decades=_decades(scene.analysis))
     yield from _reductions(scene, build)
     for part in scene.parts.values():
         yield from _marked(part.keys, _prefix(part))
+
+
+def _decades(analysis: Analysis) -> float:
+    """Decades over which frequencies are equally spaced in each; 0 on a linear scale."""
+    if analysis.scale == "linear":
+        return 0.0
+    return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
 def _prefix(part: Part) -> str:

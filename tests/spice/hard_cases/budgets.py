@@ -35,7 +35,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.modal_kick import Kick
 
 COUNT = 20
-FINER = 3  # cells of the oracle along the edge of one of the scene
+FINER = {"disc": 3, "beam": 2}  # cells of the oracle along the edge of one of the scene
+STEP_END = 2e-3  # s
 MODES = 60  # of a bimorph; what others add at rest is added
 START, FLIGHT = 5e-6, 35e-6  # s: the kick, and what follows it
 LATEST = 20e-6  # s after its start a kick has thrown
@@ -116,7 +117,7 @@ def kick_error(done: Completed) -> float:
 def _full(done: Completed, part: str) -> Any:
     """The full model of a body of the drawn scene on a finer mesh."""
     tables = {k: v for k, v in done.build.scene.tables.items() if k != "error_budget"}
-    drawn = load_scene({**tables, part: {**tables[part], "mesh": {"refine": FINER}}})
+    drawn = load_scene({**tables, part: {**tables[part], "mesh": {"refine": FINER[part]}}})
     return kc.build(drawn)[part]
 
 
@@ -180,8 +181,8 @@ def bimorph(rng: np.random.Generator) -> dict[str, Any]:
     """A cantilever of two layers under a pulse."""
     thick = between(rng, 0.2e-3, 0.5e-3)
     layers = [{"material": "PZT-5A", "thickness": thick}] * 2
-    pulse = {"high": between(rng, 10, 100), "start": 1e-4, "width": between(rng, 0.5e-3, 3e-3),
-             "edge": between(rng, 2e-5, 2e-4)}  # fmt: skip
+    pulse = {"high": between(rng, 10, 100), "start": 1e-4, "width": between(rng, 0.5e-3, 1.5e-3),
+             "edge": between(rng, 1e-4, 5e-4)}  # fmt: skip
     return {
         "error_budget": between(rng, 1e-3, 5e-2),
         "beam": {
@@ -190,7 +191,7 @@ def bimorph(rng: np.random.Generator) -> dict[str, Any]:
             "damping": {"quality": between(rng, 10, 100)}, "pins": {"anode": "drive.out"},
         },
         "drive": {"part": "source", "pulse": pulse},
-        "analysis": {"type": "transient", "stop": 3e-3},
+        "analysis": {"type": "transient", "stop": STEP_END},
         "probes": {"stroke_m": {"of": "beam.u.tip", "take": "max"}},
     }  # fmt: skip
 
@@ -217,7 +218,7 @@ def bimorph_error(done: Completed) -> float:
     gain = (modes.T @ push) * (show @ modes)
     wave = done.build.scene.parts["drive"].keys.pulse
     corners = wave.start + np.array([0.0, wave.edge, wave.width, wave.width + wave.edge])
-    time = np.linspace(0, 3e-3, 30_001)
+    time = np.linspace(0, STEP_END, 30_001)
     volts = np.interp(time, corners, wave.high * np.array([0.0, 1.0, 1.0, 0.0]))
     tip = (show @ inverse(push) - gain.sum()) * volts
     for w, g in zip(omega, gain, strict=True):
