@@ -244,7 +244,11 @@ def verify(
     all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
     full: Annotated[
         bool,
-        typer.Option("--full", help="Follow full models to the scene's end, whatever it takes."),
+        typer.Option(
+            "--full",
+            help="Follow full models 100 times as long, if need be to the scene's end, and solve "
+            "large ones at all frequencies.",
+        ),
     ] = False,
     deck: Annotated[
         Path | None,

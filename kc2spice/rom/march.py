@@ -79,7 +79,8 @@ def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
     fast = -damp / 2 - half
-    return omega**2 / fast, fast  # their sum would lose the slow one of a mode damped hard
+    # their sum would lose the slow one of a mode damped hard
+    return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 
 def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

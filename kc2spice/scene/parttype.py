@@ -533,14 +533,15 @@ def _foreign() -> tuple[EntryPoint, ...]:
 
 
 def part_type(name: str) -> PartType | None:
-    """The part type of this name, None where there is none; its module is loaded when needed."""
+    """The part type of this name, None where there is none; its module is loaded when needed, and
+    tables and other packages are looked into only for what no module is named after."""
+    if name not in _types and name in _modules():
+        import_module(f"{PACKAGE}.{name}")
     if name not in _types and name in type_names():
         for entry in _foreign():
             found = entry.load() if entry.name == name else None
             if isinstance(found, PartType):
                 register(found)
-        if name not in _types and name in _modules():
-            import_module(f"{PACKAGE}.{name}")
     return _types.get(name)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from hard_cases.budgets import COUNT, judged
 
 

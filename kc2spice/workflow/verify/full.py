@@ -82,7 +82,8 @@ def full_solution(
     """The scene with its full models; None where no circuit has one.
 
     ``ours`` are ngspice's waves, which give ``taken`` nets, and ``exact`` the solution with the
-    reduced models. ``whole`` follows the full model to the end whatever it takes.
+    reduced models. ``whole`` follows the full model for :data:`WHOLE` times as many steps, at most
+    to the end, and takes no surrogate for it.
 
     Raises
     ------
