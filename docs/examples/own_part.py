@@ -1,9 +1,9 @@
-"""Own part type: a spring that hardens, in a scene with a mass."""
+"""Own part type: a spring that hardens, stated by its energy, in a scene with another one."""
 
 from pydantic import Field
 
 import kc2spice as kc
-from kc2spice.scene.parttype import Vector
+from kc2spice.physics import Declaration, DeclaredPart, displacement
 
 
 class HardSpringKeys(kc.Section):
@@ -13,25 +13,11 @@ class HardSpringKeys(kc.Section):
     h: float = Field(0.0, ge=0, description="N/m^3")
 
 
-class HardSpring(kc.PartType):
-    """One module says all: keys, pins, cards, results. Nothing else has to know the type."""
-
-    name, title, schema = "hard_spring", "spring that hardens", HardSpringKeys
-
-    def pins(self, part, scene):
-        return (kc.Terminal("a", "um", "N", required=True), kc.Terminal("b", "um", "N", "gnd"))
-
-    def cards(self, part, build):
-        a, b = build.net(part, "a"), build.net(part, "b")
-        x = f"(v({a}, {b})*1e-6)"
-        law = f"{part.keys.k!r}*{x}+{part.keys.h!r}*{x}*{x}*{x}"
-        return (f"B{part.name} {a} {b} I={law}",)
-
-    def vectors(self, part, build):
-        return {f"{part.name}.force": Vector(f"@b{part.name}[i]", 1.0, "N")}
-
-
-kc.register_part(HardSpring())
+# One statement says all: pins, netlist, law, energy and results follow from it.
+kc.register_part(DeclaredPart(Declaration(
+    "hard_spring", "spring that hardens", HardSpringKeys, (displacement("x", "a", "b"),),
+    energy="k*x^2/2 + h*x^4/4",
+)))  # fmt: skip
 result = kc.run({
     "name": "hardening",
     "plate": {"part": "hard_spring", "k": 100.0, "h": 1e10, "pins": {"a": "push.out"}},

@@ -6,8 +6,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Length, Ratio, Section, Stiffness, si
 from kc2spice.core.units import EPSILON_0
-from kc2spice.physics.declaration import Declaration, displacement, voltage
-from kc2spice.physics.part import DeclaredPart
+from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 

@@ -5,8 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, Section, si
-from kc2spice.physics.declaration import Declaration, current, displacement
-from kc2spice.physics.part import DeclaredPart
+from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.scene.parttype import register
 
 
