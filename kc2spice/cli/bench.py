@@ -27,14 +27,6 @@ def bench(
             "scene, else every number that converges.",
         ),
     ] = None,
-    near: Annotated[
-        bool,
-        typer.Option(
-            "--near",
-            help="Only the settings next to the scene's own: does one beat it? --error is then "
-            "that of the scene as it is.",
-        ),
-    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -75,7 +67,7 @@ def bench(
             record = measure(
                 loaded,
                 directory,
-                error=None if near else error,
+                error=error,
                 metric=tuple(metric or ()),
                 repeats=repeats,
                 trust=trust,

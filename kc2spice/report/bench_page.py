@@ -40,7 +40,6 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     own = next(point for point in record["points"] if point["own"])
     best, reference = record["recommended"], record["reference"]
     rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(own))]
-    rows.append(("", _place(record["own"], own)))
     if best is None:
         nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
         rows.append((f"within {record['limit']:g}", "none of the settings"))
@@ -84,16 +83,6 @@ def _names(metrics: Sequence[str]) -> str:
 def _cost(point: Mapping[str, Any]) -> str:
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return f"error {point['error']:.1e} ({bound}) in {quantity(point['time_s'], 's', 3)} of CPU"
-
-
-def _place(nearest: Mapping[str, Any], own: Mapping[str, Any]) -> str:
-    """Whether the scene as it is lies on the front of its settings."""
-    if nearest["on_front"]:
-        return "on the front of its settings"
-    return (
-        f"beaten by {nearest['nearest']}: sum of errors {nearest['error']:.1e} in "
-        f"{nearest['time_s'] / own['time_s']:.2f} of the time"
-    )
 
 
 def _figure(record: Mapping[str, Any]) -> Figure:

@@ -104,9 +104,6 @@ class Bench(Section):
     metric: tuple[str, ...] = Field(
         (), max_length=64, description="metrics that the scene is run for; empty: all numbers"
     )
-    keep: str = Field(
-        "", max_length=200, description="why the scene keeps its setting where another is better"
-    )
 
 
 class Gates(Section):

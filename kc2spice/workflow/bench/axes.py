@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.scene.axes import Axis
@@ -43,21 +43,6 @@ def _line(axis: Axis) -> Line:
 
 def _distinct(values: Iterator[Values]) -> list[Values]:
     return list({str(each): each for each in values if each}.values())
-
-
-def next_to_own(found: Sequence[Line]) -> tuple[Line, ...]:
-    """Lines cut down to the scene's own value, one coarser and one finer.
-
-    The reference is then what checks that of the whole lines, and is checked by all one finer.
-    """
-    kept = []
-    for line in found:
-        first = max(line.own - 1, 0)
-        values = line.values[first : line.own + 2]
-        kept.append(
-            replace(line, values=values, own=line.own - first, finest=line.finer, finer=values[-1])
-        )
-    return tuple(kept)
 
 
 def own_place(found: Sequence[Line]) -> Place:

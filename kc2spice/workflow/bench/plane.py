@@ -1,8 +1,7 @@
 """Error against time over a scene's settings, the front of the best, and what to use.
 
 The scene is run as it is, with one key changed at a time, with all of them finer, and from there
-along the axes towards the cheapest setting within the wanted error, and within the scene's own:
-the scene lies on its front if none is as exact in clearly less time, or clearly more exact.
+along the axes towards the cheapest setting within the wanted error, and within the scene's own.
 Errors are against a run with every key at its finest; a second, less fine one tells how well that
 has converged. Times are medians of the simulator's CPU time over rounds that visit all settings in
 turn, so that a machine that slows down slows all alike.
@@ -11,9 +10,6 @@ Errors of two keys may cancel by luck, and do. A setting therefore counts as wit
 only if the sum of what each of its values does alone is so too::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
-
-Where only the scene's own place is asked for, the values next to its own are tried, and of these
-settings only those that may beat it are run again for their time.
 """
 
 from __future__ import annotations
@@ -39,7 +35,6 @@ from kc2spice.workflow.bench.axes import (
     label,
     lines,
     neighbours,
-    next_to_own,
     overrides,
     own_place,
     reference_settings,
@@ -54,11 +49,6 @@ MOST_POINTS = 80
 UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
 SLOW = 5.0  # times the scene's own: such a setting is timed once
 ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
-NEARBY = 1.5  # ratio of single times up to which a setting, or a coarser one, may be a rival
-CLEAR = 1.25  # ratio of times from which on a setting is quicker than the scene's own
-START = 5e-3  # s by which it is quicker at least: start-ups of the simulator vary by as much
-EXACT = 2.0  # ratio of errors from which on it is more exact
-NEGLIGIBLE = 1e-6  # smaller errors are equal: no device is known so well
 
 
 @dataclass
@@ -89,12 +79,11 @@ class _Point:
 @dataclass
 class Plane:
     """All that was run of one scene, against its reference ``exact``; ``check`` is the change of
-    each metric from a less fine one. ``limit`` is the wanted error, None: that of the scene as it
-    is, among the settings next to it.
+    each metric from a less fine one. ``limit`` is the wanted error.
     """
 
     scene: Scene
-    limit: float | None
+    limit: float
     trust: bool
     found: tuple[Line, ...] = ()
     wanted: tuple[str, ...] = ()
@@ -190,7 +179,7 @@ def bench(
     scene: Scene,
     out: Path,
     *,
-    error: float | None = ERROR,
+    error: float = ERROR,
     metric: Sequence[str] = (),
     repeats: int = 5,
     trust: bool = False,
@@ -210,7 +199,7 @@ def bench(
 def search(
     scene: Scene,
     *,
-    error: float | None = ERROR,
+    error: float = ERROR,
     metric: Sequence[str] = (),
     trust: bool = False,
     progress: Progress = silent,
@@ -218,8 +207,7 @@ def search(
     """Run the settings of ``scene``, once each.
 
     The error of a setting is the largest relative one of the metrics ``metric``, else of those that
-    the scene's ``bench.metric`` names, else of all scalars that converge. ``error`` None asks for
-    the place of the scene among the settings next to its own.
+    the scene's ``bench.metric`` names, else of all scalars that converge.
 
     Raises
     ------
@@ -234,7 +222,7 @@ def search(
     found = lines(own.axes)
     if not found:
         raise UsageError("has no setting that trades time for error", where=f"bench {scene.name}")
-    plane.found = found if error is not None else next_to_own(found)
+    plane.found = found
     plane.wanted = chosen(own, metric or scene.bench.metric)
     progress("plan", None, _estimate(own, plane.found))
     finest, finer = reference_settings(plane.found)
@@ -260,7 +248,7 @@ def measure(plane: Plane, repeats: int, progress: Progress = silent) -> dict[str
     simulator, scene = find_ngspice(), plane.scene
     record = {
         "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
-        "limit": _limit(plane), "repeats": repeats, "metrics": plane.names,
+        "limit": plane.limit, "repeats": repeats, "metrics": plane.names,
         "left_out": {n: plane.check.get(n) for n in plane.wanted if n not in plane.names},
         **_choice(plane),
         "reference": {
@@ -269,10 +257,6 @@ def measure(plane: Plane, repeats: int, progress: Progress = silent) -> dict[str
         },
     }  # fmt: skip
     return dict(plain(record))
-
-
-def _limit(plane: Plane) -> float:
-    return plane.own.guarded if plane.limit is None else plane.limit
 
 
 def _present(names: Sequence[str], exact: Run, *others: Run) -> list[str]:
@@ -308,16 +292,14 @@ def _search(plane: Plane, progress: Progress) -> None:
             raise SimulationError("the scene as it is gives another result than its reference",
                                   where="bench", got=plane.failed[place]["why"])  # fmt: skip
     plane.measure_alone()
-    own_error = plane.own.guarded
-    for wanted in sorted({plane.limit or own_error / EXACT, own_error}):
+    for wanted in sorted({plane.limit, plane.own.guarded}):
         _walk(plane, wanted, progress)
 
 
 def _walk(plane: Plane, limit: float, progress: Progress) -> None:
     """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper one.
 
-    Where none is within ``limit``, from the most exact one towards finer ones. Next to the scene's
-    own setting only what is not far from taking its time is worth the walk.
+    Where none is within ``limit``, from the most exact one towards finer ones.
     """
     while len(plane.points) + len(plane.failed) < MOST_POINTS:
         best = plane.cheapest(limit)
@@ -325,8 +307,6 @@ def _walk(plane: Plane, limit: float, progress: Progress) -> None:
             start, step = best, -1
         else:
             start, step = min(plane.points.values(), key=lambda point: point.guarded), +1
-        if plane.limit is None and start.time > NEARBY * plane.own.time:
-            break
         known = len(plane.points) + len(plane.failed)
         progress("search", None, f"{known} settings, now {label(start.values)}")
         for place in neighbours(plane.found, start.place, step):
@@ -336,24 +316,14 @@ def _walk(plane: Plane, limit: float, progress: Progress) -> None:
 
 
 def _time(plane: Plane, repeats: int, progress: Progress) -> None:
-    """Rounds over all settings but the slow ones; only over rivals where that is all one asks."""
-    least = SLOW * plane.own.time
+    """Rounds over all settings but the slow ones."""
+    least, turns = SLOW * plane.own.time, repeats - 1
     again = [place for place, point in plane.points.items() if point.time <= least]
-    if plane.limit is None:
-        again = [place for place in again if _is_rival(plane.points[place], plane)]
-        for place in again:  # what the search took, beside other searches, is another measure
-            plane.points[place].times.clear()
-    turns = repeats - (plane.limit is not None)
     for turn in range(turns):
         for k, place in enumerate(again):
             share = (turn * len(again) + k) / (len(again) * turns)
             progress("times", share, f"round {turn + 1} of {turns}")
             plane.again(place)
-
-
-def _is_rival(point: _Point, plane: Plane) -> bool:
-    """Whether it may beat the scene as it is, itself included: as exact, and not far slower."""
-    return point.guarded <= plane.own.guarded and point.time <= NEARBY * plane.own.time
 
 
 def _beats(one: _Point, other: _Point) -> bool:
@@ -363,9 +333,9 @@ def _beats(one: _Point, other: _Point) -> bool:
 
 
 def _choice(plane: Plane) -> dict[str, Any]:
-    """Points, front, recommendation and the scene's place as they are recorded."""
+    """Points, front and recommendation as they are recorded."""
     points = sorted(plane.points.values(), key=lambda point: point.time)
-    best, most = plane.cheapest(_limit(plane)), len(plane.own.times)
+    best = plane.cheapest(plane.limit)
     rows = [
         {
             "label": label(p.values),
@@ -384,39 +354,10 @@ def _choice(plane: Plane) -> dict[str, Any]:
     ]
     return {
         "points": rows, "failed": list(plane.failed.values()),
-        "own": place_of_own([row for row in rows if row["repeats"] == most], plane.floor),
         "recommended": None if best is None else {
             "label": label(best.values), "settings": best.values, "error": best.error,
             "bound": best.bound,
             "time_s": best.time,
             "set": [word for each in overrides(best.values) for word in ("--set", each)],
         },
-    }  # fmt: skip
-
-
-def place_of_own(points: Sequence[Mapping[str, Any]], floor: float) -> dict[str, Any]:
-    """Whether the scene's own setting lies on the front of the ``points`` of a record.
-
-    It is beaten by one as exact whose median is quicker than its quickest run, by ``CLEAR`` and
-    ``START``, and whose slowest run is quicker than its median; or by one that takes no longer and
-    is ``EXACT`` times more exact. Errors below ``floor``, the uncertainty of the reference, or
-    below ``NEGLIGIBLE`` are equal. ``nearest`` is the quickest that beats it, or itself.
-    """
-    floor = max(floor, NEGLIGIBLE)
-
-    def guarded(point: Mapping[str, Any]) -> float:
-        return max(point["error"], point["bound"], floor)
-
-    own = next(point for point in points if point["own"])
-    error, time = guarded(own), own["time_s"]
-    beating = [
-        p for p in points
-        if (guarded(p) <= error and max(CLEAR * p["time_s"], p["time_s"] + START) <= time
-            and p["time_s"] < own["time_low_s"] and p["time_high_s"] < time)
-        or (EXACT * guarded(p) <= error and p["time_s"] <= time)
-    ]  # fmt: skip
-    nearest = min(beating, key=lambda p: p["time_s"], default=own)
-    return {
-        "on_front": nearest is own, "nearest": nearest["label"], "settings": nearest["settings"],
-        "error": guarded(nearest), "time_s": nearest["time_s"],
     }  # fmt: skip

@@ -209,21 +209,19 @@ def bimorph_error(done: Completed) -> float:
         return np.asarray(rest.solve(load)[:moving])
 
     size = (moving, moving)
-    softest, modes = eigsh(
-        sparse.csc_matrix(model.M), k=MODES, which="LM", M=LinearOperator(size, model.K.__matmul__),
-        Minv=LinearOperator(size, inverse),
+    squares, modes = eigsh(
+        LinearOperator(size, model.K.__matmul__), k=MODES, M=sparse.csc_matrix(model.M), sigma=0.0,
+        OPinv=LinearOperator(size, inverse),
     )  # fmt: skip
-    omega = 1 / np.sqrt(softest)  # M phi = mu K phi, phi' K phi = 1
     push, show = model.B[:, model.inputs.index("anode")], model.C[model.outputs.index("tip")]
-    gain = (modes.T @ push) * (show @ modes)
+    gain = (modes.T @ push) * (show @ modes)  # modes' M modes = 1
     wave = done.build.scene.parts["drive"].keys.pulse
     corners = wave.start + np.array([0.0, wave.edge, wave.width, wave.width + wave.edge])
     time = np.linspace(0, STEP_END, 30_001)
     volts = np.interp(time, corners, wave.high * np.array([0.0, 1.0, 1.0, 0.0]))
-    tip = (show @ inverse(push) - gain.sum()) * volts
-    for w, g in zip(omega, gain, strict=True):
-        damp = alpha + beta * w**2
-        tip += signal.lsim(([g * w**2], [1.0, damp, w**2]), volts, time)[1]
+    tip = (show @ inverse(push) - (gain / squares).sum()) * volts
+    for square, g in zip(squares, gain, strict=True):
+        tip += signal.lsim(([g], [1.0, alpha + beta * square, square]), volts, time)[1]
     exact = float(tip.max())
     return float(abs(metrics(done.outcome.waves, done.build)["stroke_m"] / exact - 1))
 
