@@ -149,12 +149,8 @@ def reduce(
             )  # fmt: skip
         low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
         band = low, high
-    if model.rayleigh is not None and isinstance(model.rayleigh, (int, float)):
-        raise UsageError(
-            "not the pair of Rayleigh's damping", where=f"{model.name}: rayleigh",
-            got=repr(model.rayleigh), expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
-            hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
-        )  # fmt: skip
+    if tolerance is not None:
+        tolerance = quantity(tolerance, "", where="tolerance")
     norm = norm or reduction.default_norm(model)
     return reduction.reduce(model, tolerance=tolerance, order=order, band=band, norm=norm)
 

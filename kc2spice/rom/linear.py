@@ -174,6 +174,7 @@ class LinearModel:
             )  # fmt: skip
         for letter in "MEKA":
             put(self, letter, _square(getattr(self, letter), letter, self.name))
+        put(self, "rayleigh", _rayleigh(self.rayleigh, self.name))
         n = (self.A if first else self.K).shape[0]
         B = _array(self.B, "B", self.name)
         C = B.T.copy() if self.C is None else _array(self.C, "C", self.name)
@@ -198,6 +199,8 @@ class LinearModel:
                     f"matrix {letter} does not fit", where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
                     expected=" x ".join(map(str, shape)) + ", at least one row and column",
+                    hint="damping is E; D goes from inputs to outputs without any state"
+                    if letter == "D" and matrix.shape == (n, n) else None,
                 )  # fmt: skip
         put(self, "ports", _ports(tuple(self.ports), m, p, self.name))
 
@@ -418,7 +421,28 @@ def half_stored(matrix: Matrix) -> bool:
     return bool(upper != lower)
 
 
+def _rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
+    """The pair as numbers, None as it is."""
+    if pair is None:
+        return None
+    try:
+        alpha, beta = (float(value) for value in pair)
+    except (TypeError, ValueError):
+        raise UsageError(
+            "not the pair of Rayleigh's damping", where=f"{where}: rayleigh", got=repr(pair),
+            expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
+            hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
+        ) from None  # fmt: skip
+    return alpha, beta
+
+
 def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
+    strange = next((port for port in ports if not isinstance(port, Port)), None)
+    if strange is not None:
+        raise UsageError(
+            "not a port", where=f"{where}: ports", got=repr(strange),
+            expected='kc2spice.Port(NAME, KIND), such as Port("tip", "mechanical")',
+        )  # fmt: skip
     if not ports:
         names = [(f"u{i + 1}", "input") for i in range(m)]
         names += [(f"y{i + 1}", "output") for i in range(p)]
@@ -455,8 +479,9 @@ def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
     _finite(plain, letter, where)
     if plain.ndim != 2:
         raise UsageError(
-            f"matrix {letter} has {plain.ndim} dimensions", where=where, expected="2 dimensions"
-        )
+            f"matrix {letter} has {plain.ndim} dimensions", where=where, expected="2 dimensions",
+            hint="rayleigh = (alpha, beta) damps by two numbers" if letter == "E" else None,
+        )  # fmt: skip
     return np.ascontiguousarray(plain, dtype=float)
 
 

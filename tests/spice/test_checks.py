@@ -16,7 +16,8 @@ ALL = {
     "rating of kick", "rating of catch", "reduction of kick",
     "table_left", "outer_ring", "penetration", "touches", "saturation",
     "kick_drive drives as defined", "control_enable drives as defined",
-    "sphere starts at rest on kick", "field of catch between its positions",
+    "sphere starts at rest on kick", "steps of kick against its exact answer",
+    "field of catch between its positions",
     *(f"energy of {part}" for part in BALANCES),
 }  # fmt: skip
 
@@ -65,7 +66,19 @@ def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
 
 def test_a_current_that_does_not_fit_the_chip_is_seen(waves, scene, table, model):
     more = changed(waves, **{"kick.current": 1.3 * waves["kick.current"]})
-    assert violated(more, scene, table, model) == ["energy of kick"]
+    assert violated(more, scene, table, model) == [
+        "steps of kick against its exact answer", "energy of kick",
+    ]  # fmt: skip
+
+
+def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, model):
+    """A chip in contact moves as its exact answer to voltage and forces; beside it a warning."""
+    wrong = changed(waves, **{"kick.u.ring0": 1.05 * waves["kick.u.ring0"]})
+    check = next(c for c in judged(wrong, scene, table, model).checks
+                 if c.name == "steps of kick against its exact answer")  # fmt: skip
+    assert not check.passed
+    assert not check.fatal
+    assert check.value == pytest.approx(0.05, rel=0.1)
 
 
 def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):

@@ -118,14 +118,22 @@ def model(**more):
 
 
 def test_one_number_for_rayleigh_damping():
-    call = lambda: kc.reduce(model(rayleigh=0.01), order=1)  # noqa: E731
-    refused(call, "got:      0.01", "(alpha, beta)", "(0, z / (pi f))")
+    for wrong in (0.01, (0.01,), "1 %"):
+        refused(lambda w=wrong: model(rayleigh=w), repr(wrong), "(alpha, beta)", "(0, z / (pi f))")
+    refused(lambda: model(E=0.01), "matrix E has 0 dimensions", "rayleigh = (alpha, beta)")
+    refused(lambda: model(D=1e-3 * np.eye(2)), "matrix D does not fit", "damping is E")
+
+
+def test_ports_of_a_model_are_ports():
+    chain = {**CHAIN, "B": np.ones((2, 1))}
+    refused(lambda: kc.LinearModel(**chain, ports=["tip"]), "'tip'", 'Port("tip", "mechanical")')
 
 
 def test_frequencies_of_a_band_may_have_units():
     found = kc.reduce(model(), tolerance=1e-3, band=(0, "20 kHz"))
     assert found.certificate.band_hz == (0.0, 20e3)
     refused(lambda: kc.reduce(model(), tolerance=1e-3, band=(0, "20 mm")), "band", "wrong unit")
+    refused(lambda: kc.reduce(model(), tolerance="small", band=(0, 2e4)), "tolerance", "'small'")
     refused(lambda: kc.reduce(model(), tolerance=1e-3, band=20e3), "such as (0, 20e3)")
 
 
