@@ -79,3 +79,8 @@ def test_the_exported_deck_runs_as_an_edited_one(chain, tmp_path):
     chain("export", "pushed.toml", "-o", "deck", "-q")
     chain("run", "pushed.toml", "--deck", "deck/pushed.cir", "-o", "out", "-q")
     assert pins(tmp_path / "deck" / "chain.lib") == list(PORTS)
+
+
+def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
+    chain("export", "pushed.toml", "-o", "out", "-q")
+    chain("verify", "pushed.toml", "--deck", "out/pushed.cir", "-o", "verified", "-q")

@@ -19,6 +19,7 @@ from kc2spice.netlist.scan import third_party
 from kc2spice.report.verdict import Findings
 from kc2spice.report.verify_figures import comparison, responses
 from kc2spice.report.verify_page import write_verify
+from kc2spice.scene.compose import composed
 from kc2spice.scene.gates import Gate, Limit
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
@@ -90,7 +91,8 @@ def verify(
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
-            build = build_models(scene, clock, trust=trust)
+            asked = scene if deck is None else _as_shipped(scene, deck)
+            build = build_models(asked, clock, trust=trust)
             with TemporaryDirectory() as scratch:
                 result = _Verification(build, clock, Path(scratch), full, deck).findings()
             found[scene.name] = result
@@ -109,6 +111,19 @@ def _refuse_threats(deck: Deck) -> None:
         except UsageError as error:
             error.where = (error.where or "").replace(f"{folder}/", "")
             raise
+
+
+def _as_shipped(scene: Scene, deck: Deck) -> Scene:
+    """``scene`` with the ports that an export keeps although nothing joins them, if ``deck`` is one
+    that has them."""
+    exported = composed(replace(scene, exported=True))
+    more = {
+        tuple(pin.name for pin in part.type.pins(part, exported))
+        for part in exported.parts.values()
+        if part.type.reduced and part.type.pins(part, exported) != part.type.pins(part, scene)
+    }
+    shipped = {tuple(pin.name for pin in library.pins) for library in _libraries(deck)}
+    return exported if more & shipped else scene
 
 
 @dataclass
