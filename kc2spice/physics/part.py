@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Vector
-from kc2spice.spice.header import Header, parameter_list, part_header
+
+if TYPE_CHECKING:
+    from kc2spice.spice.header import Header
 
 _NODE = {"displacement": ("um", "N"), "voltage": ("V", "A"), "current": ("V", "A")}
 _SIGN = "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
@@ -78,6 +80,8 @@ class DeclaredPart(PartType):
         )
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
+        from kc2spice.spice.header import parameter_list, part_header  # loads scipy
+
         d, name, params = self.declaration, build.libraries[part.name], self._parameters(part)
         head = part_header(
             header, f"{name}: {d.title}", self._pins, params, rating=d.rating,
