@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -31,6 +30,7 @@ from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
 from kc2spice.netlist.render import render
 from kc2spice.parts.sphere import integral, made_of
+from kc2spice.physics.contact import ContactLaw, Normal
 from kc2spice.scene.gates import Gate, stepping
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
@@ -120,41 +120,6 @@ class ContactKeys(Section):
     creep: Velocity = Field(
         1e-4, gt=0, description="speed below which friction is viscous, for sticking"
     )
-
-
-@dataclass(frozen=True)
-class Normal:
-    """``F = f(x) max(0, 1 + damping x')`` along the axis, with friction beside it;
-    ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)``, ``s = sqrt(x / depth)``.
-
-    ``stiffness`` in N/m^power. The law with more than one ``curve`` holds up to ``depth`` [m],
-    under a sphere of ``radius`` [m]; the surfaces follow its force within ``pace`` [s], as
-    ``f(x + pace x')``. ``friction`` is Coulomb's coefficient, ``creep`` [m/s] the speed at which it
-    is reached.
-    """
-
-    stiffness: float
-    power: float = 1.0
-    damping: float = 0.0
-    friction: float = 0.0
-    creep: float = 1e-4
-    curve: tuple[float, ...] = (1.0,)
-    depth: float = math.inf
-    pace: float = 0.0
-    radius: float = 0.0
-
-    def force(self, x: np.ndarray) -> np.ndarray:
-        """``f(x)`` [N], 0 where nothing touches."""
-        x = np.maximum(x, 0.0)
-        series = np.polynomial.polynomial.polyval(np.sqrt(x / self.depth), self.curve)
-        return np.asarray(self.stiffness * x**self.power * series)
-
-    def energy(self, x: np.ndarray) -> np.ndarray:
-        """``int f dx`` [J]."""
-        x, power = np.maximum(x, 0.0), self.power + 1 + np.arange(len(self.curve)) / 2
-        s = np.sqrt(x / self.depth)
-        series = np.polynomial.polynomial.polyval(s, np.array(self.curve) / power)
-        return np.asarray(self.stiffness * x ** (self.power + 1) * series)
 
 
 class Contact(PartType):
@@ -332,11 +297,7 @@ class Contact(PartType):
         n, scene = part.name, build.scene
         ports = kept_ports(part, scene)
         (a, b), own = sides(part, scene), normal(part, scene)
-        law = laws.Contact(
-            n, ports, np.full(len(ports), own.stiffness), gaps(part, scene), own.damping,
-            own.power, own.friction, own.creep, own.curve, own.depth, own.pace,
-            CARRIED if b.elastic else "",
-        )  # fmt: skip
+        law = ContactLaw(n, ports, own, gaps(part, scene), CARRIED if b.elastic else "")
         first = ("a",) if a.rigid else ports
         pins = tuple((pin, f"{n}.{port}") for pin, port in zip(first, ports, strict=True))
         pins += (("bottom" if b.rigid else "b", f"{n}.b"),)

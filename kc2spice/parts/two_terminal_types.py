@@ -39,7 +39,7 @@ class Row(NamedTuple):
     unit: str
     value: str
     branch: Branch
-    stated: Mapping[str, str]
+    stated: Mapping[str, Any]
     drive: str
 
 

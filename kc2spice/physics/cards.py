@@ -46,12 +46,10 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
     """What stands for each coordinate and rate."""
     found: dict[str, Tree] = {}
     for b in declaration.branches:
-        across = Probe("v", (b.plus, b.minus))
-        found[b.name] = {
-            "displacement": Binary("*", _MICRO, across),
-            "voltage": across,
-            "current": Probe("i", (meter(b),)),
-        }[b.kind]
+        across: Tree = Probe("v", (b.plus, b.minus))
+        if b.kind == "displacement":
+            across = Binary("*", _MICRO, across)
+        found[b.name] = Probe("i", (meter(b),)) if b.kind == "current" else across
         found[b.name + RATE] = Probe("i", (f"Vrate_{b.name}",))
     return found
 

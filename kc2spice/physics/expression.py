@@ -104,7 +104,7 @@ def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
 
 def plus(*trees: Tree) -> Tree:
     """Their sum in plain form."""
-    return tidy(reduce(lambda a, b: Binary("+", a, b), trees, ZERO))
+    return tidy(_joined("+", (ZERO, *trees)))
 
 
 def minus(first: Tree, second: Tree) -> Tree:
@@ -114,12 +114,19 @@ def minus(first: Tree, second: Tree) -> Tree:
 
 def times(*trees: Tree) -> Tree:
     """Their product in plain form."""
-    return tidy(reduce(lambda a, b: Binary("*", a, b), trees, ONE))
+    return tidy(_joined("*", (ONE, *trees)))
 
 
 def over(first: Tree, second: Tree) -> Tree:
     """Their quotient in plain form."""
     return tidy(Binary("/", first, second))
+
+
+def _joined(op: str, trees: Iterable[Tree]) -> Tree:
+    first, *rest = trees
+    for tree in rest:
+        first = Binary(op, first, tree)
+    return first
 
 
 def _rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
@@ -199,8 +206,8 @@ class _Product:
         if Fraction(f"{float(size):.{_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_number(size.denominator), *below)
         above = (_number(size), *self.above) if size != 1 or not self.above else self.above
-        whole = reduce(lambda a, b: Binary("*", a, b), above)
-        return Binary("/", whole, reduce(lambda a, b: Binary("*", a, b), below)) if below else whole
+        whole = _joined("*", above)
+        return Binary("/", whole, _joined("*", below)) if below else whole
 
 
 def _number(value: Fraction | int) -> Number:
@@ -274,13 +281,13 @@ def _single(tree: Tree) -> _Product:
 
 
 def _merged(found: Iterable[_Product]) -> list[_Product]:
-    sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
+    sums: dict[tuple[frozenset[Any], ...], _Product] = {}
     for term in found:
         key = tuple(frozenset(Counter(part).items()) for part in (term.above, term.below))
-        before = sums.get(key)  # type: ignore[call-overload]
+        before = sums.get(key)
         size = term.size + (before.size if before else 0)
         first = before or term
-        sums[key] = _Product(size, first.above, first.below)  # type: ignore[index]
+        sums[key] = _Product(size, first.above, first.below)
     return list(sums.values())
 
 

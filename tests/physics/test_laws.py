@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.physics.contact import ContactLaw, Normal
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import dc, operating_point
 from kc2spice.reference.integrate import Result, transient
@@ -81,7 +82,7 @@ def test_sphere_bounces_on_a_spring_without_loss() -> None:
     m, k, h = 1e-3, 1e5, 1e-3
     system = assemble(
         [L.Mass("ball", m, gravity=9.81, position=h),
-         L.Contact("floor", ("a",), np.array([k]), np.array([0.0]))],
+         ContactLaw("floor", ("a",), Normal(k), np.zeros(1))],
         {"y": ["ball.a", "floor.b"], "gnd": ["floor.a"]},
     )  # fmt: skip
     result = transient(system, 0.1, 1e-9)
@@ -100,7 +101,7 @@ def test_sphere_bounces_on_a_spring_without_loss() -> None:
 def test_two_masses_exchange_momentum_through_a_contact_spring() -> None:
     system = assemble(
         [L.Mass("a", 1e-3, position=0.0, velocity=1.0), L.Mass("b", 3e-3, position=1e-3),
-         L.Contact("hit", ("a",), np.array([1e6]), np.array([0.0]))],
+         ContactLaw("hit", ("a",), Normal(1e6), np.zeros(1))],
         {"left": ["a.a", "hit.a"], "right": ["b.a", "hit.b"]},
     )  # fmt: skip
     result = transient(system, 3e-3, 1e-10)
@@ -170,7 +171,7 @@ def test_coils_with_resistance_keep_energy() -> None:
 
 
 def test_imprint_solves_the_complementarity() -> None:
-    contact = L.Contact("c", ("top",), np.array([1e7]), np.array([1e-6]))
+    contact = ContactLaw("c", ("top",), Normal(1e7), np.array([1e-6]))
     system = assemble(
         [piezo("p"), contact, L.Source("push", "displacement", L.Line.constant(0.0))],
         {"t": ["p.top", "c.top"], "b": ["c.b", "push.out"], "gnd": ["p.anode"]},

@@ -18,9 +18,8 @@ nonlinear or switched law is a :class:`Device`: smooth expressions within a *mod
 zeros end the mode.
 """
 
-from kc2spice.core.laws.contact import Contact
 from kc2spice.core.laws.control import Pid
-from kc2spice.core.laws.device import Device, Flow, Tap
+from kc2spice.core.laws.device import Device, Flow, Tap, inside
 from kc2spice.core.laws.equations import Equations, Reading, difference, reading
 from kc2spice.core.laws.linear import (
     LinearBody,
@@ -37,8 +36,8 @@ from kc2spice.core.laws.ported import PortBody, Relation
 from kc2spice.core.laws.wave import Line, Recorded, Sine, Waveform
 
 __all__ = [
-    "GROUND", "KINDS", "MECHANICAL", "CoilForce", "Contact", "Device", "Equations", "Flow",
+    "GROUND", "KINDS", "MECHANICAL", "CoilForce", "Device", "Equations", "Flow",
     "ForceTable", "Law", "Line", "LinearBody", "Mass", "Pid", "Pin", "Port", "PortBody",
     "PositionForce", "Reading", "Recorded", "Relation", "Sensor", "SignalBlock",
-    "Sine", "Source", "Tap", "TwoTerminal", "Waveform", "difference", "reading",
+    "Sine", "Source", "Tap", "TwoTerminal", "Waveform", "difference", "inside", "reading",
 ]  # fmt: skip
