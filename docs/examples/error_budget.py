@@ -21,4 +21,4 @@ print(f"error {error:.1e} with {result.record['rom']['order']} states, "
 assert abs(error) < 1e-3
 
 for row in result.record["convergence"]["tried"]:  # what was refined, and each estimate
-    print(row["finer"], max(row["errors"].values()))
+    print(row["settings"] or "as it is", max(row["errors"].values()))
