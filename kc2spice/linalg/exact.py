@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from kc2spice.core.errors import SimulationError
 
@@ -71,7 +71,9 @@ class Solver:
         SimulationError : s is a pole, or so near one that not even refinement finds digits.
         """
         A, E = self._plain
-        lu, pivots, info = lapack.zgetrf(np.asarray(A + s * E, dtype=complex), overwrite_a=True)
+        lu, pivots, info = scipy.linalg.lapack.zgetrf(
+            np.asarray(A + s * E, dtype=complex), overwrite_a=True
+        )
         if info:
             raise _singular(s)
         found = []
@@ -79,7 +81,7 @@ class Solver:
             x = np.zeros(rhs.shape, dtype=complex)
             rest = rhs.astype(complex)
             for _ in range(REFINEMENTS):
-                step = lapack.zgetrs(lu, pivots, rest, trans=trans)[0]
+                step = scipy.linalg.lapack.zgetrs(lu, pivots, rest, trans=trans)[0]
                 x = x + step
                 change = np.abs(step).max() / max(np.abs(x).max(), np.finfo(float).tiny)
                 if change <= ENOUGH:
