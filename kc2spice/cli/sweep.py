@@ -112,7 +112,7 @@ def sweep(
         if dry_run:
             result = {
                 "scene": found.scene.name, "points": found.plan.size, "failed": 0, "resumed": 0,
-                "table": str((out / table).absolute()), "runs": found.models.runs,
+                "table": str((out / table).absolute()), "runs": found.runs,
             }  # fmt: skip
         else:
             with shown_progress(quiet) as progress:

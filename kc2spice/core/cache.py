@@ -105,9 +105,9 @@ _memory: ContextVar[dict[str, tuple[str, Any]] | None] = ContextVar("memory", de
 
 
 @contextmanager
-def remembering() -> Iterator[None]:
-    """Within this block :func:`remembered` keeps the last result of each kind."""
-    token = _memory.set({})
+def remembering(memory: dict[str, tuple[str, Any]]) -> Iterator[None]:
+    """Within this block :func:`remembered` keeps the last result of each kind in ``memory``."""
+    token = _memory.set(memory)
     try:
         yield
     finally:

@@ -8,9 +8,8 @@ one plain value.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from math import prod
 from typing import Any
 
@@ -218,11 +217,6 @@ class Plan:
                 steps |= {words.index(word): None for word in dict.fromkeys(words)}
         return [self.at([step if b == block else 0 for b in range(len(self.blocks))])
                 for step in steps]  # fmt: skip
-
-    def product(self, blocks: Sequence[int]) -> Iterator[dict[str, Any]]:
-        """Points of the crossed ``blocks``, all others at their first step."""
-        lengths = enumerate(self.lengths)
-        yield from map(self.at, product(*(range(n) if b in blocks else (0,) for b, n in lengths)))
 
     def distinct(self, keys: Sequence[str]) -> int:
         """How many combinations of values the given keys take in all points."""

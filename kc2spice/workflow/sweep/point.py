@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import math
@@ -251,6 +250,8 @@ def _diagnosis(error: Kc2spiceError) -> str:
     return ", ".join(part for part in parts if part).replace("\n", " ")
 
 
+# The last full model of each kind, which points share that differ in their reduction alone.
+_full_models: dict[str, tuple[str, Any]] = {}
 _lock = threading.Lock()  # threads of one worker must not build the same model side by side
 
 
@@ -262,22 +263,9 @@ def testbench(job: Job, changed: tuple[str, ...]) -> tuple[Build, Deck]:
 
 @lru_cache(maxsize=_KEPT)
 def _testbench(job: Job, changed: tuple[str, ...]) -> tuple[Build, Deck]:
-    build = build_models(job.scene.load((*job.fixed, *changed)), Clock())
+    with remembering(_full_models):
+        build = build_models(job.scene.load((*job.fixed, *changed)), Clock())
     return build, make_deck(build)
-
-
-def build_parts(job: Job, wanted: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
-    """Build models into the cache: of each named part where the swept keys have these values.
-
-    Models that differ in their reduction alone share one full model, which is not in the cache.
-
-    What goes wrong is left to the points that need the model: their rows will say it.
-    """
-    with remembering():
-        for name, values in wanted:
-            with contextlib.suppress(Exception):
-                scene = job.load(values)
-                scene.parts[name].type.build(scene.parts[name], scene, Clock())
 
 
 def _numbers(build: Build, simulated: Simulated) -> Outcome:

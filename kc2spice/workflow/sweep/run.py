@@ -6,13 +6,12 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,6 @@ from kc2spice.workflow.sweep.point import (
     Job,
     Outcome,
     Source,
-    build_parts,
     overrides,
     parameters,
     run_point,
@@ -64,11 +62,10 @@ from kc2spice.workflow.sweep.table import (
     write_csv,
     write_parquet,
 )
-from kc2spice.workflow.sweep.workers import Call, WorkerDied, Workers, completed
+from kc2spice.workflow.sweep.workers import WorkerDied, Workers, completed
 
 ROWS, PAGE = "rows.sqlite", "sweep.html"
 DIED = "its worker process died, twice"
-_COUNTED = 2000  # combinations of keys whose models are told apart one by one
 
 
 # --- what is asked ------------------------------------------------------------------------------
@@ -89,11 +86,6 @@ class Sweep:
     metrics: tuple[str, ...] = ()
 
     @cached_property
-    def models(self) -> Models:
-        """What the points share."""
-        return shared_models(self.plan, self.job)
-
-    @cached_property
     def digest(self) -> str:
         """Hash of everything that decides the numbers."""
         files = {n: hashlib.sha256(data).hexdigest() for n, data in scene_files(self.scene).items()}
@@ -106,15 +98,17 @@ class Sweep:
             digest.update(repr(list(block.items())).encode())
         return digest.hexdigest()[:16]
 
+    @property
+    def runs(self) -> dict[str, int]:
+        """How many decks and ngspice runs there will be; points that differ in parameters of
+        subcircuits alone share a deck."""
+        keys = [key for key in self.plan.keys if not key.startswith(PARAMETER)]
+        return {"netlists": self.plan.distinct(keys), "ngspice": self.plan.size}
+
     def describe(self) -> str:
-        """How many runs of which kind there will be, in one line."""
-        runs = self.models.runs
-        parts = ", ".join(f"{count} {part}" for part, count in runs["fe"].items())
-        models = f"{sum(runs['fe'].values())} models ({parts}), " if parts else ""
-        return (
-            f"{self.plan.size} points: {models}{sum(runs['rom'].values())} reductions, "
-            f"{runs['netlists']} netlists, {runs['ngspice']} ngspice runs"
-        )
+        """The same in one line."""
+        netlists, runs = self.runs.values()
+        return f"{self.plan.size} points: {netlists} netlists, {runs} ngspice runs"
 
 
 def make_sweep(
@@ -148,9 +142,11 @@ def make_sweep(
     )  # fmt: skip
     units = {key: find_key(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
-    found = Sweep(job.load(plan.values(0)), job, plan, units, tuple(dict.fromkeys(metrics)))
-    _ = found.models  # tries the ends of all ranges
-    return found
+    first = job.load(plan.values(0))
+    for block in range(len(plan.blocks)):  # what one end of a range cannot be ends the command
+        for values in plan.ends(block):
+            job.load(values)
+    return Sweep(first, job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
 def _at_first(source: Source, fixed: Sequence[str], firsts: Sequence[str]) -> Scene:
@@ -230,69 +226,6 @@ def _study(name: str) -> _Study | None:
         raise UsageError(f"no key of a study: {first['msg']}", where=where) from None
 
 
-# --- what points share --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Models:
-    """Models of the points. ``shared`` has for each full model the parts and values that need it.
-
-    ``runs`` counts ``fe`` and ``rom`` by part, ``netlists`` and ``ngspice``; a model that several
-    parts share counts for the first of them.
-    """
-
-    shared: tuple[tuple[tuple[str, Mapping[str, Any]], ...], ...]
-    runs: Mapping[str, Any]
-
-
-def shared_models(plan: Plan, job: Job) -> Models:
-    """Try every range at its ends, see which change a model, and tell these models apart.
-
-    Raises
-    ------
-    UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
-    """
-    start = _model_keys(job.load(plan.values(0)))
-    ends = {b: [_model_keys(job.load(v)) for v in plan.ends(b)] for b in range(len(plan.blocks))}
-    moving = [b for b, found in ends.items() if any(keys != start for keys in found)]
-    combinations = prod(plan.lengths[b] for b in moving)
-    fe: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}  # by full model
-    counts: dict[str, dict[str, int]] = {"fe": {}, "rom": {}}
-    known: set[str] = set()
-    needed = 0
-    for values in plan.product(moving) if combinations <= _COUNTED else [plan.values(0)]:
-        with suppress(UsageError):  # its row will say what is wrong
-            scene = job.load(values)
-            for part, (full, final) in _model_keys(scene).items():
-                needed += 1
-                if final in known:
-                    continue
-                known.add(final)
-                if full not in fe:
-                    counts["fe"][part] = counts["fe"].get(part, 0) + 1
-                if scene.parts[part].type.reduced:
-                    counts["rom"][part] = counts["rom"].get(part, 0) + 1
-                fe.setdefault(full, []).append((part, values))
-    if combinations > _COUNTED:  # no use in sharing what all differ in; an upper limit is told
-        counts = {kind: dict.fromkeys(own, combinations) for kind, own in counts.items()}
-    decks = [key for key in plan.keys if not key.startswith(PARAMETER)]
-    runs = {**counts, "netlists": plan.distinct(decks), "ngspice": plan.size}
-    useful = combinations < plan.size or len(fe) < needed
-    return Models(tuple(map(tuple, fe.values())) if useful else (), runs)
-
-
-def _model_keys(scene: Scene) -> dict[str, tuple[str, str]]:
-    """What the full and the final model of each part depend on, for parts that have one."""
-    found = {}
-    for name, part in scene.parts.items():
-        final = part.type.model_key(part, scene)
-        if final is not None:
-            keys = (part.type.full_key(part, scene), final)
-            full, own = (json.dumps(key, sort_keys=True, default=str) for key in keys)
-            found[name] = (f"{part.type.name} {full}", f"{part.type.name} {own}")
-    return found
-
-
 # --- running it ---------------------------------------------------------------------------------
 
 
@@ -301,8 +234,8 @@ def outcomes(
 ) -> Iterator[tuple[int, Outcome]]:
     """Run ``points`` and give each with its outcome as it comes.
 
-    Models that points share are built before, each once. A point that is interrupted by what
-    happens to the machine is run once more after all others.
+    Whoever needs a model first builds it into the cache, where all others wait for it. A point that
+    is interrupted by what happens to the machine is run once more after all others.
 
     Raises
     ------
@@ -311,20 +244,17 @@ def outcomes(
     """
     _check_parameters(found)
     again: list[int] = []  # iterated when all points have been run once
-    shared = found.models.shared if points else ()
-    models: Iterator[Call[int]] = ((-1, build_parts, (found.job, parts)) for parts in shared)
     runs = (
         ((index, run_point, (found.job, found.plan.values(index))) for index in attempt)
         for attempt in (points, again)
     )
-    for index, result in completed(workers, models, *runs):
+    for index, result in completed(workers, *runs):
         if isinstance(result, WorkerDied):
             result = Outcome(failure=DIED, interrupted=True)
-        elif index >= 0 and result.interrupted and index not in again:
+        elif result.interrupted and index not in again:
             again.append(index)
             continue
-        if index >= 0:
-            yield index, result
+        yield index, result
 
 
 def _check_parameters(found: Sweep) -> None:
@@ -430,7 +360,7 @@ def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict
         "failed": rows.failed,
         "table": str((out / name).absolute()),
         "directory": str(out.absolute()),
-        "runs": found.models.runs,
+        "runs": found.runs,
         "yield": shares,
         "files": [name, PAGE],
     }
