@@ -50,9 +50,9 @@ def simulate(
         return Verdict(tuple(checks), found.balances)
 
     sampled = [
-        found
+        function
         for part in build.scene.parts.values()
-        if (found := part.type.sampled(part, build)) is not None
+        if (function := part.type.sampled(part, build)) is not None
     ]
 
     def shared(tried: Deck) -> Waveforms:
