@@ -13,6 +13,7 @@ from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import without_inertia
 from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.mode_table import mode_table
 
 RNG = np.random.default_rng(12)
 TIP = Port("mech", "mechanical")
@@ -146,3 +147,43 @@ def test_blocks_are_as_small_as_the_poles_allow(name):
     np.testing.assert_allclose(block_model(model, dense=True).response(frequency), exact, rtol=1e-9)
     if name.startswith("lossless"):
         assert all(np.array_equal(block, -block.T) for block in found.blocks)
+
+
+# ----------------------------------------------------------------------------------- mode table
+
+
+def chain(n, ends, damping):
+    """Equal masses between equal springs; the port is at the first one."""
+    K = 1e6 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    K[0, 0] = K[-1, -1] = ends
+    return LinearModel(M=1e-3 * np.eye(n), K=K, E=damping(K), B=np.eye(n)[:, :1], ports=(TIP,))
+
+
+def test_the_table_of_a_free_body_has_its_modes_and_not_its_flight():
+    """A free chain: ``w = 2 sqrt(k/m) sin(j pi / 2n)``, shapes ``cos((2i - 1) j pi / 2n)``."""
+    n = 7
+    found = mode_table(chain(n, 1e6, lambda K: 1e-7 * K))["modes"]
+    j = np.arange(1, n)
+    omega = 2 * np.sqrt(1e9) * np.sin(j * np.pi / 2 / n)
+    assert [m["frequency_hz"] for m in found] == pytest.approx(omega / 2 / np.pi, rel=1e-6)
+    assert [m["quality"] for m in found] == pytest.approx(1 / (1e-7 * omega), rel=1e-5)
+    shares = 2 / n * np.cos(j * np.pi / 2 / n) ** 2 / 1e-3 / omega**2
+    assert [m["couplings"]["mech"] for m in found] == pytest.approx(shares, rel=1e-4)
+
+
+def test_the_table_of_modes_that_damping_couples():
+    """A damper at one mass, by perturbation: ``w / Q`` is what it takes of each mode, to first
+    order in it, and frequencies and shares stay."""
+    n, added = 5, 0.02
+
+    def damping(K):
+        return np.diag([added, 0, 0, 0, 0])
+
+    found = mode_table(chain(n, 2e6, damping))["modes"]
+    j = np.arange(1, n + 1)
+    omega = 2 * np.sqrt(1e9) * np.sin(j * np.pi / 2 / (n + 1))
+    gain2 = 2 / (n + 1) * np.sin(j * np.pi / (n + 1)) ** 2 / 1e-3
+    assert [m["frequency_hz"] for m in found] == pytest.approx(omega / 2 / np.pi, rel=1e-5)
+    assert [m["quality"] for m in found] == pytest.approx(omega / (added * gain2), rel=1e-3)
+    shares = gain2 / omega**2
+    assert [m["couplings"]["mech"] for m in found] == pytest.approx(shares, rel=1e-3)
