@@ -19,6 +19,7 @@ from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.march import resonant
 
 ORDER = 40
+STILL = 1e-6  # of the highest frequency: a motion without stiffness
 SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 
 
@@ -82,6 +83,15 @@ def recover(
     basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))
     states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
     return Motion(device, t, u, basis, states)
+
+
+def lowest_modes(device: Device, count: int, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
+    shorted, and their displacements (n, modes); motions without stiffness are none of them."""
+    basis, omega, _ = _modes(device, ORDER, np.inf)
+    kept = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
+    kept = kept[np.argsort(omega[kept])][:count]
+    return omega[kept] / (2 * np.pi), basis[:, kept]
 
 
 def _modes(device: Device, order: int, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,7 +2,8 @@
 
 The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.recover`) gives
 the largest principal stress and field of every material beside its limit, a VTU file of the instant
-of the largest stress and a picture of the body at that instant.
+of the largest stress and a picture of the body at that instant. The shapes of its lowest modes are
+there in ``ac`` as well.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
 from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
@@ -34,9 +36,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.recover import Motion
 
 MOST = 20  # instants that one run writes
-FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
-BENT = 0.05  # share of the second direction among normals that makes an edge
-SHOWN = 0.1  # of the body's size: the largest displacement in the picture
+MODES = 6  # drawn at most, the lowest ones
 _SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 # Word and unit of the metrics, panel and scale of the plot, and what going beyond means.
 _QUANTITIES = {
@@ -93,10 +93,12 @@ class MeshedBody(LinearBody):
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        if part.keys.fields and scene.analysis.type != "transient":
+        kind = scene.analysis.type
+        if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
             yield UsageError(
                 "fields are recovered from waveforms over time", where=f"{part.name}.fields",
-                got=f"analysis {scene.analysis.type}", expected="a transient, or fields = false",
+                got=f"analysis {kind}",
+                expected="a transient, fields = true in ac for the shapes of modes, or false",
             )  # fmt: skip
             return
         outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
@@ -130,14 +132,34 @@ class MeshedBody(LinearBody):
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         yield from super().figures(part, build, waves)
+        if part.keys.fields:
+            yield from self._shapes(part, build)
         recovered = self.recovered(part, build, waves)
         if recovered is not None:
             yield _over_time(part.name, recovered)
             worst = recovered.worst
             said = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
-            yield _deformed(part.name, "deformed", recovered, worst.instant, said + worst.material)
-            for k, instant in enumerate(chosen(part), 1):
-                yield _deformed(part.name, f"deformed_{k}", recovered, instant, "as chosen")
+            instants = {"": (worst.instant, said + worst.material)}
+            instants |= {f"_{k}": (t, "as chosen") for k, t in enumerate(chosen(part), 1)}
+            for stem, (t, what) in instants.items():
+                panel, factor = deformed(recovered.motion.device, *recovered.motion.at(t))
+                caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
+                name = f"{part.name}_deformed{stem}"
+                yield Figure(name, f"Deformed {part.name}", caption, (panel,))
+
+    def _shapes(self, part: Part, build: Build) -> Iterator[Figure]:
+        from kc2spice.bodies.recover import lowest_modes
+
+        device, model = self.device(part, build.scene), build.model(part)
+        end = np.inf if model.certificate is None else model.certificate.band_hz[1]
+        hertz, columns = lowest_modes(device, MODES, end)
+        if hertz.size:
+            caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
+            yield Figure(
+                f"{part.name}_modes", f"Modes of {part.name}",
+                caption + "displacements relative to the largest.",
+                tuple(shapes(device, hertz, columns)), columns=3,
+            )  # fmt: skip
 
     def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterator[str]:
         recovered = self.recovered(part, build, waves)
@@ -220,59 +242,3 @@ def _over_time(name: str, found: Recovered) -> Figure:
         panels.append(Panel("time in ms", label, curves, levels=levels))
     caption = "Largest value in each material at any Gauss point; limits where they are near."
     return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))
-
-
-def _deformed(name: str, stem: str, found: Recovered, instant: float, what: str) -> Figure:
-    """The surface mesh at an instant, displacements enlarged."""
-    motion = found.motion
-    solid = motion.device.solid
-    mesh = solid.mesh
-    basis = solid.basis(1)
-    moves = (motion.device.displacement @ motion.at(instant)[0]).reshape(-1, solid.components)
-    moves = moves[basis.nodal_dofs[0]].T
-    size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
-    factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
-    edges = _edges(mesh)
-    corners = mesh.p[:, : mesh.nvertices]  # nodes on edges follow in a quadratic mesh
-    curves = (
-        _wires("at rest", corners, edges, ":"),
-        _wires(f"displacement x {factor:g}", corners + factor * moves, edges, "-"),
-    )
-    caption = f"At {1e3 * instant:.4g} ms, {what}."
-    panel = Panel("mm", "mm", curves, equal=True)
-    return Figure(f"{name}_{stem}", f"Deformed {name}", caption, (panel,))
-
-
-def outline(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of a mesh's surface as one line with gaps, x and y [mm] of an oblique projection."""
-    found = _wires("", mesh.p[:, : mesh.nvertices], _edges(mesh), "-")
-    return found.x, found.y
-
-
-def _edges(mesh: Any) -> np.ndarray:
-    """Vertices (2, edges) of the surface mesh; only where faces meet at an angle if it is fine."""
-    facets = mesh.boundary_facets()
-    if mesh.dim() == 2:
-        return np.asarray(mesh.facets[:, facets])
-    if 4 * facets.size < FINE:
-        return np.asarray(mesh.edges[:, mesh.boundary_edges()])
-    corners = mesh.p[:, mesh.facets[:, facets]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
-    own = mesh.f2e[:, facets]
-    # the sum of n n' over the faces at an edge has rank one where they lie in one plane
-    spread = np.zeros((mesh.edges.shape[1], 3, 3))
-    for edge in own:
-        np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
-    edge = np.unique(own)
-    value = np.linalg.eigvalsh(spread[edge])
-    return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
-
-
-def _wires(label: str, points: np.ndarray, edges: np.ndarray, style: str) -> Curve:
-    """Edges of a mesh in oblique projection, separated by points that are not numbers [mm]."""
-    flat = points if len(points) == 2 else points[[0, 2]] + 0.35 * points[1]
-    path = np.full((2, 3, edges.shape[1]), np.nan)
-    path[:, :2] = 1e3 * flat[:, edges]
-    x, y = path.transpose(0, 2, 1).reshape(2, -1)
-    return Curve(label, x, y, style)

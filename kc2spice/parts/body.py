@@ -17,7 +17,8 @@ from kc2spice.core.foreign import beside
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.mesh_file import length_unit, require_format
 from kc2spice.parts._linear_body import file_stamp
-from kc2spice.parts._meshed import FieldKeys, MeshedBody, outline
+from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._pictures import outline
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, Modelled, register

@@ -12,13 +12,14 @@ from kc2spice.bodies.device import Setup, Shape, make_device, mean
 from kc2spice.bodies.fields import Probe, extremes, principal
 from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.piezo_stack import sector_device
-from kc2spice.bodies.recover import recover
+from kc2spice.bodies.recover import lowest_modes, recover
 from kc2spice.bodies.vtu import write_vtu
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
+from kc2spice.parts._pictures import OBLIQUE, deformed, shapes
 from kc2spice.rom.linear import Port
 
 PZT = material("PZT-5A")
@@ -231,3 +232,37 @@ def test_file_holds_what_another_reader_finds(tmp_path, kind, cell):
     top = z_at > 0.5e-3 - 1e-9
     assert move[top, 2] == pytest.approx(PZT.d[2, 2] * -7.0, rel=1e-5)
     assert np.abs(found.point_data["stress"]).max() < 1e-3 * 14e3 * abs(PZT.e[2, 0])
+
+
+@pytest.mark.parametrize("kind", [MeshTet, MeshHex])
+def test_a_picture_shows_the_surface_in_the_colour_of_its_stress(kind):
+    """A bar under 1 N has one stress; its picture is front, top and right side."""
+    device = pulled(plate(kind))
+    model = device.model
+    z = model.pencil.dense().coefficients[0]
+    z = np.linalg.solve(z, model.B[:, [p.name for p in model.ports].index("pull")])
+    panel, factor = deformed(device, z, np.zeros(device.drive.shape[1]))
+    L, b, h = SIZE * 1e3
+    shown = panel.map.z[np.isfinite(panel.map.z)]
+    assert shown == pytest.approx(1 / (b * h), rel=1e-3)  # MPa
+    dot = np.diff(panel.map.x).mean() * np.diff(panel.map.y).mean()
+    stretched = L + 1e3 * factor * np.abs(z).max()
+    area = stretched * h + OBLIQUE * b * (stretched + h)
+    assert shown.size * dot == pytest.approx(area, rel=0.05)
+    assert 1.0 < stretched / L < 1.2
+
+
+def test_shapes_of_modes_are_those_of_the_matrices():
+    device = pulled(plate())
+    K, _, M = device.model.pencil.dense().coefficients
+    exact = np.sqrt(eigh(K, M, eigvals_only=True)) / (2 * np.pi)
+    hertz, columns = lowest_modes(device, 4, np.inf)
+    assert len(hertz) == 4
+    for f, z in zip(hertz, columns.T, strict=True):
+        assert np.abs(exact / f - 1).min() < 1e-3
+        assert np.linalg.norm(K @ z - (2 * np.pi * f) ** 2 * (M @ z)) < 0.05 * np.linalg.norm(K @ z)
+    panels = list(shapes(device, hertz, columns))
+    assert len(panels) == 4
+    for f, panel in zip(hertz, panels, strict=True):
+        assert f"{f / 1e3:.4g} kHz" in panel.x
+        assert np.nanmax(panel.map.z) == pytest.approx(1.0, abs=0.02)

@@ -400,7 +400,7 @@ def driver(d):
         d.solve = lambda points: (points[-2:], lambda name: np.full(2, rail))
         return
     keys, wave = d.wave(d.value(0.5, 5), smooth=True)
-    d.f = min(d.f, 5e3)
+    d.f = min(d.f, 5e3 if kind == "amplifier" else 500.0)
     keys["sine"]["frequency"] = d.f
     start = keys["sine"]["start"]
     size = keys["sine"]["amplitude"]

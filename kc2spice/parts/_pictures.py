@@ -1,0 +1,157 @@
+"""Pictures of a meshed body: deformed, coloured by what happens inside, as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kc2spice.core.figure import Curve, Map, Panel
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Device
+
+FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
+BENT = 0.05  # share of the second direction among normals that makes an edge
+SHOWN = 0.1  # of the body's size: the largest displacement in the picture
+DOTS = 240  # of a coloured picture along its longer side
+OBLIQUE = 0.35  # of the depth, to the right and upwards
+
+
+def deformed(device: Device, z: np.ndarray, voltages: np.ndarray) -> tuple[Panel, float]:
+    """The body under displacements z (n,) and voltages (e,), coloured by the largest principal
+    stress, over its edges at rest; and by how much displacements are enlarged."""
+    from kc2spice.bodies.fields import Probe, principal
+
+    found = Probe(device, gauss=False)(z, voltages)
+    stress = 1e-6 * principal(found.stress)
+    moved, factor = _enlarged(device, found.displacement)
+    at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
+    label = "largest principal stress in MPa"
+    panel = Panel("mm", "mm", (at_rest,), equal=True, map=_map(device, moved, stress, label))
+    return panel, factor
+
+
+def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
+    """A panel for each mode, ``columns`` (n, modes)."""
+    from kc2spice.bodies.fields import Probe
+
+    probe = Probe(device, gauss=False)
+    still = np.zeros(device.drive.shape[1])
+    for f, z in zip(hertz, columns.T, strict=True):
+        found = probe(z, still).displacement
+        moved, _ = _enlarged(device, found)
+        size = np.linalg.norm(found, axis=1)
+        colours = _map(device, moved, size / size.max(), "of the largest")
+        at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
+        word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
+        yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
+
+
+def _enlarged(device: Device, moves: np.ndarray) -> tuple[np.ndarray, float]:
+    """Corners (elements, vertices, 3) [m] with enlarged displacements, and the factor."""
+    mesh = device.solid.mesh
+    corners = mesh.p[:, mesh.t].transpose(2, 1, 0)
+    if mesh.dim() == 2:
+        corners = np.stack((corners[..., 0], np.zeros(corners.shape[:2]), corners[..., 1]), -1)
+    moves = moves.reshape(len(corners), -1, 3)[:, : corners.shape[1]]
+    size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
+    factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
+    return corners + factor * moves, factor
+
+
+def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
+    """``values`` at the nodes of every element on what is seen of its surface."""
+    mesh = device.solid.mesh
+    values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
+    if mesh.dim() == 2:
+        element, local = np.arange(len(corners)), np.arange(corners.shape[1])[None]
+        local = np.repeat(local, len(corners), axis=0)
+    else:
+        facets = mesh.boundary_facets()
+        element, nodes = mesh.f2t[0, facets], mesh.facets[:, facets].T
+        local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
+    around = local[:, _around(corners[element[:, None], local])]
+    points, own = corners[element[:, None], around], values[element[:, None], around]
+    flat = 1e3 * np.stack((points[..., 0] + OBLIQUE * points[..., 1],
+                           points[..., 2] + OBLIQUE * points[..., 1]), -1)  # fmt: skip
+    fan = [(0, k, k + 1) for k in range(1, flat.shape[1] - 1)]
+    triangles = np.concatenate([flat[:, t] for t in fan])
+    depth = np.concatenate([points[:, t, 1] for t in fan]).mean(axis=1)
+    colours = np.concatenate([own[:, t] for t in fan])
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    dot = float((high - low).max()) / DOTS
+    count = np.maximum(np.ceil((high - low) / dot).astype(int), 1)
+    x, y = (low[k] + dot * (np.arange(count[k]) + 0.5) for k in (0, 1))
+    z = np.full((count[1], count[0]), np.nan)
+    for k in np.argsort(-depth):  # the nearest last
+        _paint(z, triangles[k], colours[k], low, dot)
+    return Map(x, y, z, label)
+
+
+def _around(corners: np.ndarray) -> list[int]:
+    """Order of the vertices of a face around it: the diagonals of a four-sided one are longest."""
+    if corners.shape[1] < 4:
+        return [0, 1, 2]
+    first = corners[0]
+    far = int(np.argmax(np.linalg.norm(first - first[0], axis=1)))
+    others = [k for k in (1, 2, 3) if k != far]
+    return [0, others[0], far, others[1]]
+
+
+def _paint(
+    z: np.ndarray, corners: np.ndarray, values: np.ndarray, low: np.ndarray, dot: float
+) -> None:
+    """Values of a triangle, linear between its corners (3, 2), on the dots within it."""
+    a, b, c = (corners - low) / dot - 0.5
+    first = np.maximum(np.ceil(np.minimum(np.minimum(a, b), c) - 0.5).astype(int), 0)
+    last = np.minimum(np.floor(np.maximum(np.maximum(a, b), c) + 0.5).astype(int) + 1, z.T.shape)
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    if area == 0 or (last <= first).any():
+        return
+    x, y = np.arange(first[0], last[0])[None, :], np.arange(first[1], last[1])[:, None]
+    v = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+    w = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+    slack = 0.5 / max(np.sqrt(abs(area)), 1.0)  # half a dot, lest seams stay open
+    inside = (v >= -slack) & (w >= -slack) & (v + w <= 1 + slack)
+    found = values[0] + v * (values[1] - values[0]) + w * (values[2] - values[0])
+    part = z[first[1] : last[1], first[0] : last[0]]
+    part[inside] = np.clip(found, values.min(), values.max())[inside]
+
+
+def outline(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of a mesh's surface as one line with gaps, x and y [mm] of an oblique projection."""
+    found = _wires("", mesh, "-")
+    return found.x, found.y
+
+
+def _edges(mesh: Any, fine: int) -> np.ndarray:
+    """Vertices (2, edges) of the surface mesh; of more lines than ``fine`` only those where faces
+    meet at an angle."""
+    facets = mesh.boundary_facets()
+    if mesh.dim() == 2:
+        return np.asarray(mesh.facets[:, facets])
+    if 4 * facets.size < fine:
+        return np.asarray(mesh.edges[:, mesh.boundary_edges()])
+    corners = mesh.p[:, mesh.facets[:, facets]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
+    own = mesh.f2e[:, facets]
+    # the sum of n n' over the faces at an edge has rank one where they lie in one plane
+    spread = np.zeros((mesh.edges.shape[1], 3, 3))
+    for edge in own:
+        np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
+    edge = np.unique(own)
+    value = np.linalg.eigvalsh(spread[edge])
+    return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
+
+
+def _wires(label: str, mesh: Any, style: str, fine: int = FINE) -> Curve:
+    """Edges of a mesh in oblique projection, separated by points that are not numbers [mm]."""
+    points, edges = mesh.p[:, : mesh.nvertices], _edges(mesh, fine)  # no nodes on edges
+    flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE * points[1]
+    path = np.full((2, 3, edges.shape[1]), np.nan)
+    path[:, :2] = 1e3 * flat[:, edges]
+    x, y = path.transpose(0, 2, 1).reshape(2, -1)
+    return Curve(label, x, y, style)
