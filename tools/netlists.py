@@ -28,7 +28,7 @@ from kc2spice.netlist.printers.box import layout
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, library, part_symbol
 from kc2spice.netlist.statements import statements
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.workflow.run import export
+from kc2spice.workflow.export import export
 
 ROOT = Path(__file__).parents[1]
 NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"

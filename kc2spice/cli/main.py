@@ -219,10 +219,10 @@ def export(
             raise UsageError("nothing to export", expected="SCENE or --rom FILE")
         overrides = [*(set_ or []), *([] if tolerance is None else [f"rom.tolerance={tolerance}"])]
         study_scene, directory = _load(scene, overrides, out)
-        from kc2spice.workflow import run as study
+        from kc2spice.workflow.export import export as write_netlists
 
         with shown_progress(quiet) as progress:
-            files = study.export(
+            files = write_netlists(
                 study_scene, directory, dialect, progress, trust=trust, count=count
             )
         if as_json:

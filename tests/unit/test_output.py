@@ -16,7 +16,7 @@ from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import export
+from kc2spice.workflow.export import export
 
 
 def write(work, **files):

@@ -1,0 +1,97 @@
+"""``export``: netlists and symbols of a scene, in any dialect, without a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.netlist.array import array_deck
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.dialect import DECKS, DIALECTS, dialect_files
+from kc2spice.netlist.lint import lint
+from kc2spice.netlist.plotscript import plot_script
+from kc2spice.netlist.statements import statements
+from kc2spice.netlist.symbol import symbol_files
+from kc2spice.scene.compose import composed
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import Build
+from kc2spice.sim.ngspice import write_files
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+
+
+def export(
+    scene: Scene,
+    out: Path,
+    dialect: str = "ngspice",
+    progress: Progress = silent,
+    *,
+    trust: bool = False,
+    count: int | None = None,
+) -> list[Path]:
+    """Write netlists and symbols of ``scene`` into ``out`` without simulating.
+
+    Bodies of the scene's author have all ports that they declare, those too that nothing joins.
+    Returns the paths of the files. ``trust`` lets included netlists act on the machine. With
+    ``count`` the deck has so many copies of the scene, and there are no symbols.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or one that cannot say what the scene needs.
+    """
+    known = DIALECTS if count is None else DECKS
+    if dialect not in known:
+        raise UsageError(
+            "unknown dialect" if count is None else "no array of copies in this dialect",
+            where="--dialect", got=dialect, expected=", ".join(known),
+        )  # fmt: skip
+    clock = Clock(progress)
+    with staged(out) as work:
+        build = build_models(composed(replace(scene, exported=True)), clock, trust=trust)
+        with clock.stage("export", "netlists and symbols"):
+            deck = _linted(build)
+            if count is not None:
+                deck = array_deck(deck, count)
+            files = dict(dialect_files(deck, deck.parts, dialect))
+            files |= plot_script(deck) if dialect == "ngspice" else {}
+            files |= symbol_files(deck, dialect) if count is None else {}
+            _spare_other_decks(Path(out), files)
+            write_files(files, work)
+    return [Path(out) / name for name in sorted(files)]
+
+
+def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
+    """Refuse to change a library under another deck in ``out``: it would run another part."""
+    for deck in sorted(out.glob("*.cir")) if out.is_dir() else ():
+        if deck.name in files:
+            continue
+        for card in statements(_text(deck), deck.name, title=True):
+            name = card.words[-1].strip("\"'") if card.keyword == ".include" else ""
+            library = out / name
+            if name in files and library.is_file():
+                old, new = (_cards(text, name) for text in (_text(library), files[name]))
+                if old != new:
+                    raise UsageError(
+                        f"this deck there includes another {name}", where=str(deck),
+                        got=f"{name} with other cards", hint="choose another --out",
+                    )  # fmt: skip
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _cards(text: str, name: str) -> list[str]:
+    """What a simulator reads of it."""
+    return [card.text for card in statements(text, name) if card.text]
+
+
+def _linted(build: Build) -> Deck:
+    """The scene's deck; wrong wiring is named with file and line before a simulator sees it."""
+    deck = make_deck(build)
+    lint(deck)
+    return deck
