@@ -7,9 +7,10 @@ from scipy.special import ellipk
 
 import kc2spice as kc
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.reference.integrate import transient
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.verify.circuit import solve
+from kc2spice.workflow.verify.circuit import circuits, solve
 
 EPS = 8.8541878188e-12
 AREA, GAP, K = 1e-8, 2e-6, 1.5
@@ -57,6 +58,37 @@ def test_a_comb_moves_by_the_square_of_its_voltage():
     volts, *found = both(scene, "comb.x")
     for x in found:
         np.testing.assert_allclose(x, 100 * EPS * 20e-6 * volts**2 / 2e-6, rtol=1e-6, atol=1e-15)
+
+
+def test_a_charge_behind_ideal_sources_flows_as_it_changes():
+    """``i = C' v + C v'`` of a comb whose motion and voltage are both prescribed: the integrator
+    has nothing left to solve for, and the current is a derivative of what it is given."""
+    scene = {
+        "name": "forced",
+        "comb": {"part": "comb_drive", "fingers": 100, "thickness": 20e-6, "gap": 2e-6,
+                 "overlap": 10e-6, "travel": 8e-6, "pins": {"plus": "drive.out", "a": "push.out"}},
+        "drive": {"part": "source", "sine": {"amplitude": 10.0, "frequency": 1e3}},
+        "push": {"part": "source", "kind": "displacement",
+                 "sine": {"amplitude": 5e-6, "frequency": 300.0}},
+        "load": {"part": "resistor", "resistance": 1e3, "pins": {"a": "far.out"}},
+        "far": {"part": "source", "sine": {"amplitude": 1.0, "frequency": 1e3}},
+        "solver": {"stop": 2e-3, "max_step": 1e-6, "reltol": 1e-6},
+    }  # fmt: skip
+    times, *found = both(scene, "comb.i")
+    w, u = 2e3 * np.pi, 600 * np.pi
+    slope = 2 * 100 * EPS * 20e-6 / 2e-6
+    v, x = 10 * np.sin(w * times), 5e-6 * np.sin(u * times)
+    exact = slope * ((10e-6 + x) * 10 * w * np.cos(w * times) + 5e-6 * u * np.cos(u * times) * v)
+    later = times > 1e-5  # a transient begins at rest
+    for i in found:
+        np.testing.assert_allclose(i[later], exact[later], atol=1e-4 * exact.max())
+
+
+def test_a_coil_in_motion_takes_few_steps():
+    """The flux depends on the stroke: an error estimate by its slope at an earlier step sees an
+    error that no shorter step makes smaller, and needs tens of thousands of them for this."""
+    (circuit,) = circuits(Build(load_scene("loudspeaker"), {}))
+    assert transient(circuit.system(), 5e-3, 1e-9).steps < 2000
 
 
 COIL = {"part": "voice_coil", "resistance": 6.0, "inductance": 5e-4, "bl": 5.0, "cms": 1e-3,
