@@ -8,7 +8,7 @@ from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh, null_space
+from scipy.linalg import LinAlgError, eigh, matrix_balance, null_space, schur
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear import Norm, Port
@@ -37,17 +37,18 @@ LOOSE = 1e-2
 CONTOUR, APART = 128, 1.2  # points on a circle around those poles, ratio of radii that it parts
 
 FEW, MANY = 12, 900  # unknowns, and states, between which eigenvectors pay
-REPRODUCED = 1e-11
+REPRODUCED, TOLERABLE = 1e-11, 1e-9  # by eigenvectors, by Schur vectors
+BLOCK = 32  # rows that are substituted together
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
-Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
-Change: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...] | np.ndarray]
 
 
 class Response:
-    """A dense pencil with coordinates in which it is diagonal, where it has such.
+    """A dense pencil with coordinates in which it is diagonal or triangular, where it has such.
 
-    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``, or
+    ``(T, L, R)`` with upper triangular R: ``x = T (s - R)^-1 L B``.
     ``decoupled`` says that T is a real congruence (``L = T'``).
     """
 
@@ -57,6 +58,13 @@ class Response:
         self.decoupled = self.modes is not None
         if self.modes is None and FEW < pencil.size <= MANY / pencil.degree:
             self.modes = _eigenvectors(pencil)
+
+    @property
+    def sound(self) -> bool:
+        """Whether well-conditioned modes diagonalise it, or it is too small to look for any."""
+        return self.pencil.size <= FEW or (
+            self.modes is not None and isinstance(self.modes[2], tuple)
+        )
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
@@ -68,26 +76,34 @@ class Response:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
         if self.modes is None:
             return self.pencil.transfer(s)
-        T, L, _ = self.modes
+        T, L, core = self.modes
+        if not isinstance(core, tuple):
+            return np.asarray((self.pencil.C @ T) @ self._modal(s) + self.pencil.D)
         residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
         found = self._gains(s) @ residues.reshape(len(residues), -1)
         return np.asarray(found.reshape(-1, *self.pencil.D.shape) + self.pencil.D)
 
     def transposed(self) -> Response:
         """That of the dual model, whose coordinates are known."""
-        return self._known(self.pencil.transposed(), lambda T, L: (L.T, T.T))
+        return self._known(
+            self.pencil.transposed(),
+            lambda T, L, core: (
+                (L.T, T.T, core)
+                if isinstance(core, tuple)
+                else (L.T[:, ::-1], T.T[::-1], core.T[::-1, ::-1])
+            ),
+        )
 
     def turned(self, V: np.ndarray) -> Response:
         """That of the congruence ``V'PV`` by a square V."""
         left = partial(np.linalg.solve, V)
-        return self._known(self.pencil.project(V), lambda T, L: (left(T), left(L.T).T))
+        return self._known(self.pencil.project(V), lambda T, L, core: (left(T), left(L.T).T, core))
 
-    def _known(self, pencil: Pencil, change: Change) -> Response:
+    def _known(self, pencil: Pencil, change: Callable[..., Modes]) -> Response:
         found = object.__new__(Response)
         found.pencil, found.decoupled, found.modes = pencil, self.decoupled, None
         if self.modes is not None:
-            T, L, diagonals = self.modes
-            found.modes = (*change(T, L), diagonals)
+            found.modes = change(*self.modes)
         return found
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
@@ -144,8 +160,11 @@ class Response:
         return np.asarray(np.abs(H).max(axis=0))
 
     def _modal(self, s: np.ndarray) -> np.ndarray:
-        L = self.modes[1]  # type: ignore[index]
-        return self._gains(s)[:, :, None] * (L @ self.pencil.B)
+        _, L, core = self.modes  # type: ignore[misc]
+        b = L @ self.pencil.B
+        if isinstance(core, tuple):
+            return np.asarray(self._gains(s)[:, :, None] * b)
+        return _substituted(core, np.asarray(s, dtype=complex), b)
 
     def _gains(self, s: np.ndarray) -> np.ndarray:
         """``1 / sum_k s^k diagonals_k`` (len(s), n)."""
@@ -156,7 +175,10 @@ class Response:
     @cached_property
     def poles(self) -> np.ndarray:
         """Finite poles [1/s] of a model whose modes are coupled."""
-        return self.pencil.poles() if self.modes is None else -self.modes[2][0]
+        if self.modes is None:
+            return self.pencil.poles()
+        core = self.modes[2]
+        return -core[0] if isinstance(core, tuple) else np.diag(core)
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
@@ -179,7 +201,8 @@ class Response:
 
 
 def _eigenvectors(pencil: Pencil) -> Modes | None:
-    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
+    """Eigenvectors of the first-order form, else its Schur vectors, if they reproduce direct
+    solutions to rounding."""
     n, inertia = pencil.size, pencil.coefficients[-1]
     try:
         inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
@@ -188,22 +211,47 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
             A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
             drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
         values, X = np.linalg.eig(A)
-        if np.linalg.cond(X) > DEFECTIVE:
-            return None
-        drive = np.linalg.solve(X, drive)
-    except np.linalg.LinAlgError:
-        return None
-    top = float(np.median(np.abs(values))) or 1.0
-    s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * top
-    try:
+        s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * (float(np.median(np.abs(values))) or 1.0)
         exact = pencil.states(s)
-    except SimulationError:
+        if np.linalg.cond(X) <= DEFECTIVE:
+            diagonal = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
+            if _apart(pencil, diagonal, s, exact)[0] < REPRODUCED:
+                return diagonal
+        balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+        R, Z = schur(balanced, output="complex")
+    except (LinAlgError, np.linalg.LinAlgError, SimulationError, ValueError):
         return None
-    found = X[:n] @ ((drive @ pencil.B) / (s[:, None] - values)[:, :, None])
-    error = np.abs(found - exact).max(axis=1) / np.abs(exact).max(axis=1)
-    if not error.max() < REPRODUCED:  # NaN neither
-        return None
-    return X[:n], drive, (-values, np.ones(values.size))
+    triangular = scale[:n, None] * Z[:n], Z.conj().T @ (drive / scale[:, None]), R
+    states, outputs = _apart(pencil, triangular, s, exact)
+    return triangular if states < TOLERABLE and outputs < 0.1 * TOLERABLE else None
+
+
+def _apart(pencil: Pencil, modes: Modes, s: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
+    """Largest differences to direct solutions, of the states and of each output's own size."""
+    T, L, core = modes
+    b = L @ pencil.B
+    if isinstance(core, tuple):
+        inner = b / (s[:, None] + core[0])[:, :, None]
+    else:
+        inner = _substituted(core, s, b)
+    apart = T @ inner - exact
+    H, dH = (np.abs(pencil.C @ x).max(axis=0) for x in (exact, apart))
+    states = np.abs(apart).max(axis=1) / np.abs(exact).max(axis=1)
+    return float(states.max()), float((dH / (H + np.finfo(float).tiny)).max())
+
+
+def _substituted(R: np.ndarray, s: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``(s - R)^-1 b`` (len(s), n, m) of an upper triangular R, all frequencies at once."""
+    n, m = b.shape
+    x = np.empty((n, len(s) * m), dtype=complex)
+    for end in range(n, 0, -BLOCK):
+        start = max(0, end - BLOCK)
+        right = np.repeat(b[start:end, None, :], len(s), axis=1).reshape(end - start, -1)
+        right = right + R[start:end, end:] @ x[end:]
+        for k in range(end - 1, start - 1, -1):
+            row = right[k - start] + R[k, k + 1 : end] @ x[k + 1 : end]
+            x[k] = row / np.repeat(s - R[k, k], m)
+    return np.asarray(np.moveaxis(x.reshape(n, len(s), m), 0, 1))
 
 
 def graded(inertia: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -104,15 +104,22 @@ def subspace(
     """
     if pencil.size <= WHOLE_DECOUPLED:
         full = pencil.scaled(2 * np.pi * band[1]).dense()
-        energy = pencil.degree == 2 or dissipative(full)
-        whole = _whole(full, band, limit, required=energy)
-        if whole is not None:
-            return whole
-        if not energy:  # which a congruence would need, to converge and to stay stable
+        whole, inaccurate = None, None
+        try:
+            whole = _whole(full, band, limit)
+        except SimulationError as error:
+            inaccurate = error
+        sound = whole is not None and whole.response.sound
+        # Without an energy a congruence needs well-conditioned modes to converge.
+        if pencil.degree == 1 and not sound and not dissipative(full):
             try:
                 return _sampled(full, band, target, limit)
             except SimulationError:
                 pass  # free to move at zero frequency, or with too many resonances
+        if inaccurate is not None:
+            raise inaccurate
+        if whole is not None:
+            return whole
     if is_definite(pencil, solver, undamped_too=True):
         return _block_krylov(pencil, band, target, limit, solver)
     return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit, solver)
@@ -163,11 +170,13 @@ def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
 
 
-def _whole(
-    full: Pencil, band: tuple[float, float], limit: float, *, required: bool = True
-) -> Subspace | None:
-    """All of a small model; None where its response would take too long to evaluate, or is too
-    inaccurate and not ``required`` to be good."""
+def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | None:
+    """All of a small model; None where its response would take too long to evaluate.
+
+    Raises
+    ------
+    SimulationError : two solutions are further apart than ``limit``.
+    """
     sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
     eps = np.finfo(float).eps
     static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
@@ -181,8 +190,6 @@ def _whole(
     ):
         return None
     error = _solution_error(response, band, static)
-    if error > limit and not required:
-        return None
     if error > limit:
         raise SimulationError(
             "the full model itself is not that accurate", where="reduction",

@@ -87,8 +87,9 @@ def zoomed(frequency, at):
     return np.unique(np.r_[frequency, *(np.linspace(*frequency[[k, k + 2]], 7) for k in at)])
 
 
-def largest_error(model, reduced, band, free=None):
-    """Of all entries over the band, at the points of :func:`fine`.
+def largest_error(model, reduced, band, free=None, share=FLOOR):
+    """Of all entries over the band, at the points of :func:`fine`, relative to each entry or to a
+    ``share`` of its peak.
 
     The motion ``free`` (n, motions) of a body that nothing holds grows without bound: the peak that
     notches count against is that of the response without it.
@@ -99,5 +100,5 @@ def largest_error(model, reduced, band, free=None):
     if free is not None:
         P, B, C, D = model
         whole = direct(([free.T @ each @ free for each in P], free.T @ B, C @ free, D), frequency)
-    base = np.maximum(np.abs(exact), FLOOR * np.abs(exact - whole).max(axis=0))
+    base = np.maximum(np.abs(exact), share * np.abs(exact - whole).max(axis=0))
     return float((np.abs(direct(reduced, frequency) - exact) / base).max())
