@@ -28,6 +28,11 @@ def number(value: float) -> str:
     return repr(plain)
 
 
+def tidy(value: float) -> str:
+    """:func:`number` of a setting to 12 digits, without what arithmetic on it left behind."""
+    return number(float(f"{value:.12g}"))
+
+
 def name(text: str, *, where: str = "netlist") -> str:
     """``text`` if it may stand as a node, part or parameter name; netlists are programs.
 

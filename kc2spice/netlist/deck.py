@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.netlist.cards import number
+from kc2spice.netlist.cards import number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.read import LARGEST, read
 from kc2spice.netlist.render import render
@@ -54,7 +54,7 @@ class Command:
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
     """``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
     step = min(max_step, stop / 1000)
-    words = (number(step), number(stop), "0", number(max_step))
+    words = (tidy(step), number(stop), "0", tidy(max_step))
     return Command("tran", (*words, "uic") if uic else words)
 
 
@@ -183,7 +183,7 @@ class Deck:
         if self.command.kind != "tran" or len(self.command.words) < 4:
             return self
         words = list(self.command.words)
-        words[3] = number(factor * float(words[3]))
+        words[3] = tidy(factor * float(words[3]))
         return replace(self, command=Command("tran", tuple(words)))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError
 from kc2spice.core.units import quantity
 from kc2spice.core.words import did_you_mean
-from kc2spice.netlist.cards import comment, number
+from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.deckwide import ANALYSES, HARMLESS, accuracy, refuse_in_deck
@@ -58,10 +58,11 @@ def make_deck(build: Build) -> Deck:
                 expected="PART.current, PART.PIN.current or PART.power of a part with electrical "
                 "pins, or one of " + ", ".join(results), hint=did_you_mean(probe.of, known),
             )  # fmt: skip
+    told = "".join(f"\n{line}" for line in _reductions(parts))
     return Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=f"{header.origin()}\n{plan_lines(plan(scene))}{_step_line(build)}",
+        notes=f"{header.origin()}\n{plan_lines(plan(scene))}{told}{_step_line(build)}",
         parts=parts,
         blocks=tuple(_blocks(build)),
         options=tuple(_options(build)),
@@ -72,6 +73,14 @@ def make_deck(build: Build) -> Deck:
         initial=_initial(build),
         controlled=any(part.type.controls for part in scene.parts.values()),
     )
+
+
+def _reductions(parts: Iterable[Subcircuit]) -> Iterator[str]:
+    """Order, band and error of every reduced model, in the words of its library."""
+    for part in parts:
+        head = (line for item in part.circuit.items for line in item.notes)
+        told = (line[2:].partition(" (")[0] for line in head if line.startswith("* rom: "))
+        yield from (f"* {part.name}, {line}" for line in told)
 
 
 def edited_deck(build: Build, path: Path) -> Deck:
@@ -267,7 +276,7 @@ def _options(build: Build) -> Iterable[Option]:
     reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
     chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
     return [
-        Option("reltol", number(reltol), "relative error of a time step"),
+        Option("reltol", tidy(reltol), "relative error of a time step"),
         Option(
             "trtol",
             number(solver.trtol).removesuffix(".0"),
@@ -275,10 +284,10 @@ def _options(build: Build) -> Iterable[Option]:
         ),
         Option(
             "chgtol",
-            number(chgtol),
+            tidy(chgtol),
             f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step",
         ),
-        Option("method", solver.method, "of integration"),
+        Option("method", solver.method, "rule of integration"),
         Option("acct", "", "print accepted and rejected steps, iterations and time"),
         *own,
     ]

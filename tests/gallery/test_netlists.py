@@ -22,12 +22,12 @@ RELATIVE, OF_ITS_TABLE = 1e-4, 1e-5
 # more: cards change by a tenth, what the part answers by far less than its certified error: 1.1e-5
 # at the band's end of a beam that is certified to 7e-5.
 RESPONSE = 3e-5
-ROM = re.compile(r"\* rom: order=\d+ band=[\d.e+]+\.\.([\d.e+]+) Hz.*")
+ROM = re.compile(r"\* (?:\w+, )?rom: order=\d+ band=[\d.e+]+\.\.([\d.e+]+) Hz.*")
 
 
 def parts(text):
     """Lines as (words without numbers, numbers); the hash and the version stay words."""
-    for line in text.splitlines():
+    for line in ROM.sub("", text).splitlines():
         if line.startswith(("* tool:", "* scene:")) or "uuid" in line:
             yield line, []
         else:

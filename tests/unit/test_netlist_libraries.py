@@ -7,9 +7,12 @@ from pathlib import Path
 import pytest
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import Circuit, Element
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.expression import simplified
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import read_lib
+from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.read import read, read_lib
 from kc2spice.netlist.scope import circuit
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
@@ -110,3 +113,31 @@ def test_no_pin_reads_as_a_resistor():
         pins += re.findall(r'\(name "([^"]+)"', path.read_text())
     assert "ring0" in pins
     assert not [pin for pin in pins if re.fullmatch(r"(?i)r\d+", pin)]
+
+
+def tokens(text):
+    """Cards without blanks, brackets and continuation, which printing may set anew."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
+    joined = "\n".join(lines).replace("\n+", "")
+    return [re.sub(r"[\s(){},]", "", card).lower() for card in joined.splitlines()]
+
+
+def laws(circuit):
+    for item in circuit.items:
+        if isinstance(item, Circuit):
+            yield from laws(item)
+        elif isinstance(item, Element) and item.quantity:
+            yield item.law
+
+
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_a_library_is_the_same_when_it_is_printed_anew(path):
+    text = path.read_text()
+    tree = read(text, path.name)
+    printed = Printer().file(tree)
+    again = read(printed, path.name)
+    assert [simplified(law) for law in laws(tree)] == list(laws(again))
+    assert Printer().file(again) == printed
+    changed = [a for a, b in zip(tokens(text), tokens(printed), strict=True) if a != b]
+    idle = re.compile(r".*(=0\.0/radius\+sqrt.*|\*1\.0)")  # zeros and ones that do nothing
+    assert [card for card in changed if not idle.fullmatch(card)] == []
