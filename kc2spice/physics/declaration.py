@@ -223,6 +223,13 @@ class Declaration:
         return plus(replaced(tree, dict.fromkeys((*self.coordinates, *self.rates), ZERO)))
 
     @cached_property
+    def linear(self) -> bool:
+        """Whether what is through the branches is in proportion to coordinates and rates."""
+        seen = {*self.coordinates, *self.rates}
+        laws = [tree for b in self.branches for tree in (self.direct(b), self.kept(b))]
+        return not any(names(derivative(law, name)) & seen for law in laws for name in seen)
+
+    @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
         found = names(self._content)

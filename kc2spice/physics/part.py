@@ -93,7 +93,7 @@ class DeclaredPart(PartType):
 
     def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
         """Where a sweep begins each point at the one before, Newton's method stops at once."""
-        if scene.analysis.type not in ("dc", "op"):
+        if self.declaration.linear or scene.analysis.type not in ("dc", "op"):
             return {}
         return {"reltol": ("1e-6", "change at which Newton's method stops: nonlinear parts")}
 
