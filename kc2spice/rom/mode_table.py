@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel

@@ -198,29 +198,16 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
 def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
     """What the steps of a run did to its waves.
 
-    Waves of a linear circuit are held against its exact motion. In any other circuit the outputs of
-    each linear body are held against its exact answer to the loads that the run put on it; that
-    warns alone where a contact decides on the steps, for which not all ringing is resolved.
+    Waves of a linear circuit are held against its exact motion, unless a contact decides on the
+    steps, for which not all ringing is resolved. In any other circuit the outputs of each linear
+    body are held against its exact answer to the loads that the run put on it; under such a contact
+    that warns alone.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
     decided = any(row.decides for row in time_scales(scene))
-    from kc2spice.workflow.decks import result_vectors
-    from kc2spice.workflow.verify.circuit import circuits, without_law
-
-    missing, exact, worst = set(without_law(build)), set(), (0.0, 0.0, "")
-    try:
-        parts = circuits(build)
-    except UsageError:
-        parts = ()
-    for circuit in parts:
-        if _meets(build, circuit, missing):
-            continue
-        motion = _motion(circuit, build.scene.stop)
-        if motion is not None and motion.linear.exact and motion.moves:
-            worst = max(worst, _worst(circuit, motion, waves, result_vectors(build)))
-            exact |= {law.name for law in circuit.laws}
+    worst, exact = ((0.0, 0.0, ""), set()) if decided else _exact_motion(build, waves)
     if worst[2]:
         yield _check("steps against the exact motion", worst)
     for part in scene.parts.values():
@@ -232,6 +219,26 @@ def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
         if own:
             check = _check(f"steps of {part.name} against its exact answer", max(own))
             yield replace(check, action="warn") if decided else check
+
+
+def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
+    """The largest deviation of any wave of a linear circuit, and the parts of these circuits."""
+    from kc2spice.workflow.decks import result_vectors
+    from kc2spice.workflow.verify.circuit import circuits, without_law
+
+    missing, exact, worst = set(without_law(build)), set[str](), (0.0, 0.0, "")
+    try:
+        parts = circuits(build)
+    except UsageError:
+        parts = ()
+    for circuit in parts:
+        if _meets(build, circuit, missing):
+            continue
+        motion = _motion(circuit, build.scene.stop)
+        if motion is not None and motion.linear.exact and motion.moves:
+            worst = max(worst, _worst(circuit, motion, waves, result_vectors(build)))
+            exact |= {law.name for law in circuit.laws}
+    return worst, exact
 
 
 def _check(name: str, found: tuple[float, float, str]) -> Check:
