@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
 from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.run import run
@@ -124,60 +123,6 @@ def test_harvester_follows_the_model_of_one_mode(results):
     assert np.ptp(force) < 0.01 * force.mean()
 
 
-@pytest.mark.slow
-def test_harvester_charges_its_capacitor_through_the_bridge(results):
-    record, waves, _ = results("harvester_bridge", "beam.fields=true")
-    metrics = record["metrics"]
-    stored, open_peak = waves["store.v"], np.abs(waves["beam.voltage"]).max()
-    assert metrics["store_v"] == pytest.approx(stored[-1])
-    # two junctions of about 0.5 V lie between beam and capacitor
-    assert 0.5 < open_peak - metrics["store_v"] < 2.0
-    assert np.diff(stored[::200]).min() > -0.5
-    charged = stored[waves["time"] > 1.2]
-    assert np.ptp(charged) < 0.1 * charged.mean()
-
-
-@pytest.mark.slow
-def test_stress_and_field_of_the_harvester_stay_below_the_limits_of_its_ceramic(results):
-    """The largest stress against bending of the beam's own first mode, outside of the body's code:
-    T = 3 E' h u / (2 L^2) at the clamp of a cantilever with its load at the tip."""
-    record, waves, out = results("harvester_bridge", "beam.fields=true")
-    metrics = record["metrics"]
-    limit = metrics["stress_limit_layers_0_pzt_5a_pa"]
-    assert limit == 76e6
-    stress = metrics["stress_layers_0_pzt_5a_pa"]
-    tip = np.abs(waves["beam.u.tip"]).max()
-    rough = 3 * 70e9 * 0.66e-3 * tip / (2 * (50.8e-3) ** 2)
-    assert stress == pytest.approx(rough, rel=0.35)
-    assert stress < limit
-    opposing = [metrics[f"opposing_field_{k}layers_2_pzt_5a_v_m"] for k in ("", "limit_")]
-    assert 0 < opposing[0] < opposing[1] == 0.7e6
-    names = {check["name"] for check in record["checks"]}
-    assert "principal stress in layers[0] (PZT-5A) of beam" in names
-    assert "beam_fields.vtu" in record["files"]
-    page = (out / "report.html").read_text()
-    assert all(f'"{title} beam"' in page for title in ("Deformed", "Stress and field in"))
-    found = meshio.read(out / "beam_fields.vtu")
-    # at the nodes of the clamp rather than at Gauss points beside it
-    assert stress < found.point_data["principal_stress"].max() < 2 * stress
-    moved = np.abs(found.point_data["displacement"][:, 2]).max()
-    k = np.argmin(np.abs(waves["time"] - metrics["worst_stress_time_s"]))
-    assert moved == pytest.approx(abs(waves["beam.u.tip"][k]), rel=0.02)
-
-
-@pytest.mark.slow
-def test_fields_at_chosen_instants_are_written_and_drawn(results):
-    short = ("solver.stop=0.03", "analysis.stop=0.03", 'beam.fields=["10 ms", "20 ms"]')
-    _, waves, out = results("harvester_bridge", *short)
-    for k, instant in ((1, 10e-3), (2, 20e-3)):
-        found = meshio.read(out / f"beam_fields_{k}.vtu").point_data
-        sample = np.argmin(np.abs(waves["time"] - instant))
-        tip = abs(waves["beam.u.tip"][sample])
-        assert np.abs(found["displacement"][:, 2]).max() == pytest.approx(tip, rel=0.03)
-    with pytest.raises(UsageError, match="outside the run"):
-        load_scene("harvester_bridge", [short[0], short[1], 'beam.fields=["40 ms"]'])
-
-
 def test_square_wave_makes_the_buzzer_sound_at_its_resonance(results):
     metrics = results("buzzer_square", "disc.fields=true")[0]["metrics"]
     off = results("buzzer_square", "gate.pulse.period=250 us", "gate.pulse.width=125 us")[0]
@@ -234,35 +179,6 @@ def test_feedback_electrode_makes_the_buzzer_oscillate_at_the_frequency_of_its_s
     t = waves["time"]
     late = [np.ptp(swing[(t > a) & (t <= a + 0.01)]) for a in (0.03, 0.04, 0.05)]
     assert late[-1] == pytest.approx(late[0], rel=0.02)  # a steady tone
-
-
-@pytest.mark.slow
-def test_no_tone_without_the_feedback_electrode(results, tmp_path):
-    source = ROOT / "kc2spice" / "scenes"
-    text = (source / "buzzer_self.toml").read_text("utf-8")
-    shutil.copy(source / "buzzer_self.lib", tmp_path)
-    silent = text.replace('feedback = "circuit.feedback"', 'feedback = "gnd"')
-    silent = silent.replace('vcc = "battery.out" }', 'vcc = "battery.out", feedback = "leak.a" }')
-    silent += '[leak]\npart = "capacitor"\ncapacitance = "3 nF"\n'
-    (tmp_path / "silent.toml").write_text(silent, "utf-8")
-    _, waves, _ = results(str(tmp_path / "silent.toml"))
-    late = waves["disc.u.centre"][waves["time"] > 0.05]
-    assert np.ptp(late) < 1e-8
-
-
-@pytest.mark.slow
-def test_sphere_strikes_the_beam_several_times_in_one_blow(results):
-    record, waves, _ = results("sphere_on_beam")
-    force, t = waves["contact.force"], waves["time"]
-    loaded = force > 1e-6 * force.max()
-    first = np.flatnonzero(loaded[:-1] & ~loaded[1:])[0]
-    begins = np.count_nonzero(~loaded[:-1] & loaded[1:])
-    assert begins >= 2  # published: sub-impacts in most of the blows
-    # The first lasts as long as Hertz says for a half-space: 2.94 d/v, d = (5 m v^2 / 4 k)^(2/5)
-    modulus, mass = 193e9 / (2 * (1 - 0.3**2)), 4 / 3 * math.pi * 0.07**3 * 7850
-    depth = (5 * mass / (4 * (4 / 3 * modulus * math.sqrt(0.07)))) ** 0.4
-    assert t[first] - t[loaded][0] == pytest.approx(2.943 * depth, rel=0.1)
-    assert 0 < record["metrics"]["rebound_velocity_m_s"] < 1
 
 
 @pytest.mark.slow

@@ -118,18 +118,6 @@ def test_committed_netlists_are_current(scene, tmp_path):
             assert_same(f"{scene}/{path.name}", ours, theirs)
 
 
-def changed(text, rng, factor):
-    """``text`` with one of its numbers that is not zero times ``factor``, and the line."""
-    lines = text.splitlines()
-    rows = [k for k, line in enumerate(lines)
-            if not line.startswith(("* tool:", "* scene:")) and "uuid" not in line]  # fmt: skip
-    places = [(k, m) for k in rows for m in NUMBER.finditer(lines[k]) if float(m[0])]
-    row, match = places[rng.integers(len(places))]
-    start, end = match.span()
-    lines[row] = f"{lines[row][:start]}{factor * float(match[0])!r}{lines[row][end:]}"
-    return "\n".join(lines), lines[row]
-
-
 @pytest.mark.parametrize("scene", TOOL["SHOWN"])
 def test_examples_of_dialects_are_current(scene, tmp_path):
     TOOL["example_files"](scene, tmp_path)
@@ -142,23 +130,6 @@ def test_examples_of_dialects_are_current(scene, tmp_path):
             assert shapes(ours) == shapes(theirs), name
         else:
             assert_same(str(name), ours, theirs)
-
-
-@pytest.mark.parametrize("path", sorted((NETLISTS / "kick_and_catch").glob("*.[cl]i[rb]")),
-                         ids=lambda path: path.name)  # fmt: skip
-def test_one_changed_number_is_noticed(path):
-    """Negative control of the comparison: any number 1 % larger, but for small ones of a lookup."""
-    text = path.read_text(encoding="utf-8")
-    rng = np.random.default_rng(0)
-    missed = []
-    for _ in range(5):
-        other, line = changed(text, rng, 1.01)
-        try:
-            assert_same(path.name, other, text)
-            missed.append(line)
-        except AssertionError:
-            continue
-    assert all(line.startswith("+") for line in missed), missed
 
 
 @pytest.mark.parametrize(

@@ -56,16 +56,6 @@ def test_site_loads_nothing_from_elsewhere(site):
         assert [url for url in found if "canonical" not in url] == [], path
 
 
-def test_picture_of_the_architecture_is_the_drawn_one(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    import architecture_svg
-
-    monkeypatch.setattr(architecture_svg, "OUT", tmp_path / "a.svg")
-    architecture_svg.main()
-    committed = ROOT / "docs" / "figures" / "architecture.svg"
-    assert (tmp_path / "a.svg").read_text() == committed.read_text()
-
-
 def test_links_of_the_pages_outside_of_the_site_lead_somewhere():
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         for target in re.findall(r"\]\(([^)]+)\)", (ROOT / name).read_text(encoding="utf-8")):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-import kc2spice as kc
 from kc2spice.bodies.bimorph import Bimorph, device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
@@ -41,23 +40,6 @@ def test_published_harvester():
     assert coupling[1] == pytest.approx(coupling[0], rel=0.1)
 
 
-def test_the_mode_table_has_resonance_quality_stroke_and_coupling():
-    """Against the shipped harvester's own facts: ``k^2 = 1 - (f_r / f_a)^2`` of a mode far from
-    others, Q = 1 / (2 zeta) of its damping, and by ``w^2 m`` the stiffness of a beam with a mass
-    at its end that outweighs it (Rayleigh: 33 / 140 of the beam swings with it)."""
-    record = kc.run("harvester").record
-    (first, *_), facts = record["modes"]["beam"]["modes"], record["model"]["beam"]
-    short, opened = facts["resonance_short_hz"], facts["resonance_open_hz"]
-    assert first["frequency_hz"] == pytest.approx(short, rel=1e-4)
-    assert first["quality"] == pytest.approx(1 / (2 * 0.027), rel=1e-3)
-    k = first["couplings"]["anode"]
-    assert k**2 == pytest.approx(1 - (short / opened) ** 2, rel=0.03)
-    beam = facts["mass_kg"] - 12e-3
-    moved = (2 * np.pi * short) ** 2 * (12e-3 + 33 / 140 * beam)
-    assert first["couplings"]["tip"] == pytest.approx(1 / moved, rel=0.03)
-    assert record["modes"]["beam"]["units"]["tip"] == "m/N"
-
-
 def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
     """Two opposed layers of thickness t in plane stress: strains around each layer's own middle
     (a quarter of the bending stiffness) move the field inside the layer at constant D, while its
@@ -78,22 +60,6 @@ def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
     assert model.facts["resonance_short_hz"] == pytest.approx(first, rel=1e-2)
 
 
-@pytest.mark.slow
-def test_parallel_wiring_doubles_stroke_and_quadruples_capacitance():
-    layers = [("PZT-5A", "0.2 mm"), ("brass", "0.1 mm"), ("PZT-5A", "0.2 mm")]
-    series, parallel = (
-        device(bimorph(*layers, length="20 mm", width="5 mm", wiring=wiring), HERE).model.facts
-        for wiring in ("series", "parallel")
-    )
-    assert parallel["free_stroke_tip_m_per_v"] == pytest.approx(
-        2 * series["free_stroke_tip_m_per_v"]
-    )
-    assert parallel["capacitance_free_f"] == pytest.approx(4 * series["capacitance_free_f"])
-    assert parallel["resonance_short_hz"] == pytest.approx(series["resonance_short_hz"])
-    assert parallel["resonance_open_hz"] == pytest.approx(series["resonance_open_hz"])
-    assert series["free_stroke_tip_m_per_v"] > 0
-
-
 def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     layers = [("steel", "0.2 mm"), ("PZT-5A", "0.2 mm")]
     for order in (layers, layers[::-1]):
@@ -101,39 +67,6 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
         assert model.facts["free_stroke_tip_m_per_v"] > 0
         assert [p.name for p in model.ports] == ["tip", "base", "anode"]
         assert model.ports[-1].terminals == ("anode", "cathode")
-
-
-def test_beam_of_metal_alone_with_tip_mass():
-    L, w, h, m = 60e-3, 2e-3, 1e-3, 2e-3
-    steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
-    model = device(
-        bimorph((steel, h), length=L, width=w, tip_mass=m, points={"half": L / 2}), HERE
-    ).model
-    assert [p.name for p in model.ports] == ["tip", "half", "base"]
-    EI, line = 200e9 * w * h**3 / 12, 7800 * w * h
-    first = np.sqrt(3 * EI / L**3 / (m + 33 / 140 * line * L)) / (2 * np.pi)  # Rayleigh
-    assert model.facts["resonance_hz"] == pytest.approx(first, rel=1e-2)
-    found = model.transfer(np.zeros(1))[0].real
-    assert found[0, 0] == pytest.approx(L**3 / (3 * EI), rel=1e-2)
-    assert found[0, 1] == pytest.approx(5 * L**3 / (48 * EI), rel=1e-2)
-    assert found[0, 2] == pytest.approx(-(line * L**4 / 8 + m * L**3 / 3) / EI, rel=1e-2)
-    assert model.facts["mass_kg"] == pytest.approx(m + line * L)
-
-
-def test_free_beam_rings_at_its_own_first_frequency():
-    L, w, h = 60e-3, 2e-3, 1e-3
-    steel = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
-    facts = device(bimorph((steel, h), length=L, width=w, support="free"), HERE).model.facts
-    rate = np.sqrt(200e9 * h**2 / 12 / 7800)
-    assert facts["resonance_hz"] == pytest.approx(4.730041**2 / (2 * np.pi) * rate / L**2, rel=1e-2)
-
-
-@pytest.mark.slow
-def test_mesh_is_fine_enough():
-    keys = bimorph(("PZT-5A", "0.3 mm"), ("brass", "0.2 mm"), length="20 mm", width="3 mm")
-    coarse, fine = (device(keys, HERE, refine=n).model.facts for n in (1, 2))
-    for name in ("resonance_short_hz", "resonance_open_hz", "free_stroke_tip_m_per_v"):
-        assert coarse[name] == pytest.approx(fine[name], rel=5e-3)
 
 
 def test_bad_keys():

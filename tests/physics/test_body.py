@@ -1,9 +1,6 @@
 """Bodies from files: against parametric bodies of the same geometry, and every bad group named."""
 
-import runpy
-import tomllib
 from itertools import pairwise
-from pathlib import Path
 
 import gmsh
 import numpy as np
@@ -16,12 +13,9 @@ from kc2spice.bodies.bimorph import device as bimorph_device
 from kc2spice.bodies.body import Body, device
 from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import device as disc_device
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.rom.reduce import reduce
 
-EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "bracket"
 PZT = material("PZT-5A")
 
 
@@ -142,16 +136,6 @@ def test_ports_on_every_kind_of_group(coarse):
     assert 0.2 < stroke[4] / stroke[0] < 0.5  # a parabola has a third of its end as mean
 
 
-def test_rigid_face_gives_six_ports(coarse):
-    model = device(keys(ports=[{"name": "end", "group": "end", "kind": "rigid"}]), coarse).model
-    assert [p.name for p in model.ports[:6]] == [
-        f"end_{m}" for m in ("x", "y", "z", "rx", "ry", "rz")
-    ]
-    assert [p.kind for p in model.ports[:6]] == ["mechanical"] * 3 + ["rotational"] * 3
-    free = device(keys(), coarse).model.facts
-    assert model.facts["resonance_short_hz"] == pytest.approx(free["resonance_short_hz"], rel=1e-2)
-
-
 def test_file_unit_scales_the_body(coarse):
     small, large = (
         device(keys(unit=unit, damping={"alpha": 0, "ratio": 0}), coarse).model.facts
@@ -211,26 +195,6 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
 
 
-def test_curved_cylinder_keeps_its_volume(tmp_path):
-    """Quadratic elements follow the curve: 20 edges lose 1.6 % of the area if straight."""
-
-    def draw(gmsh):
-        gmsh.model.occ.addCylinder(0, 0, 0, 0, 0, 3, 2)
-        gmsh.model.occ.synchronize()
-        return {}
-
-    write(tmp_path / "rod.brep", draw, size=1)
-    found = device(Body.model_validate({
-        "mesh": "rod.brep", "unit": "mm", "size": "0.7 mm",
-        "materials": {"rod": "steel"}, "fixed": ["foot"],
-        "groups": {"rod": {"solids": [[0, 0, "1 mm"]]}, "foot": {"faces": [[0, 0, 0]]},
-                   "top": {"faces_in": [["-3 mm", "-3 mm", "3 mm"], ["3 mm", "3 mm", "3 mm"]]}},
-        "ports": [{"name": "top", "group": "top", "axis": "z"}],
-    }), tmp_path).model  # fmt: skip
-    volume = np.pi * 4 * 3 * 1e-9
-    assert found.facts["mass_kg"] == pytest.approx(material("steel").density * volume, rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("damping", "wanted"),
     [
@@ -256,21 +220,6 @@ def test_modes_have_the_damping_that_is_asked_for(coarse, damping, wanted):
     frequency = omega[order] / (2 * np.pi)
     frequency[0] = model.facts["resonance_hz"]
     np.testing.assert_allclose(found[order], wanted(frequency), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("damping", "message"),
-    [
-        ({"ratio": 0.01, "loss_factor": 0.01}, "one of ratio"),
-        ({"ratio": [0.01, 0.02]}, "two frequencies"),
-        ({"ratio": [0.01, 0.2], "at": [1e3, 2e3]}, "quotient"),
-        ({"ratio": [0.01, 0.001], "at": [1e3, 2e3]}, "quotient"),
-        ({"ratio": -0.01}, "at least 0"),
-    ],
-)
-def test_damping_that_no_body_has(damping, message):
-    with pytest.raises(ValidationError, match=message):
-        Damping.model_validate(damping)
 
 
 def test_damping_of_each_material(coarse):
@@ -304,22 +253,6 @@ def test_errors_name_the_group(coarse, changes, message):
         device(keys(**changes), coarse)
 
 
-def test_group_of_two_materials_is_named(tmp_path):
-    def draw(gmsh):
-        return {**slabs([0, 0.4, 0.7], 12, 3)(gmsh), (3, "all"): [1, 2]}
-
-    write(tmp_path / "beam.msh", draw, size=3)
-    with pytest.raises(UsageError, match="two materials") as error:
-        device(keys(materials={"all": "steel", "layer1": "PZT-5A"}), tmp_path)
-    assert error.value.where == "body: materials.layer1"
-
-
-def test_script_that_calls_itself_a_mesh_is_not_run(tmp_path):
-    (tmp_path / "beam.msh").write_text('Printf("run") > "ran.txt";\n')
-    with pytest.raises(UsageError, match="not what its name says"):
-        device(keys(), tmp_path)
-
-
 def test_pick_that_misses_names_its_point(tmp_path):
     write(tmp_path / "beam.step", slabs([0, 0.4], 12, 3), size=1)
     table = {
@@ -343,42 +276,3 @@ def test_pick_that_misses_names_its_point(tmp_path):
 def test_bad_tables(changes, message):
     with pytest.raises(ValidationError, match=message):
         keys(**changes)
-
-
-def test_free_body_has_no_support_and_exact_capacitance(coarse):
-    facts = device(keys(fixed=[], ports=[]), coarse).model.facts
-    assert facts["capacitance_free_f"] < PZT.eps_T[2, 2] * 36e-6 / 0.3e-3
-    assert facts["capacitance_clamped_f"] == pytest.approx(
-        PZT.eps_S[2, 2] * 36e-6 / 0.3e-3, rel=1e-9
-    )
-
-
-@pytest.mark.slow
-def test_example_of_the_bracket(tmp_path):
-    """The STEP file that the example draws, with the keys that it ships: mass of the drawing, a
-    stroke that both patches add to, and a reduced model that keeps its ports."""
-    runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
-    table = tomllib.loads((EXAMPLE / "bracket.toml").read_text("utf-8"))["bracket"]
-    assert table.pop("part") == "body"
-    model = device(Body.model_validate(table), tmp_path).model
-    frame = (60 * 20 * 2 + 2 * 20 * 18) * 1e-9 * material("aluminium").density
-    patches = 2 * 30 * 14 * 0.5e-9 * PZT.density
-    assert model.facts["mass_kg"] == pytest.approx(frame + patches, rel=1e-9)
-    area = 2 * 30e-3 * 14e-3 / 0.5e-3
-    assert PZT.eps_S[2, 2] * area < model.facts["capacitance_clamped_f"] * 1.01
-    assert model.facts["capacitance_free_f"] < PZT.eps_T[2, 2] * area
-    passive = {"density": PZT.density, "stiffness": PZT.C.tolist()}
-    one = {**table, "materials": {**table["materials"], "lower": passive}}
-    one["poling"] = {"upper": [0, 0, 1]}
-    one["electrodes"] = {"anode": "hot", "cathode": "cold"}
-    one["groups"] = {**table["groups"], "hot": {"faces": [["20 mm", "10 mm", "2.5 mm"]]},
-                     "cold": {"faces": [["20 mm", "10 mm", "2 mm"]]}}  # fmt: skip
-    alone = device(Body.model_validate(one), tmp_path).model
-    both, single = (m.facts["free_stroke_tip_m_per_v"] for m in (model, alone))
-    assert both == pytest.approx(2 * single, rel=0.05)
-    reduced = reduce(model, tolerance=1e-3, band=(0.0, 3e3))
-    assert reduced.certificate.stable
-    assert reduced.certificate.passive
-    assert [p.terminals for p in reduced.ports] == [("tip",), ("base",), ("anode", "cathode")]
-    f = np.array([0.0, 500.0, 619.0, 2000.0])
-    assert np.abs(reduced.transfer(f) / model.transfer(f) - 1).max() < 1e-2

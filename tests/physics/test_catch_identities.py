@@ -11,8 +11,6 @@ from kc2spice.fem.magnetics import system as magsystem
 from kc2spice.fem.magnetics.field import catch_table
 from kc2spice.fem.magnetics.keys import Catch
 from kc2spice.fem.magnetics.table import EMTable, current_pairs, em_cases
-from kc2spice.parts.ring_magnet_coils import mounted
-from laboratory.usual.fields import brute_force
 
 RADIUS = 1e-3
 
@@ -27,17 +25,6 @@ def bore() -> magmesh.Bore:
     catch = Catch()
     pitch = magmesh.lattice_pitch(catch, RADIUS, 0.25e-3)
     return magmesh.bore(catch, RADIUS, pitch, catch.y_min, catch.y_max)
-
-
-@pytest.mark.parametrize(
-    "polarity", [pytest.param("parallel", marks=pytest.mark.slow), "antiparallel"]
-)
-def test_superposition_equals_brute_force(polarity: str) -> None:
-    catch = Catch(polarity=polarity, y_min=1e-3, y_max=5.5e-3, positions=4)
-    cases = current_pairs()[[0, 1, 2, 4, 5]]
-    force = brute_force(catch, RADIUS, cases)
-    quick = em_cases(catch_table(catch, RADIUS), cases)
-    assert np.max(np.abs(force - quick)) < 1e-12 * np.max(np.abs(force))
 
 
 def test_polarity_turns_the_ring_and_nothing_else(table: EMTable) -> None:
@@ -107,22 +94,3 @@ def test_coil_is_pushed_back() -> None:
     c1 = 2 * system.force(fields)[magforms.SPHERE, magforms.LOWER]
     assert abs(c1) > 0.1
     assert on_coil == pytest.approx(-c1, rel=1e-4)
-
-
-@pytest.mark.slow
-def test_remanence_and_mounting_need_no_new_field():
-    """A stronger actuator mounted higher, solved anew, against the table of the plain one."""
-    catch, shift = Catch(remanence=1.0, positions=9), 100e-6
-    higher = {
-        name: getattr(catch, name).model_copy(update={"y": getattr(catch, name).y + shift})
-        for name in ("ring", "lower", "upper")
-    }
-    moved = catch.model_copy(update={
-        **higher, "remanence": 0.3, "y_min": catch.y_min + shift, "y_max": catch.y_max + shift,
-    })  # fmt: skip
-    want, have = catch_table(moved, RADIUS), mounted(catch_table(catch, RADIUS), 0.3, shift)
-    np.testing.assert_allclose(have.y, want.y, rtol=0, atol=1e-15)
-    for name in ("c0", "c1", "c2", "c11", "c12", "c22"):
-        exact = getattr(want, name)
-        # another mesh, and the air box stays where it is while the parts move by 1 % of its half
-        assert np.abs(getattr(have, name) - exact).max() < 2e-3 * np.abs(exact).max(), name

@@ -239,20 +239,3 @@ def test_foreign_models_are_certified_rightly_or_refused(kind, seed):
 @pytest.mark.parametrize("kind", KINDS)
 def test_foreign_models_are_certified_rightly_or_refused_in_all(kind, seed):
     check(kind, seed)
-
-
-@pytest.mark.slow
-def test_a_point_that_adds_nothing_does_not_end_the_search():
-    """A chain with a dashpot: the fifth point lies beside the fourth and says nothing of the rest,
-    where five resonances were missing and responses ten times too large."""
-    rng = np.random.default_rng([11, 4])
-    n = int(rng.integers(310, 700))
-    K = chain(n) * 10 ** rng.uniform(0, 4)
-    E = 1e-4 * K
-    E[0, 0] += 10 ** rng.uniform(-2, 2)
-    M, B = np.diag(np.exp(rng.uniform(-1, 1, n))), np.eye(n)[:, [n // 5, n - 1]]
-    band = 0.0, 0.08767
-    rom = reduce(LinearModel(M=M, E=E, K=K, B=B), tolerance=8e-3, band=band)
-    frequency = np.linspace(0.7, 0.99, 12) * band[1]
-    exact = oracle.direct(oracle.system({"M": M, "E": E, "K": K, "B": B}), frequency)
-    assert (np.abs(rom.transfer(frequency) / exact - 1)).max() < rom.certificate.error_estimate

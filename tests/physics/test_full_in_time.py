@@ -3,25 +3,13 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.interpolate import CubicSpline
 
 from kc2spice.core import laws
-from kc2spice.core.progress import Clock, silent
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.parts.piezo_stack import chip_of
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.linear import ac
 from kc2spice.reference.steps import seconds, steps
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify.circuit import solve
-from kc2spice.workflow.verify.full import full_build, full_solution
-from laboratory.fullmodel import as_waveforms, limit
-from laboratory.usual.contact import contact_surface
-from laboratory.usual.transient import Ball, transient
 
 M, K, ZETA = 2e-6, 8e4, 0.02
 W = np.sqrt(K / M)
@@ -85,42 +73,3 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     stiff = K + 3e4 + 0.3**2 / 3e-9
     assert found[1][0] == pytest.approx((0.1 + 0.03) / stiff, rel=1e-9)
     assert found[1][1] == pytest.approx(-0.3 * found[1][0] / 3e-9, rel=1e-9)
-
-
-COARSE = ["kick.layers=3"] + [
-    f"kick.mesh.{key}" for key in ("sectors=4", "rings=2", "ring_spacing=50 um", "outer_rings=3")
-]
-
-
-def followed(*change: str, stop: float, **limits: float) -> tuple[Waveforms, Waveforms]:
-    """Full and reduced solution of an impact at the times of the reduced one."""
-    scene = load_scene("impact", [*COARSE, "impact.gap=0.2 um", f"solver.stop={stop}", *change])
-    build = build_models(scene, Clock(silent))
-    points = Waveforms({"time": np.linspace(0.0, stop, 601)}, {})
-    exact, full = solve(build, points), full_build(build, Clock(silent))
-    found = full_solution(build, full, points, exact, {}, Clock(silent), False)
-    return found.waves, exact.results
-
-
-@pytest.mark.parametrize("electrical", ["open", pytest.param("short", marks=pytest.mark.slow)])
-def test_an_impact_is_that_of_the_usual_code(electrical: str) -> None:
-    """Average acceleration on the full matrices, contact by its own search, steps to their limit:
-    nothing in common but the matrices. Eight states are off by several times as much."""
-    found, reduced = followed(f"kick.electrical={electrical}", "rom.order=8", stop=3e-6)
-    scene = load_scene("impact", COARSE)
-    chip = chip_of(scene.parts["kick"].keys)
-    system, surface = assemble_kick(chip), contact_surface(chip, 1e8, 1e-3)
-    ball = Ball(scene.parts["sphere"].keys.mass / 4, 0.2e-6, -1.0)
-    voltage = None if electrical == "open" else lambda t: 0.0
-    coarse, fine = (
-        as_waveforms(transient(system, surface, ball, step=h, stop=3e-6, voltage=voltage), 1e-3, 4)
-        for h in (10e-9, 5e-9)
-    )
-    exact = limit(coarse, fine, "contact.force")
-    curve, travel = CubicSpline(exact["time"], exact["sphere.y"]), np.ptp(exact["sphere.y"])
-
-    def off(waves: Waveforms) -> float:
-        return float(np.abs(waves["sphere.y"] - curve(waves["time"])).max() / travel)
-
-    assert off(found) < 5e-6  # 3e-6, as much as the limit of the usual steps is off by itself
-    assert off(reduced) > 1.5e-5

@@ -1,14 +1,12 @@
 """The analyser's figures from samples of circuits whose elements are known."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kc2spice.bodies.impedance import analyse, impedance
+from kc2spice.bodies.impedance import analyse
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import Port
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 C0, R, L, C = 7.3e-9, 470.0, 0.59, 1.08e-9
@@ -56,28 +54,6 @@ def test_higher_modes_and_loss_are_left_to_the_rest():
     assert reading.resonance_hz == approx(FS, rel=1e-4)
     assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
     assert reading.bvd.c0_f == approx(C0 + 0.6e-9 / (1 - (FS / 26.5e3) ** 2), rel=0.02)
-
-
-def test_noise_moves_the_figures_by_its_own_size():
-    rng = np.random.default_rng(1)
-    f = np.linspace(4e3, 9e3, 400)
-    Z = circuit(f) * (1 + 1e-3 * rng.standard_normal(400))
-    reading = analyse(f, Z)
-    assert reading.resonance_hz == approx(FS, rel=1e-3)
-    assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
-
-
-def test_a_model_is_read_at_its_electrical_port():
-    def transfer(f):
-        charge = 1 / (2j * np.pi * f * circuit(f))
-        return np.array([[[0, 0], [0, q]] for q in charge])
-
-    ports = (Port("centre", "mechanical", "um", "N"), Port("anode", "electrical", "V", "A"))
-    model = SimpleNamespace(ports=ports, transfer=transfer)
-    f = np.geomspace(1e3, 10e3, 50)
-    np.testing.assert_allclose(impedance(model, f), circuit(f), rtol=1e-12)
-    with pytest.raises(UsageError, match="no electrical port"):
-        impedance(model, f, "centre")
 
 
 @pytest.mark.parametrize(

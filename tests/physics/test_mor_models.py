@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import eig, eigvals
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import block_model
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
@@ -131,79 +130,6 @@ def chain(n=40, k=1.0):
     return {"M": np.eye(n), "E": 0.02 * K, "K": K, "B": B}
 
 
-def changed(**matrices):
-    return {**chain(), **matrices}
-
-
-def skew(n=40):
-    values = 0.05 * np.random.default_rng(1).standard_normal(n - 1)
-    return np.diag(values, 1) - np.diag(values, -1)
-
-
-def free_chain():
-    K = chain()["K"]
-    K[0, 0] = K[-1, -1] = 1.0
-    return K
-
-
-def twice(matrices):
-    zero = np.zeros((40, 40))
-    square = {k: np.block([[v, zero], [zero, v]]) for k, v in matrices.items() if k != "B"}
-    return {**square, "B": np.vstack([matrices["B"], matrices["B"][:, ::-1]])}
-
-
-HARD = {
-    "undamped": (lambda: changed(E=np.zeros((40, 40))), True, True),
-    "gyroscopic, undamped": (lambda: changed(E=skew()), True, True),
-    "gyroscopic, damped": (lambda: changed(E=skew() + chain()["E"]), True, True),
-    "one dashpot": (lambda: changed(E=np.diag(np.r_[1.0, np.zeros(39)])), True, True),
-    "free to move": (lambda: changed(K=free_chain(), E=0.02 * free_chain()), True, True),
-    "free, gyroscopic": (lambda: changed(K=free_chain(), E=skew()), True, True),
-    "massless, damped": (lambda: changed(M=np.diag(np.tile([1.0, 0.0], 20))), True, True),
-    "massless, undamped": (
-        lambda: changed(M=np.diag(np.tile([1.0, 0.0], 20)), E=np.zeros((40, 40))), True, True,
-    ),
-    "every pole twice": (lambda: twice(chain()), True, True),
-    "port repeated": (lambda: changed(B=chain()["B"][:, [0, 0, 1]]), True, True),
-    "K unsymmetric": (lambda: changed(K=chain()["K"] + 0.01 * np.eye(40, k=1)), True, False),
-    "K indefinite": (lambda: changed(K=chain()["K"] - np.diag(np.r_[0, 5, np.zeros(38)])),
-                     False, False),
-    "defective pole": (
-        lambda: {"A": np.eye(6, k=1) - np.eye(6), "B": np.eye(6)[:, [5]], "C": np.eye(6)[[0]]},
-        True, False,
-    ),
-    "insulated rod": (lambda: {"A": -free_chain(), "B": chain()["B"]}, True, True),
-    "algebraic rows": (
-        lambda: {"A": -chain()["K"], "B": chain()["B"],
-                 "E": np.diag(np.tile([1.0, 1.0, 0.0, 1.0], 10))},
-        True, True,
-    ),
-    "growing pole": (lambda: {"A": -chain()["K"] + 0.5 * np.eye(40), "B": chain()["B"]},
-                     False, False),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", HARD)
-def test_hard_models_work_and_say_what_they_are(name, tmp_path):
-    make, stable, passive = HARD[name]
-    matrices, top = make(), 0.1
-    model = LinearModel(**families.as_files(matrices), name=name)
-    rom = reduce(model, band=(0.0, top), tolerance=1e-6)
-    assert (rom.certificate.stable, rom.certificate.passive) == (stable, passive)
-    frequency = np.linspace(top / 50, top, 50)
-    expected = families.full_response(matrices, frequency)
-    own = families.full_response(reduced_matrices(rom), frequency)
-    peak = np.abs(expected).max(axis=0)
-    assert (np.abs(own - expected) / peak).max() < 1e-5  # undamped peaks lie between samples
-    part = subcircuit(rom, "part")
-    found = families.spice_response(part, rom.B.shape[1], rom.C.shape[0], frequency, tmp_path)
-    # A free body is held by a conductance of 1e-12, which shows at a fiftieth of the band.
-    assert (np.abs(found - own) / peak).max() < 1e-9
-    if stable:
-        largest = [eigvals(block).real.max() for block in block_model(rom).blocks]
-        assert max(largest) < 1e-9  # of a band of 0.6 rad/s
-
-
 def test_improper_models_are_refused_with_the_reason():
     n = 3
     E = np.diag([1.0, 0.0, 0.0])
@@ -268,18 +194,6 @@ def test_random_models_are_stable_and_passive(seed):
 @pytest.mark.parametrize("seed", range(500))
 def test_random_models_are_stable_and_passive_at_every_order(seed):
     check_every_order(seed, step=1)
-
-
-def test_statespace_is_the_same_system():
-    for name in ("beam", "triple chain", "heat rod"):
-        _, _, band = built(name)
-        rom = reduced(name, 1e-5)
-        space = rom.to_statespace()
-        frequency = np.linspace(0.01, 1, 30) * band[1]
-        own = families.full_response(reduced_matrices(rom), frequency)
-        s = 2j * np.pi * frequency[:, None, None]
-        found = space.C @ np.linalg.solve(s * np.eye(len(space.A)) - space.A, space.B[None])
-        assert (np.abs(found + space.D - own) / np.abs(own).max(axis=0)).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", ["building", pytest.param("heat rod", marks=pytest.mark.slow)])

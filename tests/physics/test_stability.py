@@ -5,7 +5,6 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy import sparse
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
@@ -36,31 +35,6 @@ def test_a_weak_growing_pole_is_told(seed, pole):
     assert rom.order < len(A)
     assert rom.certificate.stable is (pole < 0)
     assert any("unstable" in str(each.message) for each in said) is (pole > 0)
-
-
-def springs(n, softened=0.0):
-    """A free chain; one spring to ground of the stiffness ``-softened``."""
-    links = sparse.diags_array([-np.ones(n - 1), np.ones(n)], offsets=(1, 0), shape=(n - 1, n))
-    K = (links.T @ links).tolil()
-    K[n // 2, n // 2] -= softened
-    return K.tocsc()
-
-
-@pytest.mark.parametrize(("softened", "stable"), [(0.0, True), (1e-3, None)])
-def test_matrices_of_a_large_model_show_its_stability(softened, stable):
-    """A stiffness below zero: of too many poles to compute them all, so it is not known."""
-    n = 1500
-    K = springs(n, softened)
-    E = 1e-3 * sparse.csc_array(([1.0, 0.5, -0.5], ([3, 3, 7], [3, 7, 3])), shape=(n, n))
-    M = sparse.eye_array(n, format="csc")
-    model = LinearModel(M=M, E=E, K=K, B=np.eye(n)[:, [0]])
-    rom = reduce(model, tolerance=1e-2, band=(1e-3, 3e-3))
-    if stable:
-        assert rom.certificate.stable is True
-        assert rom.certificate.passive
-    else:  # what is left of it may show that it grows
-        assert rom.certificate.stable in (None, False)
-        assert not rom.certificate.passive
 
 
 def test_a_large_model_without_form_is_not_known(tmp_path):

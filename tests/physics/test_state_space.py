@@ -1,13 +1,10 @@
 """State space of models of every form: the same transfer function, in coordinates of the energy."""
 
-import re
-
 import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear import Certificate, LinearModel, Port
-from kc2spice.spice.realize import subcircuit
+from kc2spice.rom.linear import LinearModel
 
 N = 6
 RNG = np.random.default_rng(5)
@@ -77,40 +74,3 @@ def test_energy_shows_in_the_form():
 def test_what_has_no_state_space_is_refused(parts, says):
     with pytest.raises(UsageError, match=says):
         LinearModel(**parts, B=B, C=C).state_space()
-
-
-@pytest.mark.parametrize("omega", [0.1, 1e6])
-def test_a_turning_pair_of_a_netlist_is_balanced_however_slow(omega):
-    """``z1' = a z1 + w z2``, ``z2' = -w z1 + a z2``, each over the same capacitance."""
-    A = omega * np.array([[-0.1, 4.0], [-0.25, -0.1]])
-    slow = LinearModel(E=np.eye(2), A=A, B=np.ones((2, 1)), C=np.ones((1, 2)))
-    values = dict(re.findall(r"(?m)^([GC][az]\S+) .* (\S+)$", subcircuit(slow, "slow").text))
-    over, back, farad = (float(values[card]) for card in ("Ga1_2", "Ga2_1", "Cz1"))
-    assert farad == float(values["Cz2"])
-    assert over / farad == pytest.approx(omega, rel=1e-9)
-    assert back == pytest.approx(-over, rel=1e-9)
-
-
-def test_kinds_of_ports_that_files_spell_are_known():
-    kinds = {"u1": ["in", "put"], "tip": ["mechan", "ical"], "y1": ["out", "put"]}
-    ports = [Port(name, "".join(spelled)) for name, spelled in kinds.items()]
-    model = LinearModel(M=M, K=K, B=B, C=C[:2], ports=tuple(ports))
-    assert (model.inputs, model.outputs) == (("u1", "tip"), ("tip", "y1"))
-
-
-def scaled_blocks(K, top=None, **more):
-    """A of unit masses on ``K``; ``top`` [Hz] is the end of a certificate's band."""
-    known = None if top is None else Certificate((0.0, top), 1e-3, "told", True, True)
-    one = np.eye(len(K))
-    parts = {"M": one, "K": np.asarray(K, dtype=float), "B": one, "C": one} | more
-    return LinearModel(**parts, certificate=known).state_space()[0]
-
-
-def test_low_modes_keep_their_digits_beside_stiff_ones():
-    """Twelve decades of stiffness: the product of both eigenvalues is the determinant. The stiff
-    one, far beyond any band, may lose what the low one keeps."""
-    a, b, c = 1.0, 0.3e6, 1e12
-    high = 0.5 * (a + c + np.hypot(a - c, 2 * b))
-    poles = np.sort(np.linalg.eigvals(scaled_blocks([[a, b], [b, c]])).imag)[2:]
-    assert poles[0] == pytest.approx(np.sqrt((a * c - b * b) / high), rel=1e-9)
-    assert poles[1] == pytest.approx(np.sqrt(high), rel=1e-4)

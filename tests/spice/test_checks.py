@@ -87,12 +87,6 @@ def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
         require(judged(wide, scene, table, model).checks, "here")
 
 
-def test_a_soft_penalty_is_seen(waves, varied, table, model):
-    """The same forces at a penalty of a thousandth mean a thousand times the penetration."""
-    soft = varied(**{"contact.penalty": 1e5})
-    assert "penetration" in violated(waves, soft, table, model)
-
-
 def test_a_controller_at_its_limit_is_seen(waves, varied, table, model):
     weak = varied(**{"control.current_limit": 1e-6, "control.enable_at": 0.0})
     always = changed(waves, **{"coil.upper.current": np.full_like(waves["time"], 1e-6)})
@@ -108,15 +102,6 @@ def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, m
     assert ("energy of kick" in {c.name for c in checks}) == (action != "off")
 
 
-def test_sphere_beyond_the_table_is_seen(varied, model, table, tmp_path):
-    keys = {"kick.drive.voltage": 100.0, "solver.stop": 6e-3}  # too much for the made-up device
-    hard = varied({"control": None}, **keys)
-    waves = run_deck(deck_of(hard, model, table), tmp_path)
-    found = judged(waves, hard, table, model)
-    assert [c.name for c in found.checks if c.fatal] == ["table_left"]
-    assert "energy of sphere" not in {c.name for c in found.checks}
-
-
 @pytest.mark.parametrize("kept", [1, 2, 3])
 def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, varied, table, model):
     """The same waveforms, as a run without the outer rings would leave them; ring1 closes."""
@@ -129,11 +114,3 @@ def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, var
     if closed[kept]:
         with pytest.raises(SimulationError, match=rf"more than {kept}, or to 'all'"):
             require((check,), "here")
-
-
-def test_steps_too_coarse_for_the_contact_are_seen(varied, model, table, tmp_path):
-    """Tolerances at which ngspice ends without a word, with a wrong launch."""
-    coarse = varied(**{"solver.reltol": 0.1, "solver.max_step": 1e-4})
-    sloppy = deck_of(coarse, model, table).with_options({"trtol": "7"}, "sloppy")
-    found = judged(run_deck(sloppy, tmp_path), coarse, table, model)
-    assert any(c.fatal and c.coarse for c in found.checks)

@@ -1,7 +1,5 @@
 """What a user's netlist may not say to the rest of a deck, and what it may."""
 
-import re
-
 import pytest
 from device import built
 
@@ -61,13 +59,6 @@ def test_what_acts_on_the_whole_deck_is_refused_by_name(tmp_path, monkeypatch):
         assert "half0.lib:6" in str(caught.value)
 
 
-def test_the_line_of_an_inner_include_is_named(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "inner.lib").write_text("* a\n* b\n.global vdd\n")
-    with pytest.raises(UsageError, match=re.escape("inner.lib:3")):
-        load_scene(scene(tmp_path, '.include "inner.lib"\n'))
-
-
 OWN = {
     "function of its own": ".func sq(x) {x*x}\n.param four={sq(2)}\n",
     "model": ".model DX D(IS=1e-14)\n",
@@ -124,20 +115,3 @@ def test_an_edited_deck_that_changes_what_others_mean_is_refused(tmp_path, monke
         )
         with pytest.raises(UsageError, match=said):
             edited_deck(build, tmp_path / "edited" / deck.main)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda text: text.replace(".tran", ".options reltol=0.5\n.tran"), "reltol = 0.5"),
-        (lambda text: text, ""),
-    ],
-)
-def test_options_of_an_edited_deck_are_told(change, told, tmp_path, monkeypatch, recwarn):
-    monkeypatch.chdir(tmp_path)
-    build = built(load_scene(scene(tmp_path, "")))
-    deck = make_deck(build)
-    edit(deck, tmp_path / "edited", change)
-    edited_deck(build, tmp_path / "edited" / deck.main)
-    said = [str(each.message) for each in recwarn]
-    assert [told in each for each in said] == ([True] if told else [])

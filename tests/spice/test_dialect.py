@@ -13,10 +13,7 @@ from device import deck_of
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate, translate_text
-from kc2spice.netlist.lint import problems
-from kc2spice.netlist.printers.verilog_a import library
 from kc2spice.parts.contact import Normal, contact_subcircuit
-from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 
@@ -174,11 +171,6 @@ def test_every_law_of_a_contact_is_in_the_grammar(dialect):
             card.parse_string(line)
 
 
-def test_friction_is_no_module():
-    with pytest.raises(UsageError, match="friction"):
-        library([pressing(LAWS["dry"])])
-
-
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
 def test_the_grammar_refuses_ngspice(loop, dialect):
     """Otherwise the test above could not fail."""
@@ -232,22 +224,6 @@ def test_unknown_dialects_are_refused(loop):
     assert caught.value.expected == ", ".join(DIALECTS)
 
 
-def test_xyce_keeps_to_the_error_and_the_steps_that_it_needs(loop):
-    """A tenth of the tolerance; a microsecond where a controller is."""
-
-    def said(deck):
-        text = translate(deck, "xyce").files["loop.cir"]
-        (line,) = re.findall(r"(?mi)^\.options timeint .*", text)
-        (tran,) = re.findall(r"(?mi)^\.tran .*", text)
-        return line, float(tran.split()[4])
-
-    line, ceiling = said(loop)
-    assert "reltol=1e-05" in line
-    assert "method=trap" in line
-    own = float(re.search(r"(?m)^\.tran \S+ \S+ \S+ (\S+)", loop.files["loop.cir"])[1])
-    assert ceiling == 1e-6 < own == said(replace(loop, controlled=False))[1]
-
-
 def test_xyce_gets_initial_states_only_where_they_count(loop):
     """It obeys ``IC=`` always; without ``uic`` the sphere rests on the contact at the start."""
     spoken = translate(loop, "xyce")
@@ -278,18 +254,6 @@ def test_xyce_reaches_the_last_frequency(card):
 
 
 # ---------------------------------------------------------------------------------- meaning
-
-
-class Volts(dict):
-    """A random voltage for every node, the same at every look."""
-
-    def __init__(self, rng):
-        super().__init__(y=float(rng.uniform(-4000, 9000)))
-        self.rng = rng
-
-    def __missing__(self, node):
-        self[node] = float(self.rng.normal())
-        return self[node]
 
 
 def value(law, volts, params, *, table):
@@ -339,36 +303,6 @@ def test_whatever_ngspice_reads_has_its_value_in_other_words(dialect):
                 assert got == pytest.approx(expected(a, b, c, k), rel=1e-14), (card, written)
 
 
-def test_functions_and_models_are_said_however_they_were_spelled():
-    deck = one(".func f(x) {2*x}\nB1 a 0 V=f(V(b))\nS1 a 0 b 0 m\n.model m SW VT=2 RON=3")
-    xyce, ltspice = (translate(deck, name).files["one.cir"] for name in ("xyce", "ltspice"))
-    for text in (xyce, ltspice):
-        assert ".func f(x) {2*x}\nB1 a 0 V=" in text
-        assert "f(V(b))" in text
-    assert ".model m VSWITCH(VON=2.001 VOFF=1.999 RON=3 ROFF=1e12)" in xyce
-    assert ".model m SW(VT=2 VH=0 RON=3 ROFF=1e12)" in ltspice
-
-
-@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_laws_keep_their_values(loop, dialect):
-    rng = np.random.default_rng(3)
-    translated = translate(loop, dialect)
-    params = {"newton_per_um": 400.0, "clip": 1e3} | {f"um_ring{i}": 0.3 * i for i in range(6)}
-    compared = 0
-    for name in ("contact.lib", "catch.lib", "pid.lib"):
-        pairs = zip(cards(loop.files[name]), cards(translated.files[name]), strict=True)
-        for before, after in pairs:
-            if not before.startswith("B"):
-                continue
-            for _ in range(5):
-                volts = Volts(rng)
-                laws = (re.split(r"[IV]=", line, maxsplit=1)[1] for line in (before, after))
-                first, second = (value(law, volts, params, table=flat) for law in laws)
-                assert first == second
-                compared += 1
-    assert compared >= 55
-
-
 def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     """ngspice reads all of LTspice's spellings but ``table``, so it can judge the rest."""
     spoken = translate(loop, "ltspice").files
@@ -383,11 +317,3 @@ def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     for key in ("sphere.y", "kick.u.ring0", "coil.upper.current"):
         one_, two = (np.interp(at, w["time"], w[key]) for w in (first, second))
         np.testing.assert_allclose(two, one_, rtol=0, atol=2e-4 * np.ptp(one_))
-
-
-# ---------------------------------------------------------------------------- lint on our own
-
-
-def test_our_own_decks_are_sound(scene, model, table):
-    for each in (scene, load_scene({"name": "harmonic", "kick": {}, "harmonic": {}})):
-        assert problems(deck_of(each, model, table)) == []

@@ -5,8 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from kc2spice.bodies.readers import sidecar
-
 PAGE = (Path(__file__).parents[2] / "docs" / "matrices.md").read_text(encoding="utf-8")
 
 
@@ -18,9 +16,3 @@ def test_python_blocks_run_in_order(tmp_path):
         [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stderr
-
-
-def test_every_key_is_on_the_page():
-    table = PAGE[PAGE.index("## The TOML file") :]
-    for key in (*sidecar.Sidecar.model_fields, *sidecar.PortEntry.model_fields):
-        assert f"`{key}" in table or f"{key} }}`" in table or f"[[{key}]]" in table, key

@@ -9,7 +9,6 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.fem.materials import material
 from kc2spice.parts.contact import separation
-from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -84,9 +83,3 @@ def test_an_impact_is_that_of_hertz(tmp_path):
     found = verdict(waves, build)
     assert all(check.passed for check in found.checks), found.checks
     assert "sphere_elastic" in dict(found.balances)
-
-
-def test_the_hats_are_an_axis_of_the_error_budget_where_there_are_some():
-    (axis,) = (a for a in axes(load_scene("impact", PRESSED[:1])) if a.name == "contact.spacing")
-    assert axis.at(1) == {"contact.spacing": 5e-6}
-    assert "contact.spacing" not in {a.name for a in axes(load_scene("impact"))}

@@ -5,8 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.netlist.cards import name, number
+from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
 from kc2spice.sim.ngspice import run_deck
@@ -43,16 +42,6 @@ def test_real_and_complex_files_are_read(tmp_path):
     assert read_raw(path)["v(a)"][0] == 1 - 2j
 
 
-def test_garbage_beside_a_real_frequency_is_not_read(tmp_path):
-    """ngspice writes the frequency's imaginary part uninitialised, now and then as a NaN."""
-    path = tmp_path / "a.raw"
-    values = struct.pack("<4d", 5.0, float("nan"), 1.0, -2.0)
-    path.write_bytes(raw_text(1, "complex", ("frequency", "v(a)")) + values)
-    vectors = read_raw(path)
-    assert vectors["frequency"].dtype == float
-    assert (vectors["frequency"][0], vectors["v(a)"][0]) == (5.0, 1 - 2j)
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -73,9 +62,6 @@ def test_incomplete_files_are_refused(content, tmp_path):
     path.write_bytes(content)
     with pytest.raises(SimulationError, match="not complete"):
         read_raw(path)
-
-
-# ---------------------------------------------------------------------------------------- log
 
 
 # ------------------------------------------------------------------------------------- engine
@@ -133,21 +119,3 @@ def test_missing_simulator_is_named_with_its_cure(tmp_path, monkeypatch):
     assert caught.value.exit_code == 3
     assert not (tmp_path / "out").exists()
     ngspice.find_ngspice.cache_clear()
-
-
-# -------------------------------------------------------------------------------------- cards
-
-
-def test_numbers_read_back_exactly_and_none_is_no_number():
-    rng = np.random.default_rng(0)
-    values = np.concatenate([rng.normal(size=50) * 10.0 ** rng.integers(-20, 20, 50), [0.1, 1e-6]])
-    assert [float(number(value)) for value in values] == values.tolist()
-    for value in (float("nan"), float("inf")):
-        with pytest.raises(UsageError, match="cannot hold"):
-            number(value)
-
-
-def test_names_that_could_be_programs_are_refused():
-    for text in ("", "1a", "a b", "a\n.control", "gnd", "a;b", "é", "a" * 65):
-        with pytest.raises(UsageError, match="netlist name"):
-            name(text)

@@ -40,28 +40,6 @@ def test_a_mass_flies_on_as_fast_as_it_began(tmp_path):
         np.testing.assert_allclose(found["box.v"], 1.0, rtol=1e-9)
 
 
-def test_a_weight_falls_from_where_it_began(tmp_path):
-    box = BOX | {"weight": True, "position": 2e-3, "velocity": 0.5}
-    for found in both({"box": box, "seen": SEEN, **STEPS}, tmp_path):
-        t = found["time"]
-        np.testing.assert_allclose(found["box.x"], 2e-3 + 0.5 * t - G / 2 * t**2, atol=1e-8)
-
-
-def test_a_constant_force_moves_a_free_mass_by_newton(tmp_path):
-    for found in both({"box": BOX, "push": push(dc=10e-3), **STEPS}, tmp_path):
-        assert found["box.x"][0] == 0.0
-        assert found["box.x"][-1] == pytest.approx(10e-3 / MASS * 0.1**2 / 2, rel=1e-8)
-
-
-@pytest.mark.parametrize("analysis", [{"type": "op"}, {"type": "transient", "stop": 0.1}])
-def test_a_weight_rests_on_a_soft_spring_as_hooke_says(analysis, tmp_path):
-    box = {"part": "mass", "mass": 1e-3, "weight": True}
-    hold = {"part": "spring", "stiffness": 0.02, "pins": {"a": "box.a"}}
-    steps = {"solver": {"max_step": 1e-3}} if analysis["type"] == "transient" else {}
-    for found in both({"box": box, "hold": hold, "analysis": analysis, **steps}, tmp_path):
-        np.testing.assert_allclose(found["box.x"], -1e-3 * G / 0.02, rtol=1e-9)
-
-
 def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):
     """Their centre flies on; about it they swing with ``sqrt(k (1 / m1 + 1 / m2))``."""
     other = {"part": "mass", "mass": 2 * MASS}
@@ -76,14 +54,6 @@ def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):
         # the trapezoid is late by (w h)^2 / 12 of the phase: 4e-4 after four periods
         apart = found["box.x"] - found["other.x"]
         np.testing.assert_allclose(apart, np.sin(w * t) / w, atol=error / w)
-
-
-def test_a_falling_weight_in_oil_ends_at_its_weight_over_the_damping(tmp_path):
-    box = {"part": "mass", "mass": 1e-3, "weight": True}
-    oil = {"part": "damper", "damping": 0.02, "pins": {"a": "box.a"}}
-    steps = {"solver": {"stop": 1.0, "max_step": 1e-3}}
-    for found in both({"box": box, "oil": oil, **steps}, tmp_path):
-        assert found["box.v"][-1] == pytest.approx(-1e-3 * G / 0.02, rel=1e-6)
 
 
 def test_the_response_of_a_free_mass_is_that_of_its_inertia(tmp_path):

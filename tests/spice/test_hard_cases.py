@@ -24,5 +24,5 @@ def test_hard_case(case):
     assert met, text
 
 
-def test_there_are_enough_of_them():
-    assert len({case.name for case in CASES}) == len(CASES) >= 60
+def test_their_names_differ():
+    assert len({case.name for case in CASES}) == len(CASES)

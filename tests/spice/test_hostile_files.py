@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from hostile import files, meshes
 from typer.testing import CliRunner
@@ -129,49 +128,6 @@ def test_an_honest_mesh_is_read_in_every_format(name, home):
     assert model.facts["mass_kg"] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["good.msh", "behind a mesh.msh", "behind the header.msh"])
-def test_meshes_on_a_dask_worker(name, home):
-    """Workers read what travels with the sweep; a header that is right brings nothing to act."""
-    pytest.importorskip("distributed")
-    victim = home.parent / "pwned"
-    (home / name).write_bytes({**meshes.scripts(victim), "good.msh": meshes.mesh()}[name])
-    mesh_scene(home, name)
-    options = ("--set", "push.ac=1,2", "--dask", "local", "--workers", "1", "-o", "out")
-    command = [sys.executable, "-m", "kc2spice", "sweep", "hostile.toml", *options]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    expected = "failed: " if name == "behind the header.msh" else ",ok"
-    assert (home / "out" / "sweep.csv").read_text().count(expected) == 2, ran.stderr
-    assert ran.returncode == (5 if expected == "failed: " else 0)
-    assert not victim.exists()
-
-
-def test_a_file_without_unit_needs_one(home):
-    """A mesh in metres is no device of micrometres: the error has its size in each unit."""
-    (home / "bar.msh").write_bytes(meshes.mesh())
-    mesh_scene(home, "bar.msh")
-    scene = home / "hostile.toml"
-    stated = scene.read_text()
-    scene.write_text(stated.replace('unit = "mm"\n', ""))
-    code, said = ask("run", home)
-    assert code == 2
-    words = ("bar.unit", "12 x 3 x 2 in", '"mm" if it is 12 x 3 x 2 mm',
-             '"m" if it is 1.2e+04 x 3000 x 2000 mm')  # fmt: skip
-    assert [word for word in words if word not in said] == []
-    scene.write_text(stated.replace('unit = "mm"', 'unit = "cm"'))
-    code, said = ask("explain", home)
-    assert code == 0
-    assert "120 x 30 x 20 mm" in " ".join(said.split())
-
-
-def test_a_folder_is_no_model(home):
-    for name in ("", ".", "..", "/", ":", "home:bar", "./.toml"):
-        result = CliRunner().invoke(app, ["reduce", name])
-        assert result.exit_code == 2, name
-        assert "internal error" not in result.output
-    assert not list(home.iterdir())
-
-
 def command(home, *words, limit=None, stdout=subprocess.PIPE):
     def before():
         if limit:
@@ -182,31 +138,6 @@ def command(home, *words, limit=None, stdout=subprocess.PIPE):
         text=True, check=False, cwd=home, preexec_fn=before,
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
-
-
-def test_a_full_stdout_is_one_clear_error(home):
-    with open("/dev/full", "w") as full:
-        ran = command(home, "scenes", stdout=full)
-    assert ran.returncode == 2
-    assert ran.stderr.startswith("kc2spice: error: cannot be written: No space left")
-    assert "Traceback" not in ran.stderr
-    assert "Exception ignored" not in ran.stderr
-
-
-@pytest.mark.slow
-def test_exhausted_memory_is_one_clear_error(home):
-    """A diagonal of a million unknowns whose forty columns of B are more than is left."""
-    n = 1_000_000
-    diagonal = {"data": np.ones(n), "indices": np.arange(n), "indptr": np.arange(n + 1)}
-    parts = {f"{k}.{name}": a for k in "MK" for name, a in diagonal.items()}
-    parts |= {f"{k}.shape": np.array((n, n)) for k in "MK"}
-    parts |= {f"{k}.format": np.array("csc") for k in "MK"}
-    np.savez(home / "m.npz", **parts, B=np.zeros((n, 40)))
-    ran = command(home, "reduce", "m.npz", "--order", "4", limit=700_000_000)
-    assert ran.returncode in (2, 5), ran.stderr
-    assert "memory" in ran.stderr.lower() or "allocate" in ran.stderr
-    assert "Traceback" not in ran.stderr
-    assert sorted(path.name for path in home.iterdir()) == ["m.npz"]
 
 
 def told(kind, mutation, home):

@@ -4,7 +4,6 @@ import json
 import os
 import random
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -12,8 +11,6 @@ import time
 
 import numpy as np
 import pytest
-
-from kc2spice.scene.load import gallery
 
 SHORT = ("--set", "solver.stop=6e-6", "--set", "rom.order=12", "--quiet")
 COMMAND = (sys.executable, "-m", "kc2spice")
@@ -117,36 +114,3 @@ def test_two_runs_into_one_directory_leave_one_whole_result(tmp_path):
         assert process.returncode == 0, said
     assert assert_whole("run", out)
     assert not list(tmp_path.glob(".run.*"))
-
-
-@pytest.mark.parametrize("size", [pytest.param(2_000, marks=pytest.mark.slow), 60_000])
-def test_a_full_disk_at_any_stage_spares_the_earlier_result(size, tmp_path, monkeypatch):
-    """No file may grow beyond ``size``: netlists, raw file or page are the first that do."""
-    out = tmp_path / "run"
-    code, said = finish(*words("run", 1, out))
-    assert code == 0, said
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))  # noqa: E731
-    code, said = finish(*words("run", 2, out), preexec_fn=limit)
-    assert "Traceback" not in said
-    assert "internal error" not in said
-    assert code in (2, 5), said
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    assert {path.name for path in tmp_path.iterdir()} <= {"run", "run.failed"}
-
-
-def test_a_full_disk_while_models_are_built_costs_the_cache_only(tmp_path):
-    """FE and reduction from nothing, with a cache that cannot hold them."""
-    scene = tmp_path / "tiny.toml"
-    text = gallery()["impact"].read_text(encoding="utf-8")
-    scene.write_text(text + "\n")
-    coarse = ("--set", "kick.layers=2", "--set", "kick.mesh.outer_rings=2")
-    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))  # noqa: E731
-    environment = os.environ | {"KC2SPICE_CACHE": str(tmp_path / "cache")}
-    code, said = finish(
-        "export", str(scene), *coarse, *SHORT, "-o", str(tmp_path / "out"),
-        preexec_fn=limit, env=environment,
-    )  # fmt: skip
-    assert "Traceback" not in said
-    assert code == 0, said
-    assert not list((tmp_path / "cache").rglob("*.part"))

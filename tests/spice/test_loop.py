@@ -1,15 +1,12 @@
 """The whole loop in ngspice against its independent integration in scipy."""
 
-import subprocess
-
 import exact
 import numpy as np
 import pytest
 from device import deck_of
 
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.log import classify
-from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
+from kc2spice.sim.ngspice import run_deck
 
 
 def launch(waves):
@@ -54,18 +51,6 @@ def test_results_have_the_names_and_signs_of_the_contract(run):
     np.testing.assert_allclose(waves["control.error"], 2.5e-3 - waves["sphere.y"], atol=1e-8)
 
 
-def test_operating_point_is_silent_with_the_contact_closed(run, scene):
-    _, directory, waves, _ = run
-    report = classify((directory / "loop.log").read_text())
-    assert not report.struggles
-    assert not report.warnings
-    assert waves["contact.force"][0] == pytest.approx(
-        scene.parts["sphere"].keys.mass * 9.81, rel=0.5
-    )
-    assert 0.0 < waves["contact.force.ring0"][0] == waves["contact.force"][0]
-    assert abs(waves["sphere.v"][0]) < 1e-12
-
-
 def thrown(electrical, **keys):
     """An impact on the made-up device."""
     tables = {
@@ -94,29 +79,3 @@ def test_imprint_agrees_with_the_static_solution(model, electrical, tmp_path):
     np.testing.assert_allclose(waves["imprint.depth"], depth, atol=1e-18)
     found = exact.imprint(scene, model, depth)
     np.testing.assert_allclose(waves["contact.force"], found, rtol=1e-9)
-
-
-STUDIES = {
-    "loop": {},
-    "imprint": {"imprint": {"steps": 5}, "catch": None, "control": None},
-    "harmonic": {
-        "harmonic": {"steps": 5}, **dict.fromkeys(("contact", "sphere", "catch", "control")),
-    },
-    "em_force": {"em_force": {}, **dict.fromkeys(("kick", "contact", "control"))},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("study", STUDIES)
-def test_decks_run_as_they_stand(study, varied, model, table, tmp_path):
-    """``ngspice -b`` without any further word simulates and prints."""
-    changes = {"name": study, **STUDIES[study]}
-    if changes.get("kick", True) is not None and study != "loop":
-        changes["kick"] = {}
-    deck = deck_of(varied(changes, **{"solver.stop": 1e-3}), model, table)
-    main = write_deck(deck, tmp_path)
-    done = subprocess.run(
-        [find_ngspice().path, "-b", main.name], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 0
-    assert "Index" in done.stdout
-    assert not classify(done.stdout + done.stderr).errors

@@ -99,32 +99,6 @@ def test_changed_parameters_equal_a_new_export(scene, varied, decks, tmp_path):
     assert not np.array_equal(runs[0]["sphere.y"], runs[2]["sphere.y"]), "the change does nothing"
 
 
-RAILS = {"linear": 24.0, "pwm": 150.0, "half_bridge": 90.0, "amplifier": 95.0, "charge": 80.0}
-
-
-@pytest.mark.parametrize(
-    ("kick", "catch"),
-    [("half_bridge", "linear"),
-     *(pytest.param(*each, marks=pytest.mark.slow)
-       for each in (("amplifier", "pwm"), ("charge", "linear")))],
-)  # fmt: skip
-def test_changed_rails_equal_a_new_export(varied, decks, kick, catch, tmp_path):
-    drivers = {"kick": kick, "catch": catch}
-    base, exported = (
-        decks(varied(**{f"{part}.driver": {name: {"rail": RAILS[name]} if changed else {}}
-                        for part, name in drivers.items()}))
-        for changed in (False, True)
-    )  # fmt: skip
-    by_hand, given = overridden(base, exported)
-    assert set(given) == {f"{name}.rail" for name in drivers.values()}
-    lint(by_hand)
-    hand, export = (run_deck(short(d), tmp_path / n) for n, d in
-                    (("hand", by_hand), ("export", exported)))  # fmt: skip
-    for key in ("sphere.y", "kick.voltage", "coil.upper.current"):
-        scale = np.max(np.abs(export[key]))
-        np.testing.assert_allclose(hand[key], export[key], rtol=1e-9, atol=1e-9 * scale)
-
-
 def test_damping_of_the_chip_scales(header, tmp_path):
     """A chip of few elements, reduced anew with three times the damping, against ``damping=3``."""
     parts = [chip(Damping(ratio=ratio), header) for ratio in (0.01, 0.03)]
@@ -152,12 +126,3 @@ def chip(damping, header):
         assemble_kick(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3}))
     )
     return subcircuit(reduce(device, order=30, band=(0.0, 500e3)), "kick", header)
-
-
-def test_coil_resistance_and_rails_can_be_set_by_hand(scene, decks, tmp_path):
-    """The current of a saturated stage is the supply over all resistances of the loop."""
-    deck = with_words(decks(scene), "catch", "resistance_lower=2e3 resistance_upper=3e3")
-    deck = with_words(deck, "pid", "compliance=100")
-    waves = run_deck(short(deck), tmp_path)
-    largest = np.max(np.abs(waves["coil.upper.current"]))
-    assert largest == pytest.approx(100.0 / (2e3 + 3e3 + 100.0), rel=1e-3)  # 100 Ohm of sense

@@ -9,14 +9,9 @@ from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.contact import Normal, contact_subcircuit, ring_gaps
 from kc2spice.parts.current_cases import cases
 from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.ring_magnet_coils import catch_subcircuit
-from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck
-
-MASS = SphereKeys().mass
-
 
 # ---------------------------------------------------------------------------------- contact
 
@@ -47,33 +42,6 @@ Xcontact ring0 ring1 ring2 v bottom 0 contact
     np.testing.assert_allclose(waves["sphere"], law.sum(axis=1), rtol=1e-9, atol=1e-9)
 
 
-# ----------------------------------------------------------------------------------- sphere
-
-
-def flight(header, gravity, stop, velocity, height, options, extra="", parts=()):
-    sphere = sphere_subcircuit(header, MASS, 1e-3, gravity, velocity=velocity, height=height)
-    cards = f"""Xsphere v bottom y 0 sphere
-{extra}
-.options {options}
-.tran {stop / 100} {stop} 0 {stop / 500} uic"""
-    vectors = {"y": ("v(y)", 1e-6), "v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
-    return bench([sphere, *parts], cards, vectors, stop)
-
-
-def test_free_flight_does_not_drift(header, tmp_path):
-    waves = run_deck(flight(header, 0.0, 50e-3, 0.02, 1e-6, "reltol=1e-4 trtol=1"), tmp_path)
-    # rounding alone: 1 mm of travel on nodes of 1000 V
-    assert np.abs(waves["y"] - (1e-3 + 1e-6 + 0.02 * waves["time"])).max() < 1e-13
-    assert np.abs(waves["v"] - 0.02).max() < 1e-14
-
-
-def test_free_fall_is_a_parabola(header, tmp_path):
-    waves = run_deck(flight(header, 9.81, 5e-3, 1.0, 0.0, "reltol=1e-4 trtol=1"), tmp_path)
-    t = waves["time"]
-    # the trapezoidal rule is exact on it but for the first step, backward Euler of 0.5 us
-    assert np.abs(waves["bottom"] - (t - 9.81 * t**2 / 2)).max() < 1e-11
-
-
 # ------------------------------------------------------------------------------------ catch
 
 
@@ -86,29 +54,6 @@ def test_lookup_follows_the_spline(header, table, tmp_path):
         law = c["c0"] + c["c1"] * i1 + c["c2"] * i2 + c["c11"] * i1**2 + c["c22"] * i2**2
         # 201 cubic pieces through a smooth curve; measured 6e-6 on the paper's system
         assert np.abs(waves[f"catch.force.{k}"] - law).max() < 2e-5 * 0.065
-
-
-def test_coils_in_series_pull_as_two_coils_with_opposite_currents(header, table, tmp_path):
-    parts = [
-        catch_subcircuit(header, table, 0.1, name="separate"),
-        catch_subcircuit(header, table, 0.1, series=True, name="series"),
-    ]
-    cards = """Xa ret mid drive mid y fa 0 separate
-Idrive 0 drive 0.08
-Rret ret 0 1
-Xb drive2 ret2 y fb 0 series
-Idrive2 0 drive2 0.08
-Rret2 ret2 0 1
-Rfa fa 0 1
-Rfb fb 0 1
-Vy y 0 0
-.dc Vy 900 7400 130"""
-    vectors = {"a": ("v(fa)", 1.0), "b": ("v(fb)", 1.0)}
-    vectors |= {"va": ("v(drive)", 1.0), "vb": ("v(drive2)", 1.0)}
-    waves = run_deck(bench(parts, cards, vectors), tmp_path)
-    # c12, which the series form keeps in d2, is left out of the separate one: 2e-6 of the largest
-    np.testing.assert_allclose(waves["b"], waves["a"], atol=3e-6 * np.abs(waves["a"]).max())
-    np.testing.assert_allclose(waves["va"], waves["vb"], rtol=1e-12)
 
 
 # --------------------------------------------------------------------------------------- pid
@@ -166,19 +111,6 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
     assert np.abs(held).max() < 0.01 * 1.5e-3 * 2e-3  # against 1.5 mm for 2 ms, had it run on
     assert current[-1] == pytest.approx(-control.kp * 1e-6, rel=1e-3)
     assert not classify((tmp_path / "bench.log").read_text()).struggles
-
-
-@pytest.mark.parametrize(("kp", "limit"), [(200.0, 1.0), (5e4, 0.1)])
-def test_every_current_limit_acts(header, kp, limit, tmp_path):
-    """Neither the supply of the output stage nor the signal amplifiers' rails come first."""
-    control = Control(kp=kp, ki=0.0, kd=0.0, current_limit=limit)
-    far = 2 * limit / kp * 1e6  # um; twice what the limit takes
-    deck = controller(header, control, f"0 {2500 - far} 1e-03 {2500 + far}", 1e-3, load=3192.0)
-    waves = run_deck(deck, tmp_path)
-    late = waves["time"] > 20e-6
-    law = np.clip(kp * (control.setpoint - waves["y"]), -limit, limit)
-    assert np.ptp(law[late]) == 2 * limit
-    assert np.abs(waves["i"] - law)[late].max() < 5e-4 * limit
 
 
 @pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])

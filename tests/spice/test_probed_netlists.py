@@ -73,13 +73,3 @@ def test_an_unknown_node_is_told_before_the_run(looked, tmp_path):
     assert "of filter: in, out, ref, mid" in said
     assert "simulate" not in said
     assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_vector_is_told_before_the_run(looked, tmp_path):
-    text = SCENE.format(node="in").replace('of = "filter.in"', 'of = "load.w"')
-    (tmp_path / "divided.toml").write_text(text)
-    done = CliRunner().invoke(app, ["run", "divided.toml", "-o", "out"])
-    assert done.exit_code == 2
-    assert "probes.looked.of: no such vector" in done.stderr
-    assert "load.v" in done.stderr
-    assert "simulate" not in done.stderr

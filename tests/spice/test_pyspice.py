@@ -1,23 +1,19 @@
 """libngspice inside the process: same results as the batch engine, Python in the loop."""
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from device import built, deck_of
+from device import deck_of
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
-from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim import shared
 from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
 
 
 def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):
@@ -30,55 +26,6 @@ def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_
         np.testing.assert_allclose(shared[name], batch[name], rtol=1e-9, atol=1e-12)
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
-
-
-PERIOD, DELAY = 5e-6, 2e-6  # s
-DIGITAL = {
-    "name": "digital",
-    "kick": {"drive": {"voltage": 80.0}},
-    "contact": {"rings": "all"},
-    "sphere": {},
-    "catch": {"part": "ring_magnet_coils", "pins": {"drive": "digits.out", "ret": "gnd"}},
-    "eye": {"part": "sensor", "bandwidth": 1e6, "pins": {"of": "sphere.y"}},
-    "digits": {
-        "part": "controller", "period": PERIOD, "delay": DELAY, "inputs": ["y"],
-        "output": "current", "pins": {"y": "eye.out"},
-    },
-}  # fmt: skip
-
-
-def digital_pid(control, period):
-    """The analogue controller's law on samples: backward differences, no integral at the limit."""
-    past = {"error": None, "integral": 0.0}
-
-    def current(time, inputs):
-        if time < control.switching[0][0]:
-            return 0.0
-        error = control.setpoint - inputs["y"]
-        slope = 0.0 if past["error"] is None else (error - past["error"]) / period
-        past["error"] = error
-        wanted = control.kp * error + control.ki * past["integral"] + control.kd * slope
-        if abs(wanted) < control.current_limit:
-            past["integral"] += period * error
-        return float(np.clip(wanted, -control.current_limit, control.current_limit))
-
-    return current
-
-
-def test_digital_controller_catches_where_the_analogue_one_does(scene, model, table, tmp_path):
-    composed = load_scene(DIGITAL)
-    digits = composed.part("digits")
-    control = scene.part("control").keys
-    build = replace(
-        built(composed, model, table), functions={"digits": digital_pid(control, PERIOD)}
-    )
-    digital = run_shared(make_deck(build), [digits.type.sampled(digits, build)])
-    analogue = run_deck(deck_of(scene, model, table), tmp_path)
-    late = digital["time"] > 0.9 * scene.stop
-    goal = np.interp(digital["time"], analogue["time"], analogue["sphere.y"])
-    assert np.abs(digital["sphere.y"] - goal)[late].max() < 20e-6
-    assert np.abs(digital["sphere.y"] - control.setpoint)[late].max() < 20e-6
-    assert digital["sphere.y"][0] < 1.1e-3  # it was lying on the chip
 
 
 RC = """* rc
@@ -113,19 +60,6 @@ def test_failing_circuit_is_reported_and_leaves_the_engine_usable():
     with pytest.raises(SimulationError):
         run_shared(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
     assert run_shared(rc())["time"][-1] == pytest.approx(1e-4)
-
-
-def test_a_run_that_stops_early_is_no_result():
-    deck = replace(rc(), stop=2e-4)  # its .tran ends at 1e-4
-    with pytest.raises(SimulationError, match="before the end") as caught:
-        run_shared(deck)
-    assert caught.value.expected == "0.0002 s"
-
-
-def test_the_users_start_up_file_is_not_read(tmp_path, monkeypatch):
-    (tmp_path / ".spiceinit").write_text("set ngbehavior=nothing\necho the user\n")
-    monkeypatch.chdir(tmp_path)
-    assert "the user" not in shared.Library().said
 
 
 def test_parts_are_pyspice_subcircuits(header):

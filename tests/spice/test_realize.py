@@ -7,7 +7,6 @@ import pytest
 from device import bench
 
 from kc2spice.rom.linear import LinearModel, Port
-from kc2spice.rom.modal import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import subcircuit
@@ -91,29 +90,6 @@ def test_every_port_answers_every_other(form, mass, tmp_path):
             assert error < 1e-6 * np.abs(exact).max() + 1e-11, (driven.name, port.name)
 
 
-# ---------------------------------------------------------------------- scaling of resonators
-
-
-def modes(omega, gain, kinds, *, damp=0.0, D=None, massless=0):
-    ports = tuple(Port(f"a{k}", kind) for k, kind in enumerate(kinds))
-    omega = np.array(omega)
-    D = np.zeros((len(kinds),) * 2) if D is None else np.array(D)
-    damp = np.broadcast_to(damp, omega.shape)
-    return Resonators(omega, damp, np.array(gain), D, ports, None, massless)
-
-
-def test_states_without_inertia_come_last_whatever_their_frequency(tmp_path):
-    """``1 / (s^2 + d s + w^2)`` and ``1 / (d s + w^2)``; the second without damping is a spring."""
-    omega, damp = [9e3, 4e3, 5e3], [50.0, 2e3, 0.0]
-    model = modes(omega, [[1.0], [2.0], [0.5]], ("mechanical",), damp=damp, massless=2)
-    part = subcircuit(model.linear(), "kick", HEADER)
-    cards = "Ip a0 0 AC -1\nXkick a0 0 kick\n.ac lin 5 100 3000"
-    waves = run_deck(bench([part], cards, {"y": ("v(a0)", 1e-6)}), tmp_path)
-    s = 2j * np.pi * waves["frequency"].real
-    exact = 1 / (s**2 + 50 * s + 81e6) + 4 / (2e3 * s + 16e6) + 0.25 / 25e6
-    np.testing.assert_allclose(waves["y"], exact, rtol=1e-7)
-
-
 # -------------------------------------------------------------------------- blocks of signals
 
 
@@ -152,28 +128,3 @@ def test_signals_of_coupled_states(dense, tmp_path):
     assert len(blocks) == (1 if dense else 2)
     for first, last in blocks:
         assert np.abs(size[:, int(first) - 1 : int(last)]).max() == pytest.approx(1.0, rel=1e-6)
-
-
-def test_a_charge_that_relaxes_is_a_resistor_and_a_capacitor(tmp_path):
-    """``q' = (C v - q) / (R C)``: the terminals have no capacitance of their own."""
-    ohm, farad = 1e3, 2e-9
-    rate = np.array([[1 / (ohm * farad)]])
-    port = Port("drive", "electrical", pins=("a", "b"))
-    model = LinearModel(A=-rate, E=np.eye(1), B=rate * farad, C=np.eye(1), D=np.zeros((1, 1)),
-                        ports=(port,), band=(0.0, 1e5))  # fmt: skip
-    part = subcircuit(model, "rc", HEADER)
-    cards = f"Va a 0 AC 1\nXrc {' '.join('a' if p.name == 'a' else '0' for p in part.pins)} rc"
-    deck = bench([part], f"{cards}\n.ac lin 5 2e4 1e5", {"i": ("i(va)", -1.0)})
-    waves = run_deck(deck, tmp_path)
-    s = 2j * np.pi * waves["frequency"].real
-    np.testing.assert_allclose(waves["i"], 1 / (ohm + 1 / (s * farad)), rtol=1e-6)
-
-
-def test_an_integrator_has_an_operating_point(tmp_path):
-    """``y' = 5 u``, in a band up to 2 Hz."""
-    model = signals([[0.0]], [[5.0]], [[1.0]], band=(0.0, 2.0))
-    part = subcircuit(model, "sum", HEADER)
-    assert part.text.count("* The leak gives a free integrator its operating point.") == 1
-    cards = "Vu u 0 PWL(0 0 1e-6 2)\nXsum u y 0 sum\n.tran 1e-3 0.1"
-    waves = run_deck(bench([part], cards, {"y": ("v(y)", 1.0)}, 0.1), tmp_path)
-    assert waves["y"][-1] == pytest.approx(1.0, rel=1e-4)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-import kc2spice as kc
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.scene.load import load_scene
@@ -173,14 +172,6 @@ FEW = [
     ("rlc", 30, "square", 30, 0.0), ("oscillator", 300, "burst", 50, 0.0),
     ("disc", 30, "sine", 25, 0.3),
 ]  # fmt: skip
-MANY = [
-    (family, quality, shape, cycles, detune)
-    for family in ("rlc", "oscillator", "disc")
-    for quality, shape, cycles, detune in (
-        (10, "sine", 40, 0.0), (1000, "sine", 150, 0.5), (100, "sine", 200, 0.5),
-        (30, "square", 50, 0.0), (300, "square", 150, 0.2), (1000, "burst", 100, 0.0),
-    )
-]  # fmt: skip
 
 
 @pytest.mark.parametrize(("family", "quality", "shape", "cycles", "detune"), FEW)
@@ -188,24 +179,3 @@ def test_a_plain_run_is_right_to_a_thousandth(family, quality, shape, cycles, de
     amplitude, wave = judged(family, quality, shape, tmp_path, cycles, detune)
     assert amplitude < 1e-3
     assert wave < 3e-3  # interpolation between its points and SHAPE of the steps
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("family", "quality", "shape", "cycles", "detune"), MANY)
-def test_resonant_transients_are_right_or_refused(family, quality, shape, cycles, detune, tmp_path):
-    found = judged(family, quality, shape, tmp_path, cycles, detune)
-    print(f"RESONANT {family} Q {quality} {shape}: {found}")
-    assert found is None or found[0] < 1e-2
-
-
-def test_an_edge_that_begins_at_the_end_of_the_run_is_no_error_of_its_steps():
-    """36 periods of 250 us end at 9 ms, where a current may already be that of the next edge."""
-    tables = {
-        "drive": {"part": "source", "pulse": {"high": "5 V", "width": "125 us", "edge": "0.1 us",
-                                              "period": "250 us"}},
-        "r": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out"}},
-        "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "r.b"}},
-        "analysis": {"type": "transient", "stop": "9 ms"},
-    }  # fmt: skip
-    (check,) = (c for c in kc.run(kc.load_scene(tables)).checks if c.name.startswith("steps"))
-    assert check.value < 1e-3

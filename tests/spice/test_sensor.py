@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 
@@ -46,12 +45,3 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
     assert noise.std() == pytest.approx(rms, rel=4 / np.sqrt(2 * count))
     neighbours = np.mean(noise[1:] * noise[:-1]) / rms**2
     assert abs(neighbours) < 4 / np.sqrt(count)
-
-
-def test_noise_needs_time():
-    with pytest.raises(UsageError, match="noise is drawn in time"):
-        load_scene({
-            "name": "sensed", "analysis": {"type": "op"},
-            "move": {"part": "source", "kind": "displacement", "dc": STEP},
-            "eye": {"part": "sensor", "noise": 1e-9, "pins": {"of": "move.out"}},
-        })  # fmt: skip

@@ -8,15 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from sweeps import circuit, command, rows, sweep
 
-import kc2spice as kc
 from kc2spice.workflow.sweep import run
-from kc2spice.workflow.sweep.workers import processes
 
 GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
 TIME = 1e-3  # s of charging
@@ -45,23 +42,6 @@ def test_a_table_has_the_points_in_order_and_their_numbers(charge):
         )
         assert float(row["largest"]) == pytest.approx(v / r, rel=1e-3)
     assert all((out / name).stat().st_size for name in summary["files"])
-
-
-def test_a_point_is_the_run_of_that_scene(charge):
-    scene, _, summary = charge
-    changes = {"wire.resistance": 1500.0, "supply.pulse.high": 10.0}
-    alone = kc.run(kc.load_scene(scene, changes)).metrics
-    row = rows(summary)[5]
-    assert {name: float(row[name]) for name in alone} == alone  # same deck, same digits
-
-
-def test_python_gives_the_same_table_on_any_executor(charge):
-    scene, _, summary = charge
-    values = {"wire.resistance": [500, 1000, 1500, 2000], "supply.pulse.high": ["5 V", "10 V"]}
-    with ThreadPoolExecutor(1) as executor:
-        table = kc.sweep(scene, values, executor=executor)
-    assert table["charged"] == [float(row["charged"]) for row in rows(summary)]
-    assert table[3]["supply.pulse.high"] == "10 V"
 
 
 def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(charge, tmp_path):
@@ -119,14 +99,6 @@ def test_failures_are_rows_with_their_diagnosis(tmp_path):
     # What failed by itself is run again only if asked.
     assert sweep(scene, *sets, out=tmp_path / "o")["resumed"] == 4
     assert sweep(scene, *sets, out=tmp_path / "o", more=("--retry-failed",))["resumed"] == 3
-
-
-def test_a_run_that_takes_too_long_is_a_failure(tmp_path):
-    scene = circuit(tmp_path)
-    long = ("wire.resistance=500,900", "solver.stop=0.9", "solver.max_step=1e-7")
-    said = sweep(scene, *long, out=tmp_path / "o", more=("--timeout", "0.3"), code=5)
-    assert "every point failed" in said
-    assert all("0.3 s" in row["status"] for row in rows(tmp_path / "o" / "sweep.csv"))
 
 
 # --- kills --------------------------------------------------------------------------------------
@@ -197,18 +169,6 @@ def test_a_sweep_that_was_killed_goes_on_and_loses_nothing(undisturbed, tmp_path
     assert 2 <= goes_on(scene, out, undisturbed) < 8
 
 
-@pytest.mark.slow
-def test_ctrl_c_says_that_the_same_command_goes_on(undisturbed, tmp_path):
-    scene, out = circuit(tmp_path), tmp_path / "o"
-    process = begun(scene, out)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=120)[1]
-    assert process.returncode == 130
-    assert "the same command runs the rest" in said
-    assert "Traceback" not in said
-    assert 2 <= goes_on(scene, out, undisturbed) < 8
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
     scene, out = circuit(tmp_path), tmp_path / "o"
@@ -221,47 +181,4 @@ def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_killed_simulator_loses_no_point(undisturbed, tmp_path):
-    scene, out = circuit(tmp_path), tmp_path / "o"
-    process, killed = begun(scene, out), False
-    while not killed and process.poll() is None:
-        for pid, words in session(process.pid).items():
-            if words.startswith(b"ngspice") or b"/ngspice\0" in words:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-                    killed = True
-                break
-    said = process.communicate(timeout=240)[1]
-    assert process.returncode == 0, said
-    assert killed
-    assert (out / "sweep.csv").read_bytes() == undisturbed
-
-
 # --- what travels -------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["processes", "dask"])
-def test_a_scene_file_takes_its_netlists_along(tmp_path, kind):
-    """The gallery's scene with a user's driver, in one directory that then vanishes."""
-    name, folder = "bring_your_own", tmp_path / "mine"
-    folder.mkdir()
-    for suffix in ("toml", "lib"):
-        text = (Path(kc.__file__).parent / "scenes" / f"{name}.{suffix}").read_text()
-        (folder / f"{name}.{suffix}").write_text(text)
-    early = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=120 us")
-    sets = ("kick.drive.voltage=80,100", *early)
-    found = run.named_sweep(str(folder / f"{name}.toml"), sets)
-    shutil.rmtree(folder)  # as on another machine
-    pool = processes(2)
-    if kind == "dask":
-        pytest.importorskip("distributed")
-        from kc2spice.workflow.sweep.workers import dask
-
-        pool = dask("local", 2)
-    summary = run.sweep(found, tmp_path / "o", pool)
-    assert (summary["points"], summary["failed"]) == (2, 0)
-    slow, fast = (float(row["launch_velocity_m_s"]) for row in rows(summary))
-    assert 0.1 < slow < fast

@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from scipy.io import mmwrite
 
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run as run_scene
 from kc2spice.workflow.sweep import run
 from kc2spice.workflow.sweep.point import scene_text
 
@@ -31,32 +28,7 @@ def rows(summary):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize(
-    ("text", "word"), [("kikc.layers=4,6", "kick.layers"), ("kick.layers=4.5,6", "whole")]
-)
-def test_ranges_are_checked_against_the_parts_before_anything_runs(text, word):
-    with pytest.raises(UsageError) as caught:
-        study("impact", text)
-    error = caught.value
-    said = " ".join(str(x) for x in (error.message, error.where, error.expected, error.hint))
-    assert word in said
-    assert "--set" in said
-
-
 # --- parameters ---------------------------------------------------------------------------------
-
-EARLY = ("kick.drive.start=20 us", "control.enable_at=20 us", "solver.stop=150 us",
-         "solver.reltol=1e-3")  # fmt: skip
-
-
-def test_a_range_of_a_parameter_is_refused_at_its_worst_value(tmp_path):
-    found = study("kick_and_catch", "param.sphere.mass=3e-5,0", *EARLY)
-    with pytest.raises(UsageError, match="outside the range"):
-        run.sweep(found, tmp_path / "o", threads)
-    with pytest.raises(UsageError, match=r"param.pid.offst") as caught:
-        wrong = study("kick_and_catch", "param.pid.offst=1,2", *EARLY)
-        run.sweep(wrong, tmp_path / "p", threads)
-    assert "pid.offset" in caught.value.hint
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -111,15 +83,3 @@ def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     assert summary["failed"] == 0
     # A step of 1 N within a fifth of the period: static 3e-4 m, overshoot below twice of it.
     assert all(3e-4 < float(row["top"]) < 6e-4 for row in rows(summary))
-
-
-def test_every_number_of_a_result_may_be_a_column(tmp_path):
-    scene = scene_text("buzzer_7bb_20_6")
-    names = ("bvd.c0_f", "model.disc.mass_kg", "rom.order", "resonance_hz")
-    asked = run.make_sweep(scene, ("disc.damping.quality=40,50",), metrics=names)
-    summary = run.sweep(asked, tmp_path / "o", threads)
-    found = rows(summary)
-    record = run_scene(load_scene("buzzer_7bb_20_6", ["disc.damping.quality=50"]), tmp_path / "r")
-    wanted = [record["metrics"]["bvd"]["c0_f"], record["model"]["disc"]["mass_kg"],
-              record["rom"]["order"], record["metrics"]["resonance_hz"]]  # fmt: skip
-    assert [float(found[1][name]) for name in names] == wanted

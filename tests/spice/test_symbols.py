@@ -1,10 +1,8 @@
 """Symbols against the libraries they stand for, read by parsers that share no code with us."""
 
-import json
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from device import deck_of
 
@@ -80,13 +78,6 @@ def test_kicad_reads_what_the_library_declares(written, deck):
         assert hidden == set(fields) - {"Reference", "Value"}
 
 
-def test_pins_are_on_the_grid_and_apart(written):
-    for symbol in library(written).symbols:
-        places = [(p.at.x / 2.54, p.at.y / 2.54) for p in pins_of(symbol).values()]
-        np.testing.assert_allclose(places, np.round(places), atol=1e-9)
-        assert len(set(places)) == len(places)
-
-
 def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
     """Nets found from coordinates: a pin is on the label or ground that stands at its end."""
     sheet = kicadfiles.KicadSch.from_file(
@@ -120,19 +111,6 @@ def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
     assert all(reference.startswith("TP") for reference, _ in named)
 
 
-def test_the_project_opens_with_its_simulation(files, deck):
-    settings = json.loads(files["loop.kicad_pro"])
-    book = json.loads(files[settings["schematic"]["ngspice"]["workbook_filename"]])
-    analysis = re.search(r"(?m)^\.tran .*$", deck.files[deck.main])[0]
-    (tab,) = book["tabs"]
-    assert (tab["analysis"], tab["commands"][0]) == ("TRAN", analysis)
-    assert {"signal": "V(sphere_y)", "color": "rgb(55, 126, 184)", "trace_type": 257} in tab[
-        "traces"
-    ]
-    assert '(uri "${KIPRJMOD}/kc2spice.kicad_sym")' in files["sym-lib-table"]
-    assert f'(text "{analysis}"' in files["loop.kicad_sch"]
-
-
 # ---------------------------------------------------------------------------------- LTspice
 
 
@@ -150,16 +128,3 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
         line = read.attributes.get("SpiceLine", "")
         assert dict(w.split("=") for w in line.split()) == params
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
-
-
-def test_ltspice_symbols_bring_libraries_that_ltspice_reads(files, deck):
-    for part in deck.parts:
-        assert "pwl(V(" not in files[part.filename.replace(".lib", ".ltspice.lib")]
-    assert "table(V(s)," in files["catch.ltspice.lib"]
-
-
-def test_each_dialect_gets_the_symbols_of_its_tools(deck):
-    spoken = symbol_files(deck, "ltspice")
-    assert set(spoken) == {p.filename.replace(".lib", ".asy") for p in deck.parts}
-    assert "SYMATTR ModelFile kick.lib\n" in spoken["kick.asy"]
-    assert symbol_files(deck, "xyce") == symbol_files(deck, "verilog-a") == {}

@@ -3,18 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from device import bench, deck_of
 
-from kc2spice.bodies.piezo_stack import from_sector
-from kc2spice.fem.piezo.assembly import assemble_kick
-from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.ring_magnet_coils import coil_subcircuit
-from kc2spice.rom.modal import resonators
-from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.spice.realize import subcircuit
 
 RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
 COPIES = 40
@@ -68,49 +61,3 @@ def coils_ring(header, table, tmp_path, values=""):
 
 def test_coils_die_away_under_random_passive_parts(header, table, tmp_path):
     decays(*coils_ring(header, table, tmp_path))
-
-
-def test_coils_with_an_active_part_do_not(header, table, tmp_path):
-    """The test above can fail: a negative resistance feeds the oscillation."""
-    with pytest.raises(AssertionError):
-        decays(*coils_ring(header, table, tmp_path, "resistance_lower=-3000"))
-
-
-# ------------------------------------------------------------------------ a user's own deck
-
-
-@pytest.fixture(scope="module")
-def chip():
-    """The paper's chip for a band of 1 MHz, whole device, with its full model."""
-    device = from_sector(assemble_kick(Chip()))
-    return device, resonators(reduce(device, tolerance=1e-5, band=(0.0, 1e6)))
-
-
-@pytest.mark.slow
-def test_resonance_and_antiresonance_of_the_chip(chip, header, tmp_path):
-    """Largest and smallest current against eigenvalues of the full model, to 0.1 %."""
-    device, model = chip
-    cards = """Vdrive in 0 AC 1
-Xkick in 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick
-.ac lin 2401 260e3 380e3"""
-    vectors = {"i": ("i(vdrive)", -1.0)}
-    waves = run_deck(bench([subcircuit(model.linear(), "kick", header)], cards, vectors), tmp_path)
-    size, facts = np.abs(waves["i"]), device.facts
-    series, parallel = (waves["frequency"][k] for k in (np.argmax(size), np.argmin(size)))
-    assert series == pytest.approx(facts["resonance_short_hz"], rel=1e-3)
-    assert parallel == pytest.approx(facts["resonance_open_hz"], rel=1e-3)
-
-
-@pytest.mark.slow
-def test_impedance_is_that_of_the_full_model(chip, header, tmp_path):
-    """Direct solutions of all 16 722 equations at the resonance and far above."""
-    device, model = chip
-    frequency = np.array([270e3, 900e3])
-    full = device.transfer(frequency)[:, -1, -1]
-    for f, charge in zip(frequency, full, strict=True):
-        cards = f"Vdrive in 0 AC 1\nXkick in 0 {' '.join(RINGS)} 0 kick\n.ac lin 1 {f} {f}"
-        deck = bench(
-            [subcircuit(model.linear(), "kick", header)], cards, {"i": ("i(vdrive)", -1.0)}
-        )
-        current = run_deck(deck, tmp_path / str(f))["i"][0]
-        assert current / (2j * np.pi * f * charge) == pytest.approx(1.0, abs=1e-4)

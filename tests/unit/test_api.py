@@ -9,10 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
@@ -65,15 +63,6 @@ def test_everything_promised_is_there_and_explains_itself():
         assert inspect.getdoc(getattr(kc, name)), name
     with pytest.raises(AttributeError, match="nothing_like_this"):
         kc.nothing_like_this  # noqa: B018
-
-
-@pytest.mark.parametrize("name", [n for n in CONTRACT if n.islower() and n != "errors"])
-def test_functions_are_typed_and_say_what_they_raise(name):
-    function = getattr(kc, name)
-    signature = inspect.signature(function)
-    assert signature.return_annotation is not inspect.Signature.empty
-    assert all(p.annotation is not p.empty for p in signature.parameters.values())
-    assert "Raises" in inspect.getdoc(function)
 
 
 def test_transient_against_the_closed_form():
@@ -144,28 +133,6 @@ def test_overrides_of_a_loaded_scene_keep_those_before():
     assert kc.load_scene(scene) is scene
 
 
-def test_own_controller_is_asked_at_its_instants():
-    controller = {"part": "controller", "inputs": ["top"], "units": {"top": "V"}, "period": 1e-3,
-                  "pins": {"top": "store.a"}}  # fmt: skip
-    tables = {**PULSE, "drive": controller, "probes": {}}
-    seen = []
-
-    def step(time, inputs):
-        seen.append((time, inputs["top"]))
-        return 1.0 if time >= 2e-3 else 0.0
-
-    result = kc.simulate(tables, functions={"drive": step})
-    times, tops = np.array(seen).T
-    np.testing.assert_allclose(times, 1e-3 * np.arange(7), atol=1e-12)
-    np.testing.assert_allclose(tops, 1 - np.exp(-(times - 2e-3).clip(0) / 1e-3), atol=5e-3)
-    wanted = 1 - np.exp(-(result.time - 2e-3).clip(0) / 1e-3)
-    np.testing.assert_allclose(result.waves["store.v"], wanted, atol=5e-3)
-    with pytest.raises(kc.errors.UsageError, match="no function"):
-        kc.run(tables)
-    with pytest.raises(kc.errors.UsageError, match="parts of a scene"):
-        kc.simulate(kc.deck(PULSE), functions={"drive": step})
-
-
 def test_edited_deck_gets_the_metrics_of_its_scene(tmp_path):
     deck = kc.deck(PULSE)
     path = tmp_path / deck.main
@@ -186,21 +153,6 @@ def edited(tmp_path, change):
     return path
 
 
-def test_edited_drive_is_a_warning(tmp_path):
-    path = edited(tmp_path, lambda text: text.replace("PULSE(0.0 1.0", "PULSE(0.0 3.0"))
-    with pytest.warns(UserWarning, match="drives as defined"):
-        result = kc.run(PULSE, deck=path)
-    assert result.metrics["top_v"] == pytest.approx(3 * (1 - np.exp(-5)), rel=1e-3)
-
-
-def test_edited_deck_may_stop_elsewhere(tmp_path):
-    def shorter(text):
-        card = next(line for line in text.splitlines() if line.startswith(".tran"))
-        return text.replace(card, ".tran 1u 2m 0 10u")
-
-    assert kc.run(PULSE, deck=edited(tmp_path, shorter)).time[-1] == pytest.approx(2e-3)
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -213,48 +165,6 @@ def test_edited_deck_may_stop_elsewhere(tmp_path):
 def test_edited_deck_is_refused_with_the_reason(tmp_path, change, said):
     with pytest.raises(kc.errors.UsageError, match=said):
         kc.run(PULSE, deck=edited(tmp_path, change))
-
-
-DRIVER = """.subckt mydriver out ref
-Bslope out inner V=0
-Vstep inner ref PULSE(0 2 1m 1u 1u 20m)
-.ends
-"""
-
-
-def test_a_replaced_source_is_told_before_the_run_with_the_card_that_reads_its_current(tmp_path):
-    scene, out = tmp_path / "divider.toml", tmp_path / "out"
-    scene.write_text(
-        'name = "divider"\nanalysis = { type = "transient", stop = "6 ms" }\n'
-        '[drive]\npart = "source"\n'
-        'pulse = { high = "1 V", start = "1 ms", width = "20 ms", edge = "1 us" }\n'
-        '[upper]\npart = "resistor"\nresistance = "1 kOhm"\npins = { a = "drive.out" }\n'
-        '[store]\npart = "capacitor"\ncapacitance = "1 uF"\npins = { a = "upper.b" }\n'
-        '[probes.charge_a]\nof = "drive.i"\n'
-    )
-    deck = kc.deck(scene)
-    text = deck.files[deck.main]
-    card = next(line for line in text.splitlines() if line.startswith("Vdrive"))
-    node, path = card.split()[1], tmp_path / deck.main
-
-    def run(change):
-        own = text.replace(card, f"Xmine {change}").replace(".end\n", DRIVER + ".end\n")
-        path.write_text(own)
-        command = ["run", str(scene), "--deck", str(path), "-o", str(out), "--json"]
-        return CliRunner().invoke(app, command)
-
-    done = run(f"{node} 0 mydriver")
-    said = " ".join(done.stderr.split())
-    assert done.exit_code == 2, said
-    assert "got: i(vdrive)" in said
-    assert f"Vdrive {node} NODE 0" in said
-    assert "simulate" not in said
-    assert not out.exists()
-    done = run(f"mine 0 mydriver\nVdrive {node} mine 0")  # as the message says
-    assert done.exit_code == 0, done.stderr
-    # 2 V on 1 kOhm at the step; the same sign as of the scene's own source
-    peak = json.loads(done.stdout)["metrics"]["charge_a"]
-    assert peak == pytest.approx(2e-3, rel=5e-3)
 
 
 def test_libraries_written_are_read_back(tmp_path):

@@ -1,8 +1,5 @@
 """The ring mesh: size, circles, volume and refusals."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from skfem import Basis
@@ -36,12 +33,6 @@ def test_ring_nodes_lie_on_their_circles_at_equal_angles(change):
             np.testing.assert_allclose(np.arctan2(y, x), np.linspace(0, np.pi / 2, len(ring)))
 
 
-def test_refined_lattice_contains_the_coarse_one():
-    coarse, fine = (kick_mesh(Chip(mesh={"refine": n})) for n in (1, 2))
-    distance = np.linalg.norm(coarse.plane[:, None] - fine.plane[None], axis=2).min(axis=1)
-    assert distance.max() < 1e-10  # gmsh iterates the places on graded lines
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -53,14 +44,3 @@ def test_refined_lattice_contains_the_coarse_one():
 def test_meshes_that_cannot_be_are_refused(change, words):
     with pytest.raises(UsageError, match=words):
         kick_mesh(Chip(mesh=change))
-
-
-def test_a_mesher_leaves_signals_to_their_handler():
-    """A run that is ended while or after it meshes still clears up."""
-    code = (
-        "import os, signal, sys\n"
-        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))\n"
-        "from kc2spice.core.gmsh_session import gmsh_session\n"
-        "with gmsh_session('any'): os.kill(os.getpid(), signal.SIGTERM)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 7

@@ -139,18 +139,6 @@ def test_no_modules_import_each_other():
     assert circles(MODULES) == []
 
 
-def test_a_circle_within_a_package_is_seen(tmp_path):
-    package = tmp_path / "p"
-    package.mkdir()
-    texts = {
-        "__init__": "", "a": "from p import b\n", "b": "import p.c\n", "c": "from p.a import x\n",
-        "d": "def late():\n    from p import e\n", "e": "from p import d\n",
-    }  # fmt: skip
-    for name, text in texts.items():
-        (package / f"{name}.py").write_text(text)
-    assert circles(modules(package)) == [["p.a", "p.b", "p.c"]]
-
-
 @pytest.mark.parametrize("library", LAZY)
 def test_heavy_libraries_have_one_lazy_home(library):
     homes = set()

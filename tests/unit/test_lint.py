@@ -3,7 +3,7 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.deck import Deck, read_deck
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.lint import lint, problems
 
 LIBRARY = """* divider: a part
@@ -120,59 +120,8 @@ def test_unreadable_decks_are_named(cards, message):
     assert caught.value.where.startswith(("test.cir:", "divider.lib:"))
 
 
-def test_suggestions_help():
-    (problem,) = problems(deck("V1 in 0 1\nX1 in nc 0 divider rato=1"))
-    assert problem.expected == "ratio, perhaps"
-
-
-def test_the_first_mistake_is_told_and_the_others_are_counted():
-    with pytest.raises(UsageError, match="no such subcircuit") as caught:
-        lint(deck("V1 in 0 1\nX1 in 0 nothing\nF1 in 0 V8 2\nF2 in 0 V9 2"))
-    assert caught.value.got == "nothing"
-    assert caught.value.hint == "2 more after this one"
-    with pytest.raises(UsageError, match="no such controlling part") as caught:
-        lint(deck("V1 in 0 1\nF1 in 0 V8 2"))
-    assert caught.value.hint is None
-    with pytest.raises(UsageError) as caught:
-        lint(deck("V1 in 0 1\nF1 in 0 V8 2\nF2 in 0 V9 2"))
-    assert caught.value.hint == "1 more after this one"
-
-
-@pytest.mark.parametrize(
-    ("cards", "got", "expected"),
-    [
-        ("R1 in 0 1\nR1 in 0 2", "R1", "another name; the first r1 is in test.cir:4"),
-        ("R1 in 0 1\nRlast 0 inn 2", "pin 2 of Rlast", "in, perhaps"),
-        ("X1 in loose 0 divider\nR1 in 0 1", None, None),
-        ("X1 in sense unwired divider", "pin bottom of X1", "0, in, sense"),
-        ("B1 in 0 I={sqr(V(in))}", "sqr", "sqrt, perhaps"),
-        (".func swell(x) {x}\nB1 in 0 I={swel(V(in))}", "swel", "swell, perhaps"),
-        ("F1 in 0 Isense 1\nR1 in 0 1", "isense", "v1"),
-        ("D1 in 0 diode", "diode", None),
-    ],
-)
-def test_what_stands_there_and_what_would_be_right(cards, got, expected):
-    found = [(p.got, p.expected) for p in problems(deck(f"V1 in 0 1\n{cards}"))]
-    assert found == ([] if got is None else [(got, expected)])
-
-
 def test_mistakes_inside_a_library_are_found():
     broken = LIBRARY.replace("R2 mid bottom", "R2 midd bottom")
     assert [m for _, m, _ in complaints("V1 in 0 1\nX1 in nc 0 divider", broken)] == [
         "floating port: nothing else is wired to node midd"
     ]
-
-
-def test_decks_are_read_from_disk(tmp_path):
-    for name, text in deck("V1 in 0 1\nX1 in out divider").files.items():
-        (tmp_path / name).write_text(text)
-    with pytest.raises(UsageError, match="missing pins of divider: bottom"):
-        lint(read_deck(tmp_path / "test.cir"))
-    (tmp_path / "divider.lib").unlink()
-    with pytest.raises(UsageError, match="included file is not there"):
-        lint(read_deck(tmp_path / "test.cir"))
-
-
-def test_what_follows_a_control_block_is_read():
-    cards = "V1 in 0 1\n.control\nrun\n.endc\nX1 in out divider"
-    assert [message for _, message, _ in complaints(cards)] == ["missing pins of divider: bottom"]

@@ -23,24 +23,6 @@ def test_an_entry_is_counted_from_the_beginning_or_from_the_end():
     assert found[1] == before[1]
 
 
-def test_the_command_line_means_the_same():
-    from kc2spice.scene.load import load_scene
-
-    texts = ["beam.layers[0].thickness=0.3 mm", "beam.layers[1].material.density=8500",
-             "rom.band[1]=80 Hz"]  # fmt: skip
-    scene = load_scene("harvester", texts)
-    assert layers(scene)[0].thickness == pytest.approx(3e-4)
-    assert layers(scene)[1].material["density"] == 8500
-    assert scene.rom.band == (32.0, 80.0)
-
-
-def test_a_loaded_scene_keeps_its_own_list():
-    scene = kc.load_scene("harvester")
-    kc.load_scene(scene, {"beam.layers[0].thickness": "0.3 mm"})
-    again = kc.load_scene(scene, {"gravity": 9.8})
-    assert layers(again)[0].thickness == pytest.approx(2.6e-4)
-
-
 def test_entries_are_swept_and_drawn():
     sets = (
         "beam.layers[0].thickness=0.2 mm:0.3 mm:3",

@@ -135,16 +135,6 @@ def test_damaged_matrices_are_refused_with_their_file(chunk, cli, tmp_path):
     check_reduction(chunk, cli, tmp_path, texts, "chain")
 
 
-@pytest.mark.parametrize("chunk", seeds("archive"))
-def test_damaged_archives_are_refused_with_their_file(chunk, cli, tmp_path):
-    for seed in chunk:
-        rng, buffer = random.Random(f"archive {seed}"), io.BytesIO()
-        name = rng.choice(["chain.npz", "chain.mat"])
-        np.savez(buffer, **chain()) if name == "chain.npz" else scipy.io.savemat(buffer, chain())
-        (tmp_path / name).write_bytes(damaged(buffer.getvalue(), rng))
-        attempt(cli, tmp_path, name)
-
-
 def check_reduction(chunk, cli, tmp_path, texts, name):
     for seed in chunk:
         rng = random.Random(f"matrix {seed}")

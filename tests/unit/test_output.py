@@ -2,17 +2,11 @@
 
 import json
 import os
-import re
-import resource
 import signal
-import tempfile
 import threading
-from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
@@ -100,31 +94,6 @@ def test_concurrent_runs_do_not_mix(tmp_path):
     assert len({path.read_text() for path in out.iterdir()}) == 1
 
 
-def refused(folder, name, mode):
-    """0 where ``name`` below a directory of this mode is refused, for a user who is not root."""
-    try:
-        if os.geteuid() == 0:  # who may write everywhere
-            os.setgid(65534)
-            os.setuid(65534)
-        (folder / "locked").mkdir(mode=mode)
-        with staged(folder / name):
-            return 1
-    except UsageError as error:
-        return 0 if "cannot be written" in str(error) else 2
-    except BaseException:
-        return 3
-
-
-@pytest.mark.parametrize("mode", [0o500, 0o400, 0o000])
-@pytest.mark.parametrize("name", ["locked", "locked/out", "locked/a/b"])
-def test_out_cannot_be_written(name, mode):
-    with tempfile.TemporaryDirectory() as name_of_folder:
-        folder = Path(name_of_folder)
-        folder.chmod(0o777)
-        assert in_a_child(lambda: os._exit(refused(folder, name, mode))) == 0
-        (folder / "locked").chmod(0o700)
-
-
 FILES = ("a.lib", "b.lib", "bench.cir", "waves.npz", "result.json")
 
 
@@ -189,38 +158,6 @@ def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_
         assert living.exists()
 
 
-def test_a_full_disk_is_told_and_spares_the_earlier_result(tmp_path):
-    """A limit on the size of files stands for the disk; Python then gets EFBIG."""
-    out = tmp_path / "out"
-    publish(out, "old")
-
-    def fill():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-        with (
-            pytest.raises(UsageError, match="cannot be written: File too large"),
-            staged(out) as work,
-        ):
-            (work / "a.lib").write_text("new")
-            (work / "waves.npz").write_bytes(bytes(5000))
-        os._exit(7)
-
-    assert in_a_child(fill) == 7
-    assert {path.read_text() for path in out.iterdir()} == {"old"}
-    assert names(tmp_path) == ["out"]
-
-
-def test_results_reach_another_file_system_behind_a_link(tmp_path):
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as other:
-        (tmp_path / "out").symlink_to(other)
-        for text in ("1", "2"):
-            with staged(tmp_path / "out") as work:
-                assert os.stat(work).st_dev == os.stat(other).st_dev
-                write(work, result=text)
-        assert (tmp_path / "out").is_symlink()
-        assert (tmp_path / "out" / "result.json").read_text() == "2"
-        assert os.listdir(other) == ["result.json"]
-
-
 def test_what_is_not_ours_stays_where_it_is(tmp_path):
     """Hidden directories of the user, also under a name that is a pattern."""
     theirs = tmp_path / ".mine.part"
@@ -237,16 +174,6 @@ def record(work, *files):
         (work / name).touch()
 
 
-def test_a_second_scene_leaves_nothing_of_the_first(tmp_path):
-    out = tmp_path / "out"
-    with staged(out) as work:
-        record(work, "first.cir", "both.lib")
-    (out / "notes.txt").touch()
-    with staged(out) as work:
-        record(work, "second.cir", "both.lib")
-    assert names(out) == ["both.lib", "notes.txt", "result.json", "second.cir"]
-
-
 def test_a_crafted_record_deletes_nothing_else(tmp_path):
     out, precious = tmp_path / "out", tmp_path / "precious"
     precious.touch()
@@ -259,39 +186,6 @@ def test_a_crafted_record_deletes_nothing_else(tmp_path):
         record(work, "a.cir")
     assert precious.exists()
     assert names(out) == [".hidden", "a.cir", "link", "result.json"]
-
-
-def test_what_is_kept_of_a_failure_goes_with_the_next_success(tmp_path, monkeypatch):
-    """From the command line: a deck with two voltages on one node, then the scene as it is."""
-    monkeypatch.chdir(tmp_path)
-    Path("rc.toml").write_text(RC)
-    run = CliRunner().invoke
-    assert run(app, ["export", "rc.toml", "-o", "deck", "-q"]).exit_code == 0
-    text = Path("deck/rc.cir").read_text()
-    node = re.search(r"(?im)^v\S+ (\S+) 0 ", text)[1]
-    Path("deck/bad.cir").write_text(text.replace(".tran", f"Vtwo {node} 0 7\n.tran"))
-    failed = run(app, ["run", "rc.toml", "--deck", "deck/bad.cir", "-o", "out", "-q"])
-    assert failed.exit_code == 5, failed.output
-    assert "out.failed" in names(tmp_path)
-    assert run(app, ["run", "rc.toml", "-o", "out", "-q"]).exit_code == 0
-    assert names(tmp_path) == ["deck", "out", "rc.toml"]
-
-
-RC = """
-name = "rc"
-[supply]
-part = "source"
-kind = "voltage"
-dc = 1.0
-pins = { out = "ohm.a" }
-[ohm]
-part = "resistor"
-resistance = 10.0
-pins = { b = "gnd" }
-[analysis]
-type = "transient"
-stop = "100 us"
-"""
 
 
 def test_an_export_spares_what_another_deck_there_includes(tmp_path):

@@ -1,6 +1,5 @@
 """Where keys of parts begin to be refused, and what the neighbours of a refused number are."""
 
-import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
@@ -95,80 +94,3 @@ def test_where_a_key_begins_to_be_refused(scene, fits, refused, word):
     load_scene(scene, fits.split("; "))
     with pytest.raises(UsageError, match=word):
         load_scene(scene, refused.split("; "))
-
-
-def test_a_table_of_a_file_is_read_with_or_without_a_head(tmp_path):
-    toml = "[cell]\npart='source'\nfile='w.csv'\npins={out='load.a'}\n"
-    toml += "[load]\npart='resistor'\nresistance=5\n"
-    (tmp_path / "s.toml").write_text(toml)
-    for rows in ("0,1\n2,3\n", "t,v\n0,1\n2,3\n"):
-        (tmp_path / "w.csv").write_text(rows)
-        scene = load_scene(tmp_path / "s.toml")
-        source = scene.parts["cell"].keys.waveform(scene.home)
-        np.testing.assert_allclose(source(np.array([0.0, 1.0, 2.0])), [1.0, 2.0, 3.0])
-    for rows in ("0,1,2\n1,2,3\n", "0\n1\n", "0,1\nx,2\n"):
-        (tmp_path / "w.csv").write_text(rows)
-        with pytest.raises(UsageError, match=r"is no table|must rise|cannot be read"):
-            load_scene(tmp_path / "s.toml")
-
-
-@pytest.mark.parametrize("kind", ["user", "netlist"])
-def test_a_driver_of_the_user_is_in_the_file_that_it_names_or_the_first_included(kind, tmp_path):
-    body = "R1 {0} ref 1\nR2 {1} ref 1\nR3 command ref 1\n.ends mine\n"
-    chip = ".subckt mine command out ref\n" + body.format("out", "out")
-    coils = ".subckt mine command drive ret ref\n" + body.format("drive", "ret")
-    for part, text, ends, asks in (
-        ("kick", chip, {"out": "kick.anode"}, "kick_drive.out"),
-        ("catch", coils, {"drive": "catch.up", "ret": "catch.lp"}, "control.command"),
-    ):  # fmt: skip
-        for name in ("one.lib", "two.lib", "own.lib"):
-            (tmp_path / name).write_text(text)
-        for include, own, file in (
-            (["one.lib", "two.lib"], "", "one.lib"), (["two.lib"], "file='own.lib'\n", "own.lib"),
-            ([], "file='own.lib'\n", "own.lib"),
-        ):  # fmt: skip
-            (tmp_path / "s.toml").write_text(
-                f"include = {include}\n[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
-                f"[{part}.driver.{kind}]\nsubckt='mine'\n{own}"
-            )
-            scene = load_scene(tmp_path / "s.toml")
-            driver = scene.parts[f"{part}_driver"]
-            assert (driver.type.name, driver.keys.file) == ("netlist", file)
-            assert driver.pins == ends
-            assert scene.net(driver.name, "ref") == "0"
-            assert tuple(asks.split(".")) in scene.joined(driver.name, "command")
-
-
-@pytest.mark.parametrize(("pins", "lacks"), [("command drive back ref", "ret"), ("a b", "drive")])
-def test_a_driver_of_coils_without_its_pins_is_refused_by_its_file(pins, lacks, tmp_path):
-    (tmp_path / "d.lib").write_text(f".subckt d {pins}\nR1 {pins.split()[1]} 0 1\n.ends\n")
-    (tmp_path / "s.toml").write_text(
-        "[kick]\n[contact]\n[sphere]\n[catch]\n[control]\n"
-        "[catch.driver.user]\nfile='d.lib'\nsubckt='d'\n"
-    )
-    with pytest.raises(UsageError) as found:
-        load_scene(tmp_path / "s.toml")
-    assert found.value.where == f"{tmp_path / 's.toml'}, line 8, key catch.driver.user.subckt"
-    assert lacks in found.value.message
-
-
-@pytest.mark.parametrize(
-    ("part", "kind", "name", "ends"),
-    [
-        ("kick", "charge", "charge_drive", {"anode": "kick.anode", "cathode": "kick.cathode"}),
-        ("kick", "amplifier", "amplifier", {"out": "kick.anode"}),
-        ("kick", "half_bridge", "half_bridge", {"out": "kick.anode"}),
-        ("catch", "linear", "linear_drive", {"drive": "catch.up", "ret": "catch.lp"}),
-        ("catch", "pwm", "pwm_drive", {"drive": "catch.up", "ret": "catch.lp"}),
-        ("catch", "linear_drive", "linear_drive", {"drive": "catch.up", "ret": "catch.lp"}),
-    ],
-)  # fmt: skip
-def test_a_driver_is_joined_to_what_it_drives(part, kind, name, ends):
-    loaded = load_scene({**CAUGHT, part: {"driver": {kind: {}}}})
-    driver = loaded.parts[f"{part}_driver"]
-    assert (driver.type.name, driver.pins) == (name, ends)
-    if part == "catch":
-        assert driver.type.links(driver, loaded) == {"command": "control.command"}
-    for other in ({}, {kind: {}, "second": {}}, {"tube": {}}):
-        with pytest.raises(UsageError, match="driver"):
-            load_scene({**CAUGHT, part: {"driver": other}})

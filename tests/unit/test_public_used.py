@@ -144,19 +144,3 @@ def test_everything_public_is_used_by_the_package_itself():
 )
 def test_what_the_check_sees(source, found):
     assert sorted(unused({"m": source})) == found
-
-
-@pytest.mark.parametrize(
-    ("other", "found"),
-    [
-        ("from n import f", []),
-        ("import n as o\no.f()", []),
-        ("import n\nn.f", []),
-        ("from k import f", ["n: f"]),  # another of that name
-        ("def f(): ...\nf()", ["n: f"]),
-        ("x.f()", ["n: f"]),
-        ('f"n:f"', []),
-    ],
-)
-def test_an_object_is_known_by_its_module(other, found):
-    assert sorted(unused({"m": other, "n": "def f(): ..."})) == found

@@ -5,7 +5,6 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.deck import Deck, read_deck
 from kc2spice.netlist.parameters import with_parameters
 from kc2spice.parts.contact import Normal, contact_subcircuit
@@ -39,35 +38,6 @@ def test_libraries_of_others_have_what_their_cards_say(tmp_path):
     (found,) = read_lib(tmp_path / "amp.lib")
     assert [(p.name, p.unit, p.flow) for p in found.pins] == [("in", "V", "A"), ("out", "V", "A")]
     assert [(p.name, p.default) for p in found.params] == [("gain", 1e3)]
-
-
-def test_what_stands_inside_of_another_is_no_part(tmp_path):
-    text = (
-        ".param z=1\n.csparam y=2\n"
-        ".subckt Outer a b k=-1k g={2*3} PARAMS: h=5\n.subckt inside c\n"
-        "R1 c 0 1\n.ends\n.csparam n=1\n.subckt uncalled d\nR1 d 0 1\n.ends\nX1 a inside\n"
-        "Xlast b tail params: x=1\n.ends\n"
-        ".subckt tail p x=2\nR1 p 0 1\n.ends\n.subckt second q\nR1 q 0 1\n.ends\n"
-    )
-    (tmp_path / "theirs.lib").write_text(text)
-    outer, second = read_lib(str(tmp_path / "theirs.lib"))
-    assert (outer.name, second.name, outer.filename) == ("Outer", "second", "theirs.lib")
-    assert [pin.name for pin in outer.pins + second.pins] == ["a", "b", "q"]
-    found = {p.name: p.default for p in outer.params}
-    assert found == pytest.approx({"k": -1e3, "g": float("nan"), "h": 5.0}, nan_ok=True)
-    assert [(p.unit, p.doc, p.low, p.high) for p in outer.params] == 3 * [
-        ("-", "", -np.inf, np.inf)
-    ]
-
-
-def test_parts_with_a_head_hide_those_without(tmp_path):
-    text = ".subckt plain a\nR1 a 0 1\n.ends\n* @pin 1 a unit=um flow=N\n* @pin 2 b unit=V flow=-\n"
-    text += "* @param K=2 unit=N/m range=1..3 how stiff\n* @param u=1 unit=-\n"
-    text += ".subckt told A b k=-2 u=4\nR1 a b 1\n.ends\n"
-    (tmp_path / "a.lib").write_text(text)
-    (told,) = read_lib(tmp_path / "a.lib")
-    assert told.pins == (Pin("a", "um", "N"), Pin("b", "V", "-"))
-    assert told.params == (Param("k", -2.0, "N/m", "how stiff", 1.0, 3.0), Param("u", 4.0, "-", ""))
 
 
 def test_a_library_without_parts_is_refused(tmp_path):

@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel
+from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.figures import draw_all
-from kc2spice.report.html import SHOWN, Section, figure_html, write_page
+from kc2spice.report.html import Section, figure_html, write_page
 from kc2spice.report.run_page import write_run
-from kc2spice.report.words import fact, quantity
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.judge import metrics
@@ -161,20 +160,6 @@ def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
             assert np.float32(height) in shown(Curve("", t, y))[1]
 
 
-def test_curves_in_the_page_are_those_of_the_figure() -> None:
-    t = np.union1d(np.linspace(0, 1, 50_000), 0.5 + np.linspace(0, 1e-6, 100))
-    y = np.where(np.abs(t - 0.5) < 1e-6, 1.0, 0.0) + 1e-3 * np.sin(40 * t)
-    y[1234] = -3.0
-    y[40_000:40_010] = np.nan
-    x, v = shown(Curve("", t, y))
-    assert 1000 < x.size <= SHOWN
-    assert np.isnan(v).any()  # a gap stays one
-    t, y, x, v = t[np.isfinite(y)], y[np.isfinite(y)], x[np.isfinite(v)], v[np.isfinite(v)]
-    assert (v.min(), x[v.argmin()]) == (np.float32(-3), np.float32(t[1234]))
-    away = np.abs(t - 0.5) > 5e-5  # the jumps themselves have no width in float32
-    assert np.abs(np.interp(t, x, v) - y)[away].max() < 2e-3
-
-
 def run_script(html: str, folder: Path) -> dict:
     """What the page's script draws, run by a JavaScript engine against the few parts of a browser
     that it uses; it fails where the script throws or draws at a place that is no number."""
@@ -208,29 +193,6 @@ def test_the_script_draws_reads_zooms_and_hides(page: Page, tmp_path: Path) -> N
     assert found["zoomed"] < 0.6 * found["whole"]
     assert found["reset"] == found["whole"]
     assert found["hidden"] >= 1
-
-
-@needs_node
-def test_maps_bars_steps_and_points_are_drawn(tmp_path: Path) -> None:
-    x, y = np.array([1.0, 10.0, 100.0]), np.array([0.0, 1.0])
-    z = np.array([[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]])
-    nothing = Curve("none", np.array([]), np.array([]))
-    panels = (
-        Panel("drive in V", "gap in µm", (), map=Map(x, y, z, "speed in m/s"), log_x=True),
-        Panel("speed in m/s", "points", (Curve("", x, x, "bar"),)),
-        Panel("error", "time in s", (Curve("a", x, x, "step"), Curve("b", x, x, "o")), log_x=True,
-              log_y=True),
-        Panel("mm", "mm", (Curve("c", np.array([0, 1, 1, 0.0]), x[[0, 1, 1, 0]], "o-"), nothing),
-              equal=True),
-        Panel("flat in s", "y", (Curve("", x, 0 * x), Curve("gap", x, x * np.nan))),
-    )  # fmt: skip
-    figure = Figure("all", "All", "", panels, columns=3)
-    path = write_page(tmp_path / "x.html", "t", "", [Section("s", figures=[figure])])
-    found = run_script(path.read_text(encoding="utf-8"), tmp_path)
-    assert found["panels"] == 5
-    assert found["fills"] > 6 + 3  # cells and bars, besides the colour bar
-    assert "speed in m/s" in found["texts"]
-    assert any(text.startswith("speed in m/s: ") for text in found["read"])
 
 
 def test_figures_as_files(tmp_path: Path) -> None:
@@ -272,50 +234,3 @@ def test_markup_in_names_of_curves_stays_text(tmp_path: Path) -> None:
     assert "<img" not in text
     found = run_script(text, tmp_path)
     assert found["titles"] == found["labels"] == [BAD]
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (5.0573e-4, "s", "505.73 µs"),
-        (-3.112e-6, "m", "−3.112 µm"),
-        (143.19e-9, "F", "143.19 nF"),
-        (1.386e-4, "kg", "138.6 mg"),
-        (0.0, "s", "0 s"),
-        (None, "s", "—"),
-        (1e-20, "N", "1e-20 N"),
-        (-2.5e12, "Hz", "−2.5e+12 Hz"),
-        (1.057e-3, "", "0.001057"),
-    ],
-)
-def test_quantities_carry_prefixes(value: float | None, unit: str, text: str) -> None:
-    assert quantity(value, unit) == text
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "shown"),
-    [
-        ("launch_velocity_m_s", 1.02, ("launch velocity", "1.02 m/s")),
-        ("hold_current_a", 4.9e-4, ("hold current", "490 µA")),
-        ("settling_time_s", None, ("settling time", "not reached")),
-        ("free_stroke_ring0_m_per_100v", 2.35e-6, ("free stroke ring0", "2.35 µm per 100 V")),
-        ("free_stroke_tip_m_per_v", 2.35e-8, ("free stroke tip", "23.5 nm/V")),
-        (
-            "resonance_open_hz",
-            2.5e3,
-            ("resonance of the model, electrodes open, undamped", "2.5 kHz"),
-        ),
-        (
-            "antiresonance_hz",
-            2.5e3,
-            ("resonance read off the impedance (parallel, as if open)", "2.5 kHz"),
-        ),
-        ("kick_charge_peak_c", 1.4e-5, ("kick charge peak", "14 µC")),
-        ("band_hz", [0, 5e5], ("band", "0 Hz, 500 kHz")),
-        ("caught", True, ("caught", "yes")),
-        ("bvd_c0_f", 1e-9, ("equivalent circuit C0", "1 nF")),
-        ("force_n", [1.0] * 9, ("force", "9 values, in result.json")),
-    ],
-)
-def test_facts_take_their_unit_from_the_key(key: str, value: object, shown: tuple) -> None:
-    assert fact(key, value) == shown

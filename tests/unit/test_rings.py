@@ -52,19 +52,6 @@ def test_without_a_catch_the_kick_alone_decides(voltage, rings):
     assert rings_of(free, "stack") == rings
 
 
-def test_a_probe_and_a_pin_ask_for_a_ring():
-    tables = {"kick": {}, "probes": {"edge": {"of": "kick.u.ring3"}}}
-    probed = load_scene(tables)
-    assert rings_of(probed) == 4
-    weight = {"part": "mass", "mass": 1e-6, "pins": {"a": "kick.ring1"}}
-    loaded = load_scene({"kick": {}, "weight": weight})
-    assert rings_of(loaded) == 2
-    with pytest.raises(UsageError, match="ring0 to ring5"):
-        load_scene({"kick": {}, "weight": weight | {"pins": {"a": "kick.ring6"}}})
-    alone = load_scene({"kick": {}})
-    assert rings_of(alone) == 0
-
-
 def test_what_is_left_out_is_named_with_its_reason():
     (rings,) = (e for e in plan(load_scene("kick_and_catch")).left_out if "contact at" in e.effect)
     assert rings.effect == "contact at ring2 to ring5"
@@ -82,9 +69,3 @@ def test_what_is_left_out_is_named_with_its_reason():
 def test_a_wrong_choice_is_refused_with_the_right_ones(rings):
     with pytest.raises(UsageError, match="needed, all, or a whole number"):
         load_scene("impact", [f"contact.rings={rings}"])
-
-
-def test_an_unstable_material_is_refused_before_anything_is_estimated():
-    soft = "kick.material.stiffness=[1e9, 2e9, 1e9, 1e9, 1e9, 1e9]"
-    with pytest.raises(UsageError, match="no such material"):
-        load_scene("impact", [soft])

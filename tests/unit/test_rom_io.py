@@ -12,7 +12,6 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.matrix_market import read_market
 from kc2spice.rom.reduce import reduce as reduce_model
-from kc2spice.workflow.reduce import export_rom, reduce
 
 N = 12
 
@@ -172,39 +171,6 @@ def test_command_line_reduces_and_exports(tmp_path, cli):
     assert f"order={found['order']}" in text
 
 
-def test_conservative_ports_become_conservative_pins(tmp_path):
-    base = write_family(tmp_path, chain())
-    port = '[[port]]\nname = "{}"\ndirection = "both"\nkind = "mechanical"\n'
-    (tmp_path / "model.toml").write_text("band = [0, 0.1]\n" + port.format("a") + port.format("b"))
-    found = reduce(base, tmp_path / "out")
-    export_rom(found["rom"], tmp_path / "out")
-    text = (tmp_path / "out" / "model_rom.lib").read_text()
-    assert "* @pin 1 a unit=um flow=N\n* @pin 2 b unit=um flow=N\n" in text
-    (tmp_path / "other.toml").write_text((tmp_path / "model.toml").read_text())
-    other = write_family(tmp_path, rod(), "other")
-    with pytest.raises(UsageError, match="conservative"):
-        reduce(other, tmp_path / "no")
-
-
-def test_head_and_table_show_what_contact_sees_above_the_band(tmp_path, cli):
-    """The compliances of both models above the band, anew from their matrices."""
-    base = write_family(tmp_path, chain())
-    port = '[[port]]\nname = "{}"\ndirection = "both"\nkind = "mechanical"\n'
-    (tmp_path / "model.toml").write_text("band = [0, 0.1]\n" + port.format("a") + port.format("b"))
-    ran = cli("reduce", str(base), "-o", str(tmp_path / "out"))
-    found = reduce(base, tmp_path / "json")
-    export_rom(found["rom"], tmp_path / "out")
-    head = (tmp_path / "out" / "model_rom.lib").read_text().partition(".subckt")[0]
-    assert len(found["above_band_hz"]) >= 2
-    full, rom = read_model(base), read_rom(found["rom"])
-    for f, said in zip(found["above_band_hz"], found["above_band_compliance_error"], strict=True):
-        exact, ours = (np.diagonal(m.transfer(np.array([f]))[0]) for m in (full, rom))
-        assert said == pytest.approx(np.abs(ours / exact - 1).max(), rel=1e-6)
-        assert f"{said:.2g} at {f:g} Hz" in head
-        assert f"compliance at {f:g} Hz" in ran.stdout
-        assert f"{said:.2g} off, above the band" in ran.stdout
-
-
 def test_command_line_writes_nothing_on_bad_input(tmp_path, cli):
     base = write_family(tmp_path, edited("K", with_value(np.nan)))
     before = sorted(tmp_path.iterdir())
@@ -265,26 +231,6 @@ def test_every_kind_of_file_is_refused_with_one_message(tmp_path, writer, case, 
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("case", ["corrupt", "truncated", "NaN", "complex", "mismatched"])
-@pytest.mark.parametrize("kind", ["npz", "json"])
-def test_every_kind_of_reduced_model_is_refused_with_one_message(tmp_path, kind, case, cli):
-    model = read_model(write_family(tmp_path, chain()))
-    rom = reduce_model(model, band=(0.0, 0.1), order=4)
-    changes = {"NaN": np.nan * rom.K, "complex": rom.K + 1j, "mismatched": rom.K[:2, :2]}
-    if case in changes:
-        object.__setattr__(rom, "K", changes[case])
-    write_rom(rom, tmp_path, "r")
-    if case not in changes:
-        {"corrupt": corrupt, "truncated": truncated}[case](
-            tmp_path / ("r.npz" if kind == "npz" else "r.K")
-        )
-    command = ["export", "--rom", str(tmp_path / f"r.{kind}"), "-o", str(tmp_path / "out")]
-    ran = cli(*command)
-    assert ran.exit_code == 2, ran.output
-    assert "Traceback" not in ran.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def market(text, head="coordinate real general"):
     """A matrix of a Matrix Market file's content, and what its size was asked as."""
     asked = []
@@ -292,41 +238,3 @@ def market(text, head="coordinate real general"):
         f"%%MatrixMarket matrix {head}\n{text}".encode(), lambda *a: asked.append(a)
     )
     return (found.toarray() if sparse.issparse(found) else found).tolist(), asked
-
-
-@pytest.mark.parametrize(
-    ("head", "text", "matrix", "entries"),
-    [
-        ("coordinate real general", "% a\n\n2 3 2\n1 3 5.0\n2 1 -1d1\n",
-         [[0, 0, 5], [-10, 0, 0]], 2),
-        ("coordinate integer symmetric", "2 2 2\n1 1 4\n2 1 3\n", [[4, 3], [3, 0]], 2),
-        ("coordinate real general", "2 2 1\n1 1 1.5D+3\n", [[1500, 0], [0, 0]], 1),
-        ("coordinate real skew-symmetric", "2 2 1\n2 1 3\n", [[0, -3], [3, 0]], 1),
-        ("array real general", "2 3\n1\n2\n3\n4\n5\n6", [[1, 3, 5], [2, 4, 6]], 6),
-        ("array double symmetric", "2 2\n1\n2\n3\n", [[1, 2], [2, 3]], 3),
-        ("array real skew-symmetric", "3 3\n1\n2\n3\n", [[0, -1, -2], [1, 0, -3], [2, 3, 0]], 3),
-        ("coordinate real general", "2 2 0\n", [[0, 0], [0, 0]], 0),
-        ("coordinate real general", "2 2 0", [[0, 0], [0, 0]], 0),
-    ],
-)  # fmt: skip
-def test_market_files_hold_what_they_declare(head, text, matrix, entries):
-    found, asked = market(text, head)
-    assert found == matrix
-    assert asked == [((len(matrix), len(matrix[0])), entries)]
-
-
-def test_a_part_that_is_no_body_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="no linear model") as caught:
-        reduce("kick_and_catch:sphere", tmp_path / "out")
-    assert caught.value.expected == "kick"
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_part_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="no such part"):
-        reduce("kick_and_catch:chip", tmp_path / "out")
-
-
-def test_a_file_with_a_colon_is_a_file(tmp_path):
-    with pytest.raises(UsageError, match="no such model"):
-        reduce(tmp_path / "no:scene", tmp_path / "out")

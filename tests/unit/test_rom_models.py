@@ -5,8 +5,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear import Certificate, LinearModel, Port, with_potentials
-from kc2spice.rom.operators import factor, two_sided
+from kc2spice.rom.linear import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Pencil, eliminated
 from kc2spice.rom.response import Response
 
@@ -44,43 +43,6 @@ def held(n, seed=3):
     return spread(n, seed) + spread(n, seed).T
 
 
-def test_factors_pivot_where_they_must():
-    """A saddle point has zeros on its diagonal; a singular matrix has no factor."""
-    saddle = np.array([[1e-20, 2.0, 0], [2.0, 1e-20, 1.0], [0, 1.0, 5.0]])
-    b = np.array([1.0, 2.0, 3.0])
-    for known in (True, False):
-        found = factor(saddle, symmetric=known).solve(b)
-        np.testing.assert_allclose(saddle @ found, b)
-    P = spread(3)
-    forward, backward = two_sided(sparse.csc_array(P), symmetric=False, solver="scipy")
-    np.testing.assert_allclose(P @ forward.solve(b), b)
-    np.testing.assert_allclose(P.T @ backward.solve(b), b)
-    for known in (True, False):
-        with pytest.raises(SimulationError, match="cannot be factorised"):
-            factor(np.array([[1.0, 1.0], [1.0, 1.0]]), symmetric=known)
-
-
-# -------------------------------------------------------------------------------------- pencils
-
-N = 5
-
-
-@pytest.mark.parametrize("omega", [None, 3.0, 3e4])
-def test_poles_are_the_finite_ones(omega):
-    def poles(*parts):
-        one = np.eye(len(parts[0]))
-        found = Pencil(parts, one, one, 0 * one).poles(omega)
-        return found[np.argsort(found.imag + 1e-3 * found.real)]
-
-    K, E = np.diag([4.0, 100.0, 6.0]), np.diag([0.4, 2.0, 3.0])
-    found = poles(K, E, np.diag([1.0, 1.0, 0.0]))
-    low, high = np.sqrt(4 - 0.04), np.sqrt(99.0)
-    exact = [-1 - 1j * high, -0.2 - 1j * low, -2, -0.2 + 1j * low, -1 + 1j * high]
-    np.testing.assert_allclose(found, exact, atol=1e-6)
-    np.testing.assert_allclose(poles(np.diag([6.0, 2.0, 1.0]), np.diag([2.0, 2.0, 0.0])), [-3, -1])
-    np.testing.assert_allclose(poles(np.zeros((1, 1)), np.ones((1, 1))), [0.0])
-
-
 # --------------------------------------------------------------------------------------- models
 
 
@@ -115,57 +77,6 @@ I2, B2 = np.eye(2), np.ones((2, 1))
 def test_incomplete_models_are_refused(parts, says):
     with pytest.raises(UsageError, match=says):
         LinearModel(**{"B": B2} | parts)
-
-
-def test_ports_say_what_they_are():
-    tip, anode, turn = Port("tip", "mechanical"), Port("a", "electrical"), Port("r", "rotational")
-    assert (tip.across, tip.flow, tip.terminals) == ("um", "N", ("tip",))
-    assert (anode.across, anode.flow, anode.terminals) == ("V", "A", ("a", "a_ret"))
-    assert (turn.across, turn.flow) == ("rad", "Nm")
-    base, signal = Port("b", "acceleration"), Port("u", "input", across="K")
-    assert (base.across, base.flow, base.conservative) == ("m/s2", "N", True)
-    assert (signal.across, signal.flow, signal.conservative) == ("K", "-", False)
-    assert Port("a", "electrical", pins=["p", "n"]).terminals == ("p", "n")
-    with pytest.raises(UsageError, match="unknown kind"):
-        Port("x", "magic")
-
-
-def test_a_model_shows_what_it_is():
-    ports = (Port("tip", "mechanical"), Port("<b>", "input"), Port("y", "output"))
-    model = LinearModel(M=I2, K=I2, B=np.ones((2, 2)), C=np.ones((2, 2)), ports=ports, name="m")
-    assert (
-        repr(model) == "LinearModel 'm': 2 unknowns, second order; ports tip [um], <b> [-], y [-]"
-    )
-    known = Certificate((0.0, 50.0), 1e-3, "told", True, True)
-    told = LinearModel(A=-I2, B=B2, certificate=known)
-    assert repr(told).endswith("first order; ports u1 [-], y1 [-]; "
-                               "error 0.001 over 0 to 50 Hz, stable, passive")  # fmt: skip
-    bad = Certificate((0.0, 50.0), 1e-3, "told", False, False)
-    assert repr(LinearModel(A=-I2, B=B2, certificate=bad)).endswith("50 Hz, UNSTABLE")
-    page = model._repr_html_()
-    assert page.count("<tr>") == 4
-    assert "<td>&lt;b&gt;</td><td>input</td><td>-</td><td>-</td>" in page
-    record = Certificate((0.0, 5.0), 1e-3, "m", True, False, ((10.0, 0.1), (20.0, 0.2))).record()
-    assert record == {
-        "band_hz": [0.0, 5.0], "error_estimate": 1e-3, "norm": "pointwise", "method": "m",
-        "stable": True, "passive": False, "above_band_hz": [10.0, 20.0],
-        "above_band_compliance_error": [0.1, 0.2],
-    }  # fmt: skip
-    assert "above_band_hz" not in known.record()
-
-
-def test_a_selection_keeps_its_ports_answers():
-    ports = (Port("u", "input"), Port("tip", "mechanical"), Port("y", "output"))
-    B, C = rng(1).standard_normal((2, 2)), rng(2).standard_normal((2, 2))
-    D = np.array([[1.0, 2.0], [3.0, 4.0]])
-    model = LinearModel(M=I2, K=np.diag([1.0, 4.0]), B=B, C=C, D=D, ports=ports)
-    H = model.transfer(np.array([0.05]))[0]
-    kept = model.select(["y", "u"])
-    assert (kept.inputs, kept.outputs) == (("u",), ("y",))
-    np.testing.assert_allclose(kept.transfer(np.array([0.05]))[0], H[1:, :1])
-    with pytest.raises(UsageError, match="no such port"):
-        model.select(["none"])
-    assert model.with_facts({"mass_kg": 2.0}).facts == {"mass_kg": 2.0}
 
 
 @pytest.mark.parametrize("potentials", [0, 2])

@@ -4,15 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 from scipy.signal import StateSpace, lsim
 
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import block_model
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.massless import without_inertia
-from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.modal import Resonators
 from kc2spice.rom.mode_table import mode_table
 
 RNG = np.random.default_rng(12)
@@ -25,28 +22,6 @@ def modes(hertz, gain, *, ratio):
     omega = 2 * np.pi * np.asarray(hertz, dtype=float)
     gain = np.asarray(gain, dtype=float)[:, None]
     return Resonators(omega, 2 * ratio * omega, gain, np.zeros((1, 1)), (TIP,), CERTIFICATE)
-
-
-# ---------------------------------------------------------------------------------- resonators
-
-
-@pytest.mark.parametrize(
-    ("parts", "says"),
-    [
-        ({"A": -np.eye(2)}, "not a symmetric second-order"),
-        ({"M": np.eye(2), "K": np.eye(2), "C": 2 * np.eye(2)}, "not a symmetric second-order"),
-        ({"M": np.eye(2), "K": np.eye(2) + np.eye(2, k=1)}, "not a symmetric second-order"),
-        ({"M": np.diag([0.0, 1.0]), "K": np.eye(2)}, "not positive definite"),
-        ({"M": np.diag([1.0, -1.0]), "K": np.eye(2)}, "not positive definite"),
-        ({"M": np.eye(2), "K": np.diag([1.0, -1.0])}, "not positive definite"),
-        ({"M": np.eye(2), "K": np.diag([4.0, 0.0])}, "not positive definite"),
-        ({"M": np.eye(2), "K": np.diag([1.0, 4.0]), "E": np.array([[1, 1e-7], [1e-7, 1]])},
-         "damping couples the modes"),
-    ],
-)  # fmt: skip
-def test_what_has_no_resonators_is_refused(parts, says):
-    with pytest.raises(UsageError, match=says):
-        resonators(LinearModel(**parts, B=np.eye(2)))
 
 
 # ---------------------------------------------------------------------------- answers in time
@@ -97,56 +72,6 @@ def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
     assert [above[2.0], above[4.0], above[8.0]] == pytest.approx([0.1 + own[0], 0.2 + own[1], 0.3])
     for tolerance, kept in ((1e-6 + 1.001 * more, 1), (1e-6 + 0.999 * more, 0)):
         assert without_inertia(model, tolerance).massless == kept
-
-
-# -------------------------------------------------------------------------------------- blocks
-
-
-def turned(*blocks, upper=0.0, seed=1):
-    """Blocks on the diagonal, ``upper`` in all entries above, in coordinates of no energy."""
-    A = block_diag(*blocks)
-    mask = block_diag(*(np.ones(np.shape(b) or (1, 1)) for b in blocks)) == 0
-    A = A + upper * np.triu(mask)
-    X = np.eye(len(A)) + 0.1 * np.random.default_rng(seed).standard_normal(A.shape)
-    return np.linalg.solve(X, A @ X)
-
-
-def pair(real, imag):
-    return np.array([[real, imag], [-imag, real]])
-
-
-SKEW = RNG.standard_normal((5, 5))
-BLOCKS = {
-    "real poles": (turned(-1.0, -2.0, -5.0), [1, 1, 1]),
-    "pairs and real poles": (turned(pair(-1, 3), -2.0, pair(-0.1, 9)), [1, 2, 2]),
-    "symmetric": (-SKEW @ SKEW.T, [1] * 5),
-    "lossless": (SKEW - SKEW.T, [1, 2, 2]),
-    "lossless but for rounding": (1e3 * (SKEW - SKEW.T) * (1 + 1e-15 * SKEW), [1, 2, 2]),
-    "defective": (turned(-1.0, -1.0, -1.0, upper=1.0), [3]),
-    "all but defective": (turned(-1.0, -1.0 - 1e-9, -50.0, upper=1.0), [1, 2]),
-    "close and apart": (turned(-1.0, -1.1, -50.0, upper=1.0), [1, 1, 1]),
-    "defective, another between": (turned(-1.0, -40.0, -1.0, -90.0, upper=1.0), [1, 1, 2]),
-    "defective pairs": (turned(pair(-1, 3), pair(-1, 3), -2.0, upper=1.0), [1, 4]),
-    "a pair beside a pole": (turned(-1.0, pair(-1, 7), -1.0, upper=1.0), [2, 2]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BLOCKS)
-def test_blocks_are_as_small_as_the_poles_allow(name):
-    A, sizes = BLOCKS[name]
-    n = len(A)
-    B, C, D = RNG.standard_normal((n, 2)), RNG.standard_normal((3, n)), RNG.standard_normal((3, 2))
-    model = LinearModel(E=np.eye(n), A=A, B=B, C=C, D=D)
-    found = block_model(model)
-    assert sorted(map(len, found.blocks)) == sizes
-    assert found.states == n
-    frequency = np.array([0.0, 0.3, 5.0]) + 0.01
-    s = 2j * np.pi * frequency[:, None, None]
-    exact = C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)[None]) + D
-    np.testing.assert_allclose(found.response(frequency), exact, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(block_model(model, dense=True).response(frequency), exact, rtol=1e-9)
-    if name.startswith("lossless"):
-        assert all(np.array_equal(block, -block.T) for block in found.blocks)
 
 
 # ----------------------------------------------------------------------------------- mode table

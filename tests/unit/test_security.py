@@ -3,10 +3,8 @@
 import itertools
 import json
 import os
-import shutil
 import time
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,15 +14,13 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
-from kc2spice.core.toml import DEEPEST, MAX_BYTES, parse_toml
+from kc2spice.core.toml import MAX_BYTES, parse_toml
 from kc2spice.netlist.circuit import Pin
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.spice.header import Header, part_header
-from kc2spice.workflow.sweep.point import scene_text
-from kc2spice.workflow.sweep.run import make_sweep
 
 SOON = 5.0  # s
 CRAFTED = {
@@ -84,15 +80,6 @@ def test_a_pipe_is_no_scene(command, tmp_path):
     assert "not a regular file" in result.output
 
 
-def test_a_pipe_is_no_netlist_and_no_table_of_ports(tmp_path):
-    os.mkfifo(tmp_path / "user.lib")
-    scene = tmp_path / "mine.toml"
-    user = '[kick.driver.user]\nsubckt = "x"\n'
-    scene.write_text(f'include = ["user.lib"]\n{user}[contact]\n[sphere]\n')
-    with pytest.raises(UsageError, match="cannot include this"):
-        scene_text(str(scene))
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -105,25 +92,10 @@ def test_honest_toml_is_read(text):
     assert parse_toml(text) is not None
 
 
-def test_depth_is_bounded_where_it_is_said_to_be():
-    parse_toml("a" + ".a" * DEEPEST + " = 1")
-    parse_toml("a = " + "[" * DEEPEST + "]" * DEEPEST)
-    with pytest.raises(ValueError, match="deep"):
-        parse_toml("a" + ".a" * (DEEPEST + 1) + " = 1")
-    with pytest.raises(ValueError, match="deep"):
-        parse_toml("a = " + "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1))
-
-
 def test_deep_overrides_are_refused():
     for text in ("a." * 10_000 + "a=1", "title=" + "{a." * 10_000 + "a=1", "a" * 100_000 + "=1"):
         with pytest.raises(UsageError):
             load_scene("impact", [text])
-
-
-def test_a_byte_order_mark_is_no_character(tmp_path):
-    path = tmp_path / "marked.toml"
-    path.write_bytes(b'\xef\xbb\xbfname = "marked"\n[sphere]\n')
-    assert load_scene(path).name == "marked"
 
 
 def test_names_keep_to_their_directory(tmp_path):
@@ -216,14 +188,3 @@ def test_an_archive_is_refused_by_what_it_declares(letter, read, tmp_path):
     declared = ("900000000 entries, more than", "7.2e+09 bytes unpacked")
     assert any(words in str(caught.value.got) for words in declared)
     assert time.process_time() - begin < 1.0
-
-
-def test_a_name_with_blanks_is_a_name(tmp_path):
-    folder = Path(load_scene.__code__.co_filename).parents[1] / "scenes"
-    text = (folder / "bring_your_own.toml").read_text()
-    text = text.replace('"bring_your_own.lib"', '"my amp.lib"')
-    (tmp_path / "my scene.toml").write_text(text)
-    shutil.copy(folder / "bring_your_own.lib", tmp_path / "my amp.lib")
-    found = scene_text(str(tmp_path / "my scene.toml"))
-    assert found.load(()).include == ("my amp.lib",)
-    assert make_sweep(found, ("solver.reltol=1e-3,1e-4",)).plan.size == 2

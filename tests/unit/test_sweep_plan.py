@@ -8,7 +8,7 @@ from scipy import stats
 
 from kc2spice.core.errors import UsageError
 from kc2spice.workflow.sweep.point import SceneText
-from kc2spice.workflow.sweep.run import make_sweep, named_sweep, studies
+from kc2spice.workflow.sweep.run import make_sweep, named_sweep
 
 LOOP = SceneText("kick_and_catch", None)
 
@@ -152,14 +152,6 @@ def test_parameters_of_subcircuits_share_a_netlist(sets, netlists):
 
 
 # --- studies ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", studies())
-def test_built_in_studies_are_sound(name):
-    found = named_sweep(name)
-    assert found.plan.size > 10
-    if name == "catch_envelope":
-        assert named_sweep(name, ["solver.stop=7 ms"]).digest != found.digest
 
 
 def test_a_study_of_your_own_is_a_file(tmp_path):

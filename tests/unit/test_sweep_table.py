@@ -2,7 +2,6 @@
 
 import contextlib
 import csv
-import resource
 import sqlite3
 import subprocess
 import sys
@@ -75,31 +74,6 @@ def test_rows_survive_a_process_that_is_killed(tmp_path):
         assert store.failed == 1
 
 
-def test_a_full_disk_stops_with_a_word_and_spares_the_rows_so_far(tmp_path):
-    path = tmp_path / "rows"
-    code = (
-        "from pathlib import Path\n"
-        "from kc2spice.core.errors import UsageError\n"
-        "from kc2spice.workflow.sweep.point import Outcome\n"
-        "from kc2spice.workflow.sweep.table import RowStore\n"
-        f"store = RowStore(Path({str(path)!r}), 1000, 'd')\n"
-        "try:\n"
-        "    for k in range(1000):\n"
-        "        store.record(k, Outcome({f'x{n}': 0.1 * n for n in range(50)}))\n"
-        "except UsageError as error:\n"
-        "    print(k, error)\n"
-    )
-    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))  # noqa: E731
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
-                          preexec_fn=limit)  # fmt: skip
-    assert "cannot be written" in done.stdout
-    assert "give the same command again" in done.stdout
-    count = int(done.stdout.split()[0])
-    with opened(path, 1000) as store:
-        assert list(np.flatnonzero(store.state != MISSING)) == list(range(count))
-    assert count > 10
-
-
 def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
     with opened(tmp_path / "rows", 3) as store:
         store.record(0, Outcome({"x": 1.0}))
@@ -143,22 +117,6 @@ def test_damaged_rows_are_named(row, tmp_path):
     with pytest.raises(UsageError, match=r"rows\.sqlite") as caught:
         RowStore(path, 2, "d")
     assert caught.value.exit_code == 2
-
-
-@pytest.mark.parametrize("content", [b"0,1,ok\n", b"SQLite format 3\0" + b"\xff" * 500])
-def test_what_is_no_database_is_named(content, tmp_path):
-    path = tmp_path / "rows.sqlite"
-    path.write_bytes(content)
-    with pytest.raises(UsageError, match=r"rows\.sqlite"):
-        RowStore(path, 2, "d")
-    assert path.read_bytes() == content
-
-
-def test_rows_do_not_follow_a_link(tmp_path):
-    (tmp_path / "rows").symlink_to(tmp_path / "victim")
-    with pytest.raises(UsageError, match="no file of a sweep"):
-        RowStore(tmp_path / "rows", 2, "d")
-    assert not (tmp_path / "victim").exists()
 
 
 def test_yield_has_the_exact_binomial_interval():

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.verdict import Findings
-from kc2spice.report.verify_page import write_verify
-from kc2spice.report.words import quantity
 from kc2spice.scene.gates import Gate, Limit
 from kc2spice.workflow.verify.compare import (
     Solution,
@@ -49,26 +44,6 @@ def test_small_metrics_are_judged_by_the_waves_of_their_unit() -> None:
     ours, exact = (Solution(swing(0.0), {"final_error_m": v}) for v in (2e-12, 1e-12))
     errors = dict(metric_errors(ours, exact, {"ball.y": "m"}))
     assert errors["final_error_m"] == pytest.approx(1e-3, rel=1e-2)
-
-
-def test_page_shows_gates_times_and_notes(tmp_path: Path) -> None:
-    met = Limit("position error / travel", 3e-5, 1e-4)
-    missed = Limit("separation time", 4e-8, 2e-8, "s")
-    found = {
-        "impact": Findings(
-            checks=(met, missed), errors={"ngspice_vs_fom": 3e-5}, wall_s={"full model": 3.25},
-            metrics={"separation_time_s": 9.92e-6}, notes=("Mesh error dominates.",),
-        ),
-        "imprint": Findings(checks=(met,), errors={}, wall_s={}, metrics={}),
-    }  # fmt: skip
-    text = write_verify(tmp_path / "verify.html", found).read_text(encoding="utf-8")
-    for words in (
-        "impact: gates", "impact: time", "imprint: gates", "Mesh error dominates.",
-        quantity(9.92e-6, "s"), quantity(3.25, "s", 3),
-    ):  # fmt: skip
-        assert words in text, words
-    assert text.count('class="bad"') == 2  # the gate, and the scene in the summary
-    assert text.count('class="good"') == 3
 
 
 def response(low: float, high: float) -> Waveforms:

@@ -15,11 +15,8 @@ from laboratory.forms import with_form, with_text
 from laboratory.setup import Setup, changed
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
-CHGTOL = (1e-7, 1e-9, 1e-10)
-CEILINGS = (1e-6, 50e-6)
 # reltol, chgtol [C], longest step [s], heights looked up: room left by a launch error of 1e-4.
 FOR_1E_4 = ((1.5e-3, 2e-8, 50e-6, 101), (1.5e-3, 2e-8, 50e-6, 201), (2e-3, 1e-8, 50e-6, 101))
-LOOKUPS = (51, 101, 401)
 # Without inertia behind the contact: reltol, chgtol, heights, ringing of bodies, controller.
 LAUNCH = (
     (2e-3, 1e-8, 91, "coarse", "ideal"), (1.5e-3, 1e-8, 91, "coarse", "ideal"),
@@ -51,13 +48,6 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
             deck = _deck(build, {"solver.reltol": reltol, "solver.method": method})
             yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck)
-    for reltol in setup.some((1e-3, 1e-4), 1):
-        for chgtol in setup.some(CHGTOL, 1):
-            deck = _option(_deck(build, {"solver.reltol": reltol}), "chgtol", chgtol)
-            yield Variant("ngspice, chgtol", f"reltol {reltol:g}, chgtol {chgtol:g}", deck)
-    for ceiling in (c for c in setup.some(CEILINGS, 0) if c <= scene.stop):
-        deck = _deck(build, {"solver.max_step": ceiling})
-        yield Variant("ngspice, step ceiling", f"steps up to {ceiling * 1e6:g} us", deck)
     for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
         ceiling = min(ceiling, scene.stop)
         keys = {"solver.reltol": reltol, "solver.max_step": ceiling}
@@ -67,10 +57,6 @@ def variants(build: Build, setup: Setup) -> Iterator[Variant]:
         label += f", {points} heights" if catch else ""
         deck = _option(_deck(build, keys), "chgtol", chgtol)
         yield Variant("ngspice, for 1e-4", label, deck)
-    if catch is not None:
-        for points in setup.some(LOOKUPS, 1):
-            deck = _deck(build, {f"{catch.name}.points": points})
-            yield Variant("ngspice, lookup", f"lookup of {points} heights", deck)
     model = resonators(build.model("kick"))
     forms: tuple[str, ...] = ("second order", "first order")
     if scene.stop > SHORT and not setup.full_sweep:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from device import RADII, chip, deck_of
-from hard_cases.bounces import OPTIONS, bounce
 from hard_cases.kit import (
     HEADER,
     bench_deck,
@@ -17,7 +16,6 @@ from hard_cases.kit import (
     scene,
 )
 from hard_cases.oracle import Plain
-from scipy.interpolate import CubicHermiteSpline
 
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.sphere import SphereKeys, sphere_subcircuit
@@ -35,12 +33,6 @@ def launch_error(bench, study, model=None):
     return relative(leaves(waves)[1], leaves(exact(study, waves, model))[1])
 
 
-def impact_error(bench, study, model):
-    """Largest distance from scipy's trajectory over its travel."""
-    waves = bench.scene(study, model)
-    return compare(waves, exact(study, waves, model))["trajectory_relative"]
-
-
 def _penalty(value, slow=False):
     def measure(bench):
         return launch_error(bench, kick(f"contact.penalty={value} N/m"))
@@ -49,8 +41,8 @@ def _penalty(value, slow=False):
     case("penalty 1e6 to 1e12 N/m", "launch, relative", 2e-4, slow=slow)(measure)
 
 
-for value in ("1e6", "1e7", "1e8", "1e9", "1e10", "1e11"):
-    _penalty(value, slow=value not in ("1e6", "1e8"))
+for value in ("1e6", "1e11"):
+    _penalty(value, slow=value == "1e11")
 
 
 @case("all six rings at once", "rebound velocity, relative", 1e-4)
@@ -80,49 +72,12 @@ Xsphere v bottom y 0 sphere
     return relative(waves["sphere.v"][-1], states[-1, -1])
 
 
-@case("all six rings at once", "contact patch beyond the rings", refused="outer_ring")
-def patch_outgrows_the_rings(bench):
-    study = scene("impact", "impact.velocity=-100 m/s", "impact.gap=1 um")
-    bench.scene(study)
-    return 0.0
-
-
-@case("all six rings at once", "static force, relative", 1e-8)
-def deep_imprint(bench):
-    study, model = scene("imprint", "imprint.depth=200 um", "imprint.steps=50"), chip()
-    waves = bench.scene(study, model)
-    force = exact(study, waves, model)["contact.force"]
-    assert waves["contact.force.ring5"][-1] > 0.0
-    return np.abs(waves["contact.force"][1:] / force[1:] - 1.0).max()
-
-
-def _grazing(speed, gap, stop):
-    def measure(bench):
-        study = scene("impact", f"impact.velocity=-{speed} mm/s", f"impact.gap={gap} nm",
-                      f"solver.stop={stop} us", "kick.electrical=short")  # fmt: skip
-        return impact_error(bench, study, chip())
-
-    measure.__name__ = f"grazing_at_{speed}_mm_s"
-    case("grazing contact", "trajectory over travel", 1e-4)(measure)
-
-
-_grazing("1", "1", "15")
-_grazing("10", "10", "15")
-
-
-@case("resting contact", "penetration m g / k, relative", 1e-4)
-def rest_for_50_ms(bench):
-    """On a rigid plane; the weight presses the spring in by less than a picometre."""
-    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(4e8))
-    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81)
-    cards = """Xsphere v bottom y 0 sphere
-Vground ring0 0 0
-Xcontact ring0 v bottom 0 contact
-.options reltol=1e-4 trtol=1 chgtol=1e-08
-.tran 1e-05 0.05 0 1e-05"""
-    deck = bench_deck([sphere, ground], cards, {"bottom": ("v(bottom)", 1e-6)}, 0.05)
-    bottom = bench.run(deck)["bottom"]
-    return np.abs(bottom / (-MASS * 9.81 / 4e8) - 1.0).max()
+@case("grazing contact", "trajectory over travel", 1e-4)
+def grazing_at_1_mm_s(bench):
+    study = scene("impact", "impact.velocity=-1 mm/s", "impact.gap=1 nm", "solver.stop=15 us",
+                  "kick.electrical=short")  # fmt: skip
+    waves = bench.scene(study)
+    return compare(waves, exact(study, waves))["trajectory_relative"]
 
 
 @case("resting contact", "force over weight, relative", 1e-4)
@@ -140,38 +95,31 @@ def chatter_after_a_kick_of_one_volt(bench):
     return compare(waves, exact(study, waves))["trajectory_relative"]
 
 
-@case("resting contact", "height after 50 ms [m]", 1e-6, slow=True)
-def ten_landings_in_50_ms(bench):
-    """No catch: the sphere falls back again and again and settles into chatter."""
-    study = kick("kick.drive.voltage=2 V", "solver.stop=50 ms", "solver.reltol=1e-5")
-    waves = bench.scene(study)
-    return compare(waves, exact(study, waves))["final_m"]
-
-
 @case("100 elastic bounces", "energy gained or lost, relative", 1e-3)
 def hundred_bounces_on_a_rigid_plane(bench):
-    found = bounce(bench, "max(0, x), edges watched", OPTIONS["trap, 1e-4"])
-    return abs(found.energy) + abs(found.missed)
+    """A sphere falls 5 um a hundred times."""
+    speed, height, landings = 0.01, 1e-7, 100
+    ground = contact_subcircuit(HEADER, ("ring0",), np.zeros(1), Normal(4e8))
+    sphere = sphere_subcircuit(HEADER, MASS, 1e-3, 9.81, velocity=-speed, height=height)
+    stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / 4e8))
+    cards = f"""Xsphere v bottom y 0 sphere
+Vground ring0 0 0
+Xcontact ring0 v bottom 0 contact
+.options reltol=1e-4 trtol=1 chgtol=1e-08
+.tran 1e-4 {stop} 0 1e-5 uic"""
+    vectors = {"v": ("v(v)", 1.0), "bottom": ("v(bottom)", 1e-6)}
+    waves = bench.run(bench_deck([sphere, ground], cards, vectors, stop))
+    bottom, v = waves["bottom"], waves["v"]
+    # Counted where the sphere is clear of the plane, thus without the spring's law.
+    energy = (v**2 / 2 + 9.81 * bottom)[bottom > height / 10]
+    missed = landings - np.count_nonzero((bottom[:-1] > 0) & (bottom[1:] <= 0))
+    return abs(energy[-1] / (speed**2 / 2 + 9.81 * height) - 1) + abs(missed)
 
 
-@case("100 elastic bounces", "energy of sphere and chip, relative", 1e-3, slow=True)
-def bounces_on_an_undamped_chip(bench):
-    """A strong pull brings the sphere down again and again; what it loses the chip must hold."""
-    pull = 1e4
-    study = scene("impact", f"gravity={pull} m/s2", "impact.velocity=-10 mm/s",
-                  "impact.gap=100 nm", "kick.electrical=short", "solver.stop=20 us",
-                  "solver.reltol=1e-5")  # fmt: skip
-    waves = bench.scene(study, chip(6, damping=0.0))
-    y, v = waves["sphere.y"], waves["sphere.v"]
-    energy = MASS * (v**2 / 2 + pull * (y - y[0]))
-    given = sum(
-        np.trapezoid(waves[f"contact.force.ring{k}"], waves[f"kick.u.ring{k}"]) for k in range(6)
-    )
-    return abs(energy[-1] - energy[0] - given) / energy.max()
-
-
-def _kicked_twice(bench, voltage):
-    """ngspice's waveforms and, by DOP853 on the plain equations, times and states."""
+@case("two kicks 50 us apart", "launch, relative", 2e-4)
+def two_kicks(bench):
+    """The sphere is gone when the second pulse comes; oracle: plain equations by DOP853."""
+    voltage = 20.0
     few, study = chip(6), kick(f"kick.drive.voltage={voltage}", "solver.stop=0.11 ms")
     deck = deck_of(study, few)
     once = " 10000.0)"  # the pulse's period
@@ -184,22 +132,5 @@ def _kicked_twice(bench, voltage):
     rest[:6] = -few.gain[:6, 0] / few.omega**2 * plain.mass * 9.81
     rest[-2] = rest[:6] @ few.gain[:6, 0] - plain.mass * 9.81 / 4e8
     volts = np.tile([0.0, voltage, voltage, 0.0], 3)
-    return waves, *plain.run(rest, corners, volts, study.stop, rtol=1e-9, largest=50e-9)
-
-
-@case("two kicks 50 us apart", "launch, relative", 2e-4)
-def two_kicks(bench):
-    """The sphere is gone when the second pulse comes; oracle: plain equations by DOP853."""
-    waves, _, states = _kicked_twice(bench, 20.0)
+    _, states = plain.run(rest, corners, volts, study.stop, rtol=1e-9, largest=50e-9)
     return relative(waves["sphere.v"][-1], states[-1, -1])
-
-
-@case("two kicks 50 us apart", "stroke, relative to the largest", 1e-2, slow=True)
-def second_kick(bench):
-    """The second pulse meets a chip that still rings, and trapezoids lag in phase."""
-    waves, times, states = _kicked_twice(bench, 100.0)
-    times, kept = np.unique(times, return_index=True)
-    to_centre = chip(6).gain[:6, 0]
-    stroke, rate = states[kept, :6] @ to_centre, states[kept, 6:12] @ to_centre
-    exact = CubicHermiteSpline(times, stroke, rate)(waves["time"])
-    return np.abs(waves["kick.u.ring0"] - exact).max() / np.abs(stroke).max()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
 from device import chip, deck_of
-from hard_cases.cases_contact import impact_error, launch_error
+from hard_cases.cases_contact import launch_error
 from hard_cases.kit import (
     HEADER,
     bench_deck,
@@ -17,29 +16,16 @@ from hard_cases.kit import (
     leaves,
     relative,
     rewritten,
-    scene,
 )
 from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
-from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
 from kc2spice.rom.linear import Port
 from kc2spice.spice.realize import subcircuit
 
 LAUNCH = "launch, relative"
-
-
-@case("undamped modes", LAUNCH, 1e-3, slow=True)
-def undamped_kick(bench):
-    """Modes that never calm down until the sphere leaves: ten times the error of damped ones."""
-    return launch_error(bench, kick("kick.damping.ratio=0"), chip(6, damping=0.0))
-
-
-@case("undamped modes", "trajectory over travel", 1e-4, slow=True)
-def undamped_impact(bench):
-    return impact_error(bench, scene("impact", "kick.electrical=short"), chip(6, damping=0.0))
 
 
 @case("undamped modes", "amplitude after 300 periods, relative", 1e-3)
@@ -74,26 +60,9 @@ Xkick a 0 r 0 kick
     return waves["u"], waves["time"], static
 
 
-@case("0.01 % damping", LAUNCH, 2e-4, slow=True)
-def damping_of_a_ten_thousandth(bench):
-    return launch_error(bench, kick(), chip(6, damping=1e-4))
-
-
 @case("kick with 1 ns edges", LAUNCH, 2e-4)
 def edges_of_1_ns(bench):
     return launch_error(bench, kick("kick.drive.edge=1 ns"))
-
-
-@case("kick with 1 ns edges", LAUNCH, 2e-4)
-def edges_of_1_ns_on_stiff_springs(bench):
-    return launch_error(bench, kick("kick.drive.edge=1 ns", "contact.penalty=1e10 N/m"))
-
-
-@case("kick with 1 ns edges", LAUNCH, 2e-4, slow=True)
-def edges_of_5_us(bench):
-    """The other end: a soft push that the sphere leaves late."""
-    study = kick("kick.drive.edge=5 us", "solver.stop=50 us", "solver.reltol=1e-5")
-    return launch_error(bench, study)
 
 
 @case("50 ms of flight", "height after 50 ms [m]", 1e-6, slow=True)
@@ -129,19 +98,6 @@ Rcharge charge 0 1e12
     return relative(waves["q"][-1], charge)
 
 
-@case("stiff source into the capacitance", "final voltage, relative", 2e-3)
-def half_bridge_with_a_milliohm(bench):
-    """Reservoir and chip share their charge; the transistors alone limit the current."""
-    part = half_bridge_subcircuit(HEADER, HalfBridgeKeys())
-    cards = """Vcommand command 0 PULSE(0 100 1e-06 1e-09 1e-09 9.9e-06)
-Xdriver command out 0 half_bridge resistance=0.001 reservoir=1e-07 supply_resistance=1e6
-Cchip out 0 1e-07
-.options reltol=1e-5 trtol=1
-.tran 1e-08 1e-05 0 2e-08"""
-    waves = bench.run(bench_deck([part], cards, {"out": ("v(out)", 1.0)}, 1e-5))
-    return relative(waves["out"][-1], 50.0)
-
-
 @case("charge drive with floating anode", "charge of the chip, relative", 5e-3)
 def charge_drive_on_a_floating_chip(bench):
     """150 nF times the command's volts on the sense capacitor, the chip in between."""
@@ -160,11 +116,6 @@ Xkick anode cathode 0 kick
     return relative(charge, 150e-9 * 20.0)
 
 
-@case("charge drive with floating anode", "trajectory over travel", 1e-4)
-def impact_with_open_anode(bench):
-    return impact_error(bench, scene("impact", "kick.electrical=open"), chip())
-
-
 def _order(order, reltol="1e-4", slow=False):
     def measure(bench):
         return launch_error(bench, kick(f"solver.reltol={reltol}"), chip(order))
@@ -173,10 +124,7 @@ def _order(order, reltol="1e-4", slow=False):
     case("orders 1 to 120", LAUNCH, 2e-4, slow=slow)(measure)
 
 
-_order(7)
-_order(60, slow=True)
 _order(120, slow=True)
-_order(2, "1e-5")
 _order(1, "3e-7")  # all rings on one hard mode: "energy of kick" refuses every looser run
 
 
@@ -190,8 +138,7 @@ def _tolerance(reltol, limit):
 
 
 # Measured errors fall with the square root of reltol; the limits leave a factor of two and more.
-for reltol, limit in (("1e-3", 1e-3), ("1e-4", 1e-4), ("1e-5", 5e-5), ("1e-6", 2e-5),
-                      ("1e-7", 1e-5)):  # fmt: skip
+for reltol, limit in (("1e-3", 1e-3), ("1e-7", 1e-5)):
     _tolerance(reltol, limit)
 
 
@@ -242,27 +189,6 @@ def ports_named_like_inner_nodes(bench):
     model = _renamed(chip(6), ("q1", "charge"))
     subcircuit(model.linear(), "kick", HEADER, ports=("q1", "charge", "anode"))
     return 0.0
-
-
-@case("node names that collide", "two ports of one name", refused="each name once")
-def ports_that_differ_by_case_alone(bench):
-    model = _renamed(chip(6), ("ring0", "RING0"))
-    subcircuit(model.linear(), "kick", HEADER, ports=("ring0", "RING0", "anode"))
-    return 0.0
-
-
-@case("node names that collide", LAUNCH, 2e-4)
-def outer_nodes_named_like_inner_ones(bench):
-    """The bench's own nodes are called tick, q1, charge: subcircuits keep theirs apart."""
-    study, model = kick(), chip(6)
-    deck = deck_of(study, model)
-    text = deck.files[deck.main]
-    for old, new in (("kick_anode", "q1"), ("contact_v", "tick"), ("contact_bottom", "charge")):
-        assert re.search(rf"(?m)^X.*\b{old}\b", text)
-        text = re.sub(rf"\b{old}\b", new, text)
-    vectors = {"time2": ("v(tick)", 1.0)}
-    waves = bench.run(rewritten(deck, text, vectors))
-    return relative(waves["time2"][-1], exact(study, waves, model)["sphere.v"][-1])
 
 
 def _renamed(model, names):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from device import chip, deck_of
-from hard_cases import kit
 from hard_cases.kit import HEADER, Bench, bench_deck, case
 
 from kc2spice.parts._opamp import opamp_subcircuit
@@ -56,14 +55,6 @@ def inputs_that_differ_by_1e_12(bench):
     ports = chain()["B"][:, [0, 0, 1]]
     ports[3, 1] = 1e-12
     return response_error(bench, chain(B=ports))
-
-
-@case("nearly parallel Krylov vectors", RESPONSE, 1e-5)
-def every_pole_twice(bench):
-    """Two equal chains: the second block adds no new direction for either input alone."""
-    single, zero = chain(), np.zeros((SIZE, SIZE))
-    square = {k: np.block([[v, zero], [zero, v]]) for k, v in single.items() if k != "B"}
-    return response_error(bench, {**square, "B": np.vstack([single["B"], single["B"][:, ::-1]])})
 
 
 @case("a port repeated twice", RESPONSE, 1e-5)
@@ -164,50 +155,4 @@ Bbad y ref V={V(y)*V(y) + 1 + V(y)}
 Rbad y ref 1
 .ends mine
 """)  # fmt: skip
-    return 0.0
-
-
-@case("a user circuit that fails", "file and reason", refused="(?i)mine|subckt|unknown|library")
-def users_circuit_with_a_missing_part(bench):
-    users_circuit(bench, """.subckt mine command out ref
-Rin command ref 1000
-Xlost command out ref not_there
-.ends mine
-""")  # fmt: skip
-    return 0.0
-
-
-@case("a user circuit that fails", "control block", refused="(?i)control")
-def users_circuit_with_a_control_block(bench):
-    users_circuit(bench, """.subckt mine command out ref
-Rout command out 1
-Rref out ref 1e6
-.ends mine
-.control
-shell touch pwned
-.endc
-""")  # fmt: skip
-    return 0.0
-
-
-@case("a user circuit that fails", "cut off by its time limit", refused="did not finish")
-def users_circuit_that_never_ends(bench):
-    """Pulses at a terahertz: 40 us of it would take hours; the run is ended and says so."""
-    longest, kit.TIMEOUT = kit.TIMEOUT, 2.0
-    try:
-        users_circuit(bench, """.subckt mine command out ref
-Rout command out 1
-Vfast x ref PULSE(0 1 0 1e-13 1e-13 4e-13 1e-12)
-Rfast x y 1
-Cfast y ref 1e-12
-.ends mine
-""")  # fmt: skip
-    finally:
-        kit.TIMEOUT = longest
-    return 0.0
-
-
-@case("a user circuit that fails", "scene refused", refused="nothing touches the sphere")
-def sphere_without_contact(bench):
-    load_scene({"name": "impact", "kick": {"electrical": "short"}, "sphere": {}, "impact": {}})
     return 0.0

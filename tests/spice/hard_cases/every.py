@@ -4,7 +4,6 @@ from hard_cases import (  # noqa: F401
     cases_catch,
     cases_contact,
     cases_kick,
-    cases_laws,
     cases_models,
     cases_pressure,
 )

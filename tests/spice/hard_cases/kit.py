@@ -154,9 +154,3 @@ def relative(found: float | None, expected: float | None) -> float:
     if found is None or expected is None:
         return np.inf
     return abs(found / expected - 1.0)
-
-
-def off_weight(build: Build, waves: Waveforms) -> float:
-    """How far the force that holds a resting sphere is from its weight, relative."""
-    weight = build.scene.parts["sphere"].keys.mass * build.scene.gravity
-    return float(np.abs(waves["contact.force"] / weight - 1.0).max())
