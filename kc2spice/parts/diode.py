@@ -47,11 +47,6 @@ class Diode(PartType):
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         return tuple(Terminal(pin.name, "V", "A", required=True) for pin in _PINS)
 
-    def library(self, part: Part, scene: Scene) -> str:
-        """Diodes with equal keys share one: ``diode``, or the name of the first of each kind."""
-        alike = [each.name for each in scene.of(self.name) if each.keys == part.keys]
-        return self.name if len(alike) == len(scene.of(self.name)) else alike[0]
-
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         name, keys = build.libraries[part.name], part.keys
         params = (

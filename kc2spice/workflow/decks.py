@@ -46,7 +46,7 @@ def make_deck(build: Build) -> Deck:
     scene = build.scene
     for problem in chain(without_equilibrium(build), judged(built(build), scene.checks.plausible)):
         raise problem
-    header = Header(scene.name, scene_hash(scene))
+    header = _header(scene)
     parts = tuple(_libraries(build, header))
     results = result_vectors(build)
     watts = powers(build, results)
@@ -209,6 +209,33 @@ def libraries(scene: Scene) -> dict[str, str]:
         {names[part].lower() for part in users},
     )
     return {part: names[part] if part in users else found[own[part]] for part in parts}
+
+
+def shared(build: Build) -> Build:
+    """``build`` where parts of a type whose subcircuits are alike have one: under the type's name
+    if all are alike, else under that of the first of each kind."""
+    header, names = _header(build.scene), dict(build.libraries)
+    for kind in {part.type.name: part.type for part in build.scene.parts.values()}.values():
+        parts = [part for part in build.scene.of(kind.name) if part.name in names]
+        if len(parts) < 2 or kind.reduced or kind.uses_netlists(parts[0]):
+            continue
+        trial = replace(build, libraries={**names, **{part.name: kind.name for part in parts}})
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for part in parts:
+            texts = tuple(found.text for found in kind.subcircuits(part, trial, header))
+            alike.setdefault(texts, []).append(part.name)
+        free = kind.name not in {name.lower() for name in names.values()}
+        whole = len(alike) == 1 and free
+        names |= {
+            each: kind.name if whole else names[group[0]]
+            for group in alike.values()
+            for each in group
+        }
+    return replace(build, libraries=names)
+
+
+def _header(scene: Scene) -> Header:
+    return Header(scene.name, scene_hash(scene))
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:

@@ -11,7 +11,7 @@ from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.mode_table import mode_table
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import libraries
+from kc2spice.workflow.decks import libraries, shared
 from kc2spice.workflow.steps import largest_step
 
 
@@ -28,7 +28,7 @@ def build_models(
     part.
     """
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
-    build = Build(scene, models, libraries(scene), trust=trust, functions=functions or {})
+    build = shared(Build(scene, models, libraries(scene), trust=trust, functions=functions or {}))
     if scene.analysis.type != "transient":
         return build
     return replace(build, largest=largest_step(build))
