@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from kc2spice.core.errors import UsageError
@@ -126,46 +126,43 @@ def children(tree: Tree) -> tuple[Tree, ...]:
     return ()
 
 
-def substituted(tree: Tree, given: Mapping[str, Tree]) -> Tree:
-    """``tree`` with other trees in place of names in lower case."""
+def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
+    """``tree`` with what stands directly below it changed."""
     match tree:
-        case Name(text):
-            return given.get(text.lower(), tree)
         case Call(function, arguments):
-            return Call(function, tuple(substituted(each, given) for each in arguments))
+            return Call(function, tuple(map(change, arguments)))
         case Unary(op, value):
-            return Unary(op, substituted(value, given))
+            return Unary(op, change(value))
         case Binary(op, left, right):
-            return Binary(op, substituted(left, given), substituted(right, given))
+            return Binary(op, change(left), change(right))
         case Choice(test, yes, no):
-            return Choice(*(substituted(each, given) for each in (test, yes, no)))
+            return Choice(change(test), change(yes), change(no))
     return tree
+
+
+def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
+    """``tree`` with trees in place of names."""
+    if isinstance(tree, Name):
+        return values.get(tree.text, tree)
+    return rebuilt(tree, lambda node: replaced(node, values))
 
 
 def simplified(tree: Tree) -> Tree:
     """The same value without what zeros and ones do nothing to; other numbers stay as written."""
-    match tree:
-        case Call(function, arguments):
-            return Call(function, tuple(map(simplified, arguments)))
-        case Choice(test, yes, no):
-            return Choice(simplified(test), simplified(yes), simplified(no))
-        case Unary(op, value):
-            inner = simplified(value)
-            return inner if op == "+" or inner == _ZERO else Unary(op, inner)
-        case Binary(op, left, right):
-            return _reduced(op, simplified(left), simplified(right))
-    return tree
+    inner = rebuilt(tree, simplified)
+    if isinstance(inner, Unary) and (inner.op == "+" or inner == Unary("-", _ZERO)):
+        return inner.value
+    return _reduced(inner) if isinstance(inner, Binary) else inner
 
 
-def _reduced(op: str, left: Tree, right: Tree) -> Tree:
+def _reduced(tree: Binary) -> Tree:
+    op, left, right = tree.op, tree.left, tree.right
     a, b = (float(x.text) if isinstance(x, Number) else None for x in (left, right))
     if (op in "*/" and a == 0) or (op == "*" and b == 0):
         return _ZERO
     if (op == "+" and a == 0) or (op == "*" and a == 1):
         return right
-    if (op in "+-" and b == 0) or (op in "*/" and b == 1):
-        return left
-    return Binary(op, left, right)
+    return left if (op in "+-" and b == 0) or (op in "*/" and b == 1) else tree
 
 
 class Writer:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from kc2spice.netlist.expression import Binary, Name, Number, Probe, Tree
+from kc2spice.netlist.expression import Binary, Name, Number, Probe, Tree, replaced
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import ZERO, derivative, kinks, names, replaced, text
+from kc2spice.physics.expression import ZERO, derivative, kinks, names, text
 
 _MICRO, _FARAD = Number("1e-6"), "1e-06"
 _EDGE = ".model edge SW(VT=0 VH=0 RON=1e6 ROFF=2e6)"

@@ -30,7 +30,7 @@ from typing import Literal
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.expression import Name, Tree, Writer
+from kc2spice.netlist.expression import Name, Tree, Writer, replaced
 from kc2spice.physics.expression import (
     ZERO,
     derivative,
@@ -39,7 +39,6 @@ from kc2spice.physics.expression import (
     minus,
     names,
     plus,
-    replaced,
     times,
 )
 

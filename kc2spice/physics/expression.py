@@ -30,6 +30,8 @@ from kc2spice.netlist.expression import (
     Writer,
     children,
     parse,
+    rebuilt,
+    replaced,
     walk,
 )
 
@@ -95,13 +97,6 @@ def names(tree: Tree) -> frozenset[str]:
     return frozenset(node.text for node in walk(tree) if isinstance(node, Name))
 
 
-def replaced(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """``tree`` with trees in place of names."""
-    if isinstance(tree, Name):
-        return values.get(tree.text, tree)
-    return _rebuilt(tree, lambda node: replaced(node, values))
-
-
 def plus(*trees: Tree) -> Tree:
     """Their sum in plain form."""
     return tidy(_joined("+", (ZERO, *trees)))
@@ -127,19 +122,6 @@ def _joined(op: str, trees: Iterable[Tree]) -> Tree:
     for tree in rest:
         first = Binary(op, first, tree)
     return first
-
-
-def _rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    match tree:
-        case Call(name, arguments):
-            return Call(name, tuple(change(each) for each in arguments))
-        case Unary(op, value):
-            return Unary(op, change(value))
-        case Binary(op, left, right):
-            return Binary(op, change(left), change(right))
-        case Choice(test, yes, no):
-            return Choice(change(test), change(yes), change(no))
-    return tree
 
 
 # --- derivatives ----------------------------------------------------------------------------------
@@ -262,7 +244,7 @@ def _terms(tree: Tree) -> list[_Product]:
             raise UsageError(
                 "a power that is no whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
             )
-    return [_Product(Fraction(1), (_rebuilt(tree, tidy),))] if _lives(tree) else []
+    return [_Product(Fraction(1), (rebuilt(tree, tidy),))] if _lives(tree) else []
 
 
 def _lives(tree: Tree) -> bool:
@@ -311,7 +293,7 @@ def flagged(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
             return Binary("*", flag, flagged(value, corners))
         case Choice(Binary(">", value, _), _, _):
             return Name(f"flag{corners.index(value)}")
-    return _rebuilt(tree, lambda node: flagged(node, corners))
+    return rebuilt(tree, lambda node: flagged(node, corners))
 
 
 class _Python(Writer):

@@ -283,6 +283,7 @@ TREES = {  # of v = V(a,b) …, as ngspice 46 documents its functions
     "G1 x 0 value={0.0/(k+V(a))+1*V(b)+e}": lambda a, b, c, k: b + math.e,
     "G1 x 0 POLY(2) a 0 b 0 1 2 3 4 5 6":
         lambda a, b, c, k: 1 + 2 * a + 3 * b + 4 * a * a + 5 * a * b + 6 * b * b,
+    "B1 x 0 I=!0+(-0)*V(a)+(+V(b))": lambda a, b, c, k: 1 + b,
     "E1 x 0 POLY(1) a 0 2": lambda a, b, c, k: 2 * a,
     "E1 x 0 TABLE {V(a)} = (-1,3) (1,4)": lambda a, b, c, k: flat(a, -1, 3, 1, 4),
 }  # fmt: skip

@@ -10,12 +10,14 @@ from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import (
     Binary,
+    Name,
     Tree,
     Writer,
     literal,
     parse,
+    replaced,
     simplified,
-    substituted,
+    walk,
 )
 from kc2spice.netlist.scope import GROUND, Scope
 
@@ -148,7 +150,9 @@ class Names(Writer):
         if defined := self.scope.function(function):
             named = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
             body = parse(defined.expression, where=defined.where)
-            return f"({self.write(substituted(body, named))})"
+            words = {leaf.text for leaf in walk(body) if isinstance(leaf, Name)}
+            inserted = {word: named[word.lower()] for word in words if word.lower() in named}
+            return f"({self.write(replaced(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
         if function == "uramp":
