@@ -53,14 +53,6 @@ def reduce(
             "(relative to the largest value in the band; default where all ports are signals).",
         ),
     ] = None,
-    solver: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Direct solver: scipy (SuperLU), or pardiso from pip install 'kc2spice[fast]' on "
-            "MKL_NUM_THREADS cores.",
-        ),
-    ] = "scipy",
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")
     ] = False,
@@ -76,7 +68,7 @@ def reduce(
 
         with shown_progress(quiet) as progress:
             found = reduce_study(
-                model, out, band=band, tolerance=tolerance, order=order, solver=solver,
+                model, out, band=band, tolerance=tolerance, order=order,
                 norm=norm, progress=progress,
             )  # fmt: skip
         if as_json:

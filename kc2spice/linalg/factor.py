@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -12,10 +12,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.cholesky import Cholesky
 from kc2spice.linalg.ordering import nested_dissection
-from kc2spice.linalg.pardiso import Pardiso
 
-# 'scipy' is banded or sparse Cholesky or SuperLU; 'pardiso' needs the optional library pypardiso.
-Solver = Literal["scipy", "pardiso"]
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 # A backward-stable solver leaves about 1e-15; four digits of slack for growth, no more.
@@ -108,9 +105,7 @@ def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
     return lambda rhs: scipy.linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
-def inverses(
-    matrix: scipy.sparse.csc_array, *, symmetric: bool, solver: Solver = "scipy"
-) -> tuple[Inverse, Inverse]:
+def inverses(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Inverse, Inverse]:
     """Solutions with the matrix and with its transpose, real or complex.
 
     ``symmetric`` skips pivoting for size: least fill, but only as accurate as a residual shows.
@@ -118,11 +113,7 @@ def inverses(
     Raises
     ------
     RuntimeError : singular.
-    MissingToolError : pypardiso is asked for and not installed.
     """
-    if solver == "pardiso":
-        factors = Pardiso(matrix, symmetric=symmetric)
-        return factors.solve, lambda rhs: factors.solve(rhs, transposed=True)
     from scipy.sparse.linalg import splu
 
     matrix = scipy.sparse.csc_array(matrix)

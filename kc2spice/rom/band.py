@@ -8,7 +8,6 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.linalg.factor import Solver
 from kc2spice.rom.memory import require_memory
 from kc2spice.rom.operators import dense, largest
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
@@ -20,7 +19,7 @@ SHIFT = 1e-3  # of the band: below it nothing need be resolved
 CLOSE = 1e-4  # of the rates, whose fifth is only rounded up to a band
 
 
-def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float]:
+def natural_band(pencil: Pencil) -> tuple[float, float]:
     """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
     or corner frequency (first order) of the full model.
 
@@ -30,7 +29,7 @@ def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float
         too large for this machine.
     """
     try:
-        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil, solver)
+        rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
     except (SimulationError, ArpackError):
         rates = np.empty(0)
     rates = np.sort(rates[rates > 0])[:MODES]
@@ -43,7 +42,7 @@ def natural_band(pencil: Pencil, solver: Solver = "scipy") -> tuple[float, float
     return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
 
 
-def reach(pencil: Pencil, count: int, high: float, solver: Solver = "scipy") -> float:
+def reach(pencil: Pencil, count: int, high: float) -> float:
     """Frequency [Hz] of the ``count``-th lowest natural motion, at most ``high``; ``high`` where
     there are not so many, or they are not to be had.
 
@@ -55,7 +54,7 @@ def reach(pencil: Pencil, count: int, high: float, solver: Solver = "scipy") -> 
     shift = 2 * np.pi * high * SHIFT
     M = pencil.coefficients[-1]
     try:
-        solve = pencil.pencil_solver(-(shift**2), solver).solve
+        solve = pencil.pencil_solver(-(shift**2)).solve
         inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(M @ x), dtype=float)
         start = solve(pencil.B[:, 0])
         values = eigs(inverse, count, v0=start, tol=CLOSE, return_eigenvectors=False)
@@ -74,10 +73,10 @@ def _small(pencil: Pencil) -> np.ndarray:
     return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
 
 
-def _lowest(pencil: Pencil, solver: Solver) -> np.ndarray:
+def _lowest(pencil: Pencil) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
-    require_memory(pencil, solver)
-    solve = _at_rest(pencil, solver)
+    require_memory(pencil)
+    solve = _at_rest(pencil)
     inertia = pencil.coefficients[-1]
     n = pencil.size
     inverse = LinearOperator((n, n), matvec=lambda x: solve(inertia @ x), dtype=float)
@@ -88,11 +87,11 @@ def _lowest(pencil: Pencil, solver: Solver) -> np.ndarray:
     return np.asarray(rates if pencil.degree == 1 else np.sqrt(rates))
 
 
-def _at_rest(pencil: Pencil, solver: Solver) -> Callable[[np.ndarray], np.ndarray]:
+def _at_rest(pencil: Pencil) -> Callable[[np.ndarray], np.ndarray]:
     """``P(0)^-1``, by the factors that the reduction will use where K is definite."""
     if pencil.degree == 2 and pencil.symmetric:
         try:
-            return pencil.pencil_solver(0.0, solver).solve
+            return pencil.pencil_solver(0.0).solve
         except SimulationError:
             pass  # indefinite
-    return pencil.solver(0.0, solver)[0].solve
+    return pencil.solver(0.0)[0].solve

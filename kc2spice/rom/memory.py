@@ -6,7 +6,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from kc2spice.linalg.factor import Solver
 from kc2spice.linalg.memory import require_bytes
 from kc2spice.rom.pencil import Pencil
 
@@ -27,7 +26,7 @@ def factor_bytes(pencil: Pencil) -> float:
     return ENTRY_BYTES * max(FILL * rows * np.sqrt(band), pattern.nnz)
 
 
-def require_memory(pencil: Pencil, solver: Solver) -> None:
+def require_memory(pencil: Pencil) -> None:
     """Compare the estimate for ``scipy`` with the memory that is free now.
 
     PARDISO needs none: it knows the size of its factors before it begins, and is asked then.
@@ -36,11 +35,9 @@ def require_memory(pencil: Pencil, solver: Solver) -> None:
     ------
     UsageError : the model is too large for this machine.
     """
-    if solver == "pardiso":
-        return
     require_bytes(
         factor_bytes(pencil),
         f"{pencil.size} factorised equations",
         where="reduction",
-        hint="use the solver 'pardiso', a coarser mesh, or a machine with more memory",
+        hint="use a coarser mesh, or a machine with more memory",
     )

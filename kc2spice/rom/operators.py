@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import Factor, Solver, inverses
+from kc2spice.linalg.factor import Factor, inverses
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array, Schur or Sum; scipy brings no types
 
@@ -154,7 +154,7 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     return total
 
 
-def factor(matrix: Matrix, *, symmetric: bool, solver: Solver = "scipy") -> Factor:
+def factor(matrix: Matrix, *, symmetric: bool) -> Factor:
     """Sparse factor; without pivoting first where that keeps the fill of a symmetric matrix.
 
     A trial solution shows whether that is accurate, and partial pivoting follows where it is not
@@ -163,24 +163,19 @@ def factor(matrix: Matrix, *, symmetric: bool, solver: Solver = "scipy") -> Fact
     Raises
     ------
     SimulationError : singular.
-    MissingToolError : pypardiso is asked for and not installed.
     """
-    return _factors(matrix, symmetric, solver)[0]
+    return two_sided(matrix, symmetric=symmetric)[0]
 
 
-def two_sided(matrix: Matrix, *, symmetric: bool, solver: Solver) -> tuple[Factor, Factor]:
+def two_sided(matrix: Matrix, *, symmetric: bool) -> tuple[Factor, Factor]:
     """Factor of the matrix and of its transpose; see :func:`factor`."""
-    return _factors(matrix, symmetric, solver)
-
-
-def _factors(matrix: Matrix, symmetric: bool, solver: Solver) -> tuple[Factor, Factor]:
     matrix = scipy.sparse.csc_array(matrix)
     norm = float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):
         try:
-            apply, transposed = inverses(matrix, symmetric=without_pivoting, solver=solver)
+            apply, transposed = inverses(matrix, symmetric=without_pivoting)
             forward = Factor(matrix, norm, apply)
             forward.solve(trial)
             return forward, Factor(scipy.sparse.csc_array(matrix.T), norm, transposed)

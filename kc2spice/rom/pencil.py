@@ -10,7 +10,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Exact
-from kc2spice.linalg.factor import Factor, Solver, factorise
+from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.operators import (
     SAME,
     Matrix,
@@ -127,23 +127,22 @@ class Pencil:
         s = complex(s).real if complex(s).imag == 0 else s
         return sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
 
-    def solver(self, s: complex, solver: Solver = "scipy") -> tuple[Inverse, Inverse]:
+    def solver(self, s: complex) -> tuple[Inverse, Inverse]:
         """Solvers with ``P(s)`` and with its transpose.
 
         Raises
         ------
         SimulationError : ``s`` is a pole.
-        MissingToolError : pypardiso is asked for and not installed.
         """
         try:
-            both = two_sided(self.at(s), symmetric=self.symmetric, solver=solver)
+            both = two_sided(self.at(s), symmetric=self.symmetric)
         except SimulationError as error:
             raise SimulationError(
                 error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
             ) from None
         return Inverse(both[0], self.size), Inverse(both[1], self.size)
 
-    def pencil_solver(self, square: float, solver: Solver = "scipy") -> Inverse:
+    def pencil_solver(self, square: float) -> Inverse:
         """Solver with ``K - square M``, real; at zero K must be definite.
 
         Raises
@@ -151,25 +150,25 @@ class Pencil:
         SimulationError : singular, or K not positive definite.
         """
         if square:
-            found = factor(self.bordered(1.0, 0.0, -square), symmetric=True, solver=solver)
+            found = factor(self.bordered(1.0, 0.0, -square), symmetric=True)
             return Inverse(found, self.size)
-        if solver not in self._at_rest:
-            self._at_rest[solver] = self._rest_solver(solver)
-        return self._at_rest[solver]
+        if not self._at_rest:
+            self._at_rest.append(self._rest_solver())
+        return self._at_rest[0]
 
     @cached_property
-    def _at_rest(self) -> dict[str, Inverse]:
-        """Factors of K: several stages of a reduction, and further reductions, need them."""
-        return {}
+    def _at_rest(self) -> list[Inverse]:
+        """Factors of K, once there are any: stages of a reduction and further ones need them."""
+        return []
 
     def share(self, other: Pencil) -> None:
         """Let ``other``, which has the same K, use the factors of this one."""
         other.__dict__["_at_rest"] = self._at_rest
 
-    def _rest_solver(self, solver: Solver) -> Inverse:
+    def _rest_solver(self) -> Inverse:
         K = self.coefficients[0]
-        if isinstance(K, Schur) or solver != "scipy":
-            found = factor(self.bordered(1.0, 0.0, 0.0), symmetric=True, solver=solver)
+        if isinstance(K, Schur):
+            found = factor(self.bordered(1.0, 0.0, 0.0), symmetric=True)
         else:
             found = factorise(scipy.sparse.csc_array(K), definite=True)
         return Inverse(found, self.size)

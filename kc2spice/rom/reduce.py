@@ -21,11 +21,9 @@ from functools import cached_property
 from typing import get_args
 
 import numpy as np
-from scipy import sparse
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.linalg.factor import Solver, inverses
 from kc2spice.rom import balance
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
@@ -73,7 +71,6 @@ def reduce(
     tolerance: float | None = None,
     order: int | None = None,
     band: tuple[float, float] | None = None,
-    solver: Solver = "scipy",
     norm: Norm = "pointwise",
 ) -> LinearModel:
     """The smallest model found within ``tolerance`` over ``band`` [Hz], or the one of ``order``.
@@ -107,15 +104,13 @@ def reduce(
     pencil = proportional(eliminated(model.pencil))
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=model.name)
-    band = band or model.band or natural_band(pencil, solver)
+    band = band or model.band or natural_band(pencil)
     if not (0 <= band[0] < band[1] and np.isfinite(band[1])):
         raise UsageError(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
     band = float(band[0]), float(band[1])
-    if solver != "scipy":  # a library that is missing is said before anything else fails
-        inverses(sparse.eye_array(2, format="csc"), symmetric=True, solver=solver)
-    require_memory(pencil, solver)
+    require_memory(pencil)
     full = structure(pencil, band)
     if full.stable is False:
         warnings.warn(
@@ -123,7 +118,7 @@ def reduce(
             "frequency response says nothing of them; check signs and halves of the matrices",
             stacklevel=2,
         )
-    found = _reduced(model, pencil, band, tolerance, order, solver, norm)
+    found = _reduced(model, pencil, band, tolerance, order, norm)
     certificate = found.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)
@@ -138,13 +133,13 @@ def reduce(
 
 def _reduced(
     model: LinearModel, pencil: Pencil, band: tuple[float, float], tolerance: float | None,
-    order: int | None, solver: Solver, norm: Norm,
+    order: int | None, norm: Norm,
 ) -> LinearModel:  # fmt: skip
-    if order is not None and is_definite(pencil, solver):
+    if order is not None and is_definite(pencil):
         return _krylov(model, pencil, band, order, norm)
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
     limit = np.inf if tolerance is None else 0.5 * tolerance
-    space = subspace(pencil, band, target, limit, solver)
+    space = subspace(pencil, band, target, limit)
     sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
     found = [replace(ordered(model, space, band, two_sided, tolerance), norm=norm)
              for two_sided in sides]  # fmt: skip

@@ -23,7 +23,6 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import Solver
 from kc2spice.rom.krylov import DEFLATION, extend
 from kc2spice.rom.operators import Schur, symmetric
 from kc2spice.rom.pencil import Pencil
@@ -92,9 +91,7 @@ class Subspace:
         return {}
 
 
-def subspace(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
-) -> Subspace:
+def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
     """A model within ``target`` of the full one over ``band`` [Hz], or within ``limit`` where
     rounding of the full model's solutions keeps it from that.
 
@@ -120,19 +117,19 @@ def subspace(
             raise inaccurate
         if whole is not None:
             return whole
-    if is_definite(pencil, solver, undamped_too=True):
-        return _block_krylov(pencil, band, target, limit, solver)
-    return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit, solver)
+    if is_definite(pencil, undamped_too=True):
+        return _block_krylov(pencil, band, target, limit)
+    return _rational(pencil.scaled(2 * np.pi * band[1]), band, target, limit)
 
 
-def is_definite(pencil: Pencil, solver: Solver, *, undamped_too: bool = False) -> bool:
+def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     """Symmetric, collocated, proportionally damped (or not at all), K positive definite."""
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
     if pencil.degree != 2 or not (proportional and pencil.symmetric and pencil.collocated):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
     try:
-        solve = pencil.pencil_solver(0.0, solver).solve
+        solve = pencil.pencil_solver(0.0).solve
         x, y = solve(pencil.B), solve(load)
     except SimulationError:
         return False
@@ -261,10 +258,10 @@ def _solution_error(response: Response, band: tuple[float, float], static: bool 
 
 
 def _block_krylov(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> Subspace:
     K, _, M = pencil.coefficients
-    current = pencil.pencil_solver(0.0, solver)
+    current = pencil.pencil_solver(0.0)
     V = images = np.empty((pencil.size, 0))
     candidates = current.solve(pencil.B)
     used, met, change, before = [0.0], 0, np.inf, np.inf
@@ -297,7 +294,7 @@ def _block_krylov(
         worst = float(frequency[np.argmax(np.where(apart, size.max(axis=(1, 2)), -1.0))])
         used.append(worst)
         blocks = BLOCKS - 1
-        current = pencil.pencil_solver((2 * np.pi * worst) ** 2, solver)
+        current = pencil.pencil_solver((2 * np.pi * worst) ** 2)
         candidates = current.solve(pencil.B)
     raise _unsettled(response, band, change, limit)
 
@@ -329,10 +326,8 @@ def _unsettled(
 # ------------------------------------------------------------------------- all other models
 
 
-def _rational(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float, solver: Solver
-) -> Subspace:
-    search = _Search(pencil, band, solver)
+def _rational(pencil: Pencil, band: tuple[float, float], target: float, limit: float) -> Subspace:
+    search = _Search(pencil, band)
     met, error, recent, idle = 0, np.inf, [np.inf], 0
     search.add(2j * np.pi * band[1])
     while search.points < MAX_POINTS and search.basis.shape[1] < STATES:
@@ -398,9 +393,8 @@ def _explain(response: Response, band: tuple[float, float], error: float, target
 class _Search:
     """The basis as it grows, with what the residual estimate needs of it."""
 
-    def __init__(self, pencil: Pencil, band: tuple[float, float], solver: Solver) -> None:
+    def __init__(self, pencil: Pencil, band: tuple[float, float]) -> None:
         self.pencil, self.band = pencil, band
-        self.solver: Solver = solver
         self.two_sided = not (pencil.symmetric and pencil.collocated)
         self.basis = np.empty((pencil.size, 0))
         self.points = 0
@@ -481,7 +475,7 @@ class _Search:
 
     def _solve(self, s: complex) -> tuple[np.ndarray, ...]:
         """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
-        forward, backward = self.pencil.solver(s, self.solver)
+        forward, backward = self.pencil.solver(s)
         self.points += 1
         x = forward.solve(self.pencil.B)
         answers = [x, forward.solve(self.pencil.slope(s, x))]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.linalg.factor import Solver
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
 from kc2spice.netlist.dialect import DIALECTS, dialect_files
@@ -38,14 +37,13 @@ def reduce(
     band: tuple[float, float] | None = None,
     tolerance: float | None = None,
     order: int | None = None,
-    solver: str = "scipy",
     norm: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce the model at ``path`` and write ``NAME_rom.npz``, ``NAME_rom.M`` ... into ``out``.
 
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
-    Without tolerance and order, the tolerance is 1e-4. ``solver`` is 'scipy' or 'pardiso'.
+    Without tolerance and order, the tolerance is 1e-4.
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
     ``SCENE:PART`` instead of a path is the full model of a scene's body.
 
@@ -53,9 +51,7 @@ def reduce(
     ------
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
-    MissingToolError : pypardiso is asked for and not installed.
     """
-    chosen = _solver(solver)
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
     name = f"{model.name}_rom"
@@ -68,7 +64,6 @@ def reduce(
         band=band,
         tolerance=tolerance,
         order=order,
-        solver=chosen,
         norm=norm or default_norm(model),  # type: ignore[arg-type]
     )
     subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
@@ -119,14 +114,6 @@ def require_stable(found: dict[str, Any]) -> None:
             expected="poles that do not grow",
             hint=f"check signs and halves of the matrices; {found['rom']} was written as it is",
         )  # fmt: skip
-
-
-def _solver(name: str) -> Solver:
-    for known in get_args(Solver):
-        if name == known:
-            return known
-    expected = ", ".join(get_args(Solver))
-    raise UsageError("unknown direct solver", where="--solver", got=name, expected=expected)
 
 
 def export_rom(

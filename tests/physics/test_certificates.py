@@ -87,7 +87,7 @@ def test_a_subspace_says_how_far_it_is_from_the_full_model(unknowns, dashpot, wa
     rayleigh = None if dashpot else (0.0, 1e-2)
     full = LinearModel(M=M, E=E if dashpot else None, K=K, B=B, rayleigh=rayleigh)
     band = 0.0, 10.0 / unknowns / (2 * np.pi)
-    space = subspace(full.pencil, band, np.inf, np.inf, "scipy")
+    space = subspace(full.pencil, band, np.inf, np.inf)
     assert space.proof.startswith(way)
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
     exact = oracle.direct(oracle.system({"M": M, "E": E, "K": K, "B": B}), frequency)
@@ -100,7 +100,7 @@ def test_error_and_rounding_of_the_subspace_are_part_of_the_certificate():
     matrices, band, _ = random_case(1)
     M, E, K, B, C = matrices
     full = LinearModel(M=M, E=E, K=K, B=B, C=C)
-    space = subspace(full.pencil, band, 1e-8, np.inf, "scipy")
+    space = subspace(full.pencil, band, 1e-8, np.inf)
     found = ordered(full, replace(space, error=2e-3, floor=1e-3), band, True, 1e-2)
     estimate = found.model(found.size).certificate.error_estimate
     assert 3e-3 <= estimate < 3.1e-3

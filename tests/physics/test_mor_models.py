@@ -164,7 +164,7 @@ def check_every_order(seed, step):
     matrices, top = random_model(rng)
     model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
-    space = subspace(model.pencil, band, 1e-5, 1e-5, "scipy")
+    space = subspace(model.pencil, band, 1e-5, 1e-5)
     found = ordered(model, space, band, False, None)
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:

@@ -19,7 +19,6 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import Solver
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 
@@ -63,7 +62,7 @@ def grid_model(unknowns: int, dimension: int) -> LinearModel:
     return LinearModel(M=M, E=0.01 * K, K=K, B=B, name="grid")
 
 
-def scaling(sizes: list[int], dimension: int, solver: Solver = "scipy") -> list[ScalingPoint]:
+def scaling(sizes: list[int], dimension: int) -> list[ScalingPoint]:
     """Reduce the grid model of each size to 1e-4 up to its fifth natural frequency.
 
     Raises
@@ -73,7 +72,7 @@ def scaling(sizes: list[int], dimension: int, solver: Solver = "scipy") -> list[
     points = []
     path = os.pathsep.join(filter(None, (FOLDER, os.environ.get("PYTHONPATH"))))
     for size in sizes:
-        command = [sys.executable, "-m", MODULE, "--one", str(size), str(dimension), solver]
+        command = [sys.executable, "-m", MODULE, "--one", str(size), str(dimension)]
         ran = subprocess.run(
             command,
             capture_output=True,
@@ -103,10 +102,10 @@ def _product(factors: list[sparse.dia_array]) -> sparse.csr_array:
     return sparse.csr_array(product)
 
 
-def _measure(unknowns: int, dimension: int, solver: Solver) -> ScalingPoint:
+def _measure(unknowns: int, dimension: int) -> ScalingPoint:
     model = grid_model(unknowns, dimension)
     begin, worked = time.perf_counter(), time.process_time()
-    rom = reduce(model, tolerance=TOLERANCE, solver=solver)
+    rom = reduce(model, tolerance=TOLERANCE)
     return ScalingPoint(
         unknowns=model.order,
         order=rom.order,
@@ -122,22 +121,21 @@ def _main() -> None:
         prog="python -m laboratory.reduction_scaling", description=__doc__
     )
     parser.add_argument("--kind", choices=KINDS, default="plate")
-    parser.add_argument("--solver", choices=["scipy", "pardiso"], default="scipy")
     parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 50_000, 200_000])
-    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.one:
-        size, dimension, solver = asked.one
-        print(json.dumps(asdict(_measure(int(size), int(dimension), solver))))
+        size, dimension = asked.one
+        print(json.dumps(asdict(_measure(int(size), int(dimension)))))
         return
-    print("| model | solver | unknowns | states | wall [s] | CPU [s] | memory [GB] |")
-    print("|---|---|---|---|---|---|---|")
+    print("| model | unknowns | states | wall [s] | CPU [s] | memory [GB] |")
+    print("|---|---|---|---|---|---|")
     points = []
     for size in asked.sizes:
-        (point,) = scaling([size], KINDS[asked.kind], asked.solver)
+        (point,) = scaling([size], KINDS[asked.kind])
         points.append(point)
         print(
-            f"| {asked.kind} | {asked.solver} | {point.unknowns} | {point.order} "
+            f"| {asked.kind} | {point.unknowns} | {point.order} "
             f"| {point.time_s:.3g} | {point.cpu_s:.3g} | {point.memory_bytes / 1e9:.3g} |",
             flush=True,
         )
