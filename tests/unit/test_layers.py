@@ -24,7 +24,7 @@ MAY = {
     "sim": "core netlist scene",
     "reference": "core linalg",
     "report": "core netlist scene",
-    "workflow": "core linalg netlist rom bodies scene spice parts sim reference report",
+    "workflow": "core netlist rom bodies scene spice parts sim reference report",
     "api": "core netlist rom bodies scene spice parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
