@@ -84,7 +84,7 @@ def turned(
     faces = {} if ports is None else ports
     every = [*faces.values(), *chain.from_iterable(e.faces for e in electrodes)]
     solid = _solid(blocks, every, supports, size, refine)
-    nodes = solid.basis(1).doflocs
+    nodes = solid.places
     near = 1e-3 * float(np.abs(np.diff(solid.mesh.p[:, solid.mesh.facets], axis=1)).max(0).min())
 
     def touched(electrode: Electrode) -> np.ndarray:

@@ -170,7 +170,7 @@ def _wires(keys: Bimorph, materials: Sequence[Material], heights: np.ndarray) ->
 
 
 def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
-    x, y, z = solid.basis(1).doflocs
+    x, y, z = solid.places
     near = 1e-9 * keys.length
     fixed = np.zeros((x.size, 3), bool)
     if keys.support == "simply_supported":

@@ -352,7 +352,7 @@ def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarr
 
 
 def _fixed(keys: Body, groups: _Groups, solid: Solid) -> np.ndarray:
-    d, nodes = solid.components, int(solid.basis(1).N)
+    d, nodes = solid.components, solid.places.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
     for entry in keys.fixed:
@@ -366,17 +366,17 @@ def _fixed(keys: Body, groups: _Groups, solid: Solid) -> np.ndarray:
         for axis in set(support.axes) & set(letters):
             fixed[members, letters.index(axis)] = True
     if solid.axisymmetric:
-        on_axis = solid.basis(1).doflocs[0] < 1e-9 * np.ptp(solid.mesh.p)
+        on_axis = solid.places[0] < 1e-9 * np.ptp(solid.mesh.p)
         fixed[on_axis, 0] = True
     return fixed.ravel()
 
 
 def _shares(port: PortKeys, groups: _Groups, solid: Solid) -> np.ndarray:
     """Parts (nodes,) of a unit force over the port's group."""
-    shares = np.zeros(int(solid.basis(1).N))
+    shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
         point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
-        shares[np.argmin(np.linalg.norm(solid.basis(1).doflocs.T - point, axis=1))] = 1.0
+        shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
         return shares
     group = groups.get(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:

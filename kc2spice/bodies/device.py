@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from skfem import Basis, BoundaryFacetBasis
 
 from kc2spice.bodies.coupled import electromechanical
 from kc2spice.bodies.keys import Damping
@@ -62,7 +61,11 @@ class Setup:
     floating : nodes of each electrode without pin: one potential, no charge.
     shapes, faces : ports of forces and moments.
     base : ports of base acceleration and their direction (3,).
+    graded : nodes and the part of the first pin's voltage that each has: planes of electrodes
+        within elements.
     lumped : masses [kg] (nodes,) on top of those of the solid.
+    springs : stiffness [N/m] (d nodes, d nodes) on top of that of the solid.
+    sectors : of which the solid is one, all moving alike: the model is that of them together.
     """
 
     fixed: np.ndarray
@@ -72,7 +75,10 @@ class Setup:
     shapes: Sequence[Shape] = ()
     faces: Sequence[RigidFace] = ()
     base: Sequence[tuple[Port, np.ndarray]] = ()
+    graded: tuple[np.ndarray, np.ndarray] | None = None
     lumped: np.ndarray | None = None
+    springs: sparse.csc_array | None = None
+    sectors: int = 1
     damping: Damping = field(default_factory=Damping)
 
 
@@ -81,6 +87,7 @@ class Device:
     """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
     ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
     ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
+    ``mass`` [kg] counts what is held too.
     """
 
     model: LinearModel
@@ -90,6 +97,7 @@ class Device:
     drive: sparse.csc_array
     lift: np.ndarray
     shift: float
+    mass: float
 
 
 @contextmanager
@@ -110,35 +118,51 @@ def make_device(solid: Solid, setup: Setup) -> Device:
     UsageError : electrodes or rigid faces touch each other, an electrode touches nothing
         piezoelectric, or damping per material lacks a quality.
     """
+    volts = _depoling_voltage(solid, setup)
+    return damped(
+        constrained(solid, setup), setup, {} if volts is None else {"depoling_voltage_v": volts}
+    )
+
+
+def damped(bare: Device, setup: Setup, facts: Mapping[str, float]) -> Device:
+    """A constrained device with its damping and facts, beside those that are given."""
+    unknowns = float(bare.displacement.shape[1] + bare.potential.shape[1])
+    facts = {"unknowns": unknowns, "mass_kg": bare.mass, **facts}
+    facts |= electromechanical(bare.model, bare.shift)
+    model = replace(bare.model, facts=facts)
+    return replace(bare, model=_damped(model, bare.solid, bare.displacement, setup))
+
+
+def constrained(solid: Solid, setup: Setup) -> Device:
+    """The device before its damping and facts."""
     full = assemble(solid)
     P, motions = _moving(solid, setup)
     Q, R, pins = _potentials(full.K_pp, setup)
-    mass = full.M
+    mass, K_uu = full.M, full.K_uu
     if setup.lumped is not None:
         mass = mass + sparse.diags_array(np.repeat(setup.lumped, solid.components), format="csc")
+    if setup.springs is not None:
+        K_uu = K_uu + setup.springs
+    n = float(setup.sectors)
+    mass, K_uu, K_up, K_pp = n * mass, n * K_uu, n * full.K_up, n * full.K_pp
     columns: list[tuple[Port, np.ndarray]] = [(s.port, P.T @ s.weights) for s in setup.shapes]
     columns += motions
     columns += [(port, -(P.T @ (mass @ translation(solid, a)))) for port, a in setup.base]
-    undamped = with_potentials(
+    model = with_potentials(
         M=sparse.csc_array(P.T @ mass @ P),
-        K_uu=sparse.csc_array(P.T @ full.K_uu @ P),
-        K_up=P.T @ full.K_up @ Q,
-        K_pp=Q.T @ full.K_pp @ Q,
-        k_uV=(P.T @ full.K_up @ R).toarray(),
-        k_pV=(Q.T @ full.K_pp @ R).toarray(),
-        c_VV=(R.T @ full.K_pp @ R).toarray(),
+        K_uu=sparse.csc_array(P.T @ K_uu @ P),
+        K_up=P.T @ K_up @ Q,
+        K_pp=Q.T @ K_pp @ Q,
+        k_uV=(P.T @ K_up @ R).toarray(),
+        k_pV=(Q.T @ K_pp @ R).toarray(),
+        c_VV=(R.T @ K_pp @ R).toarray(),
         B=np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T,
         ports=[*(port for port, _ in columns), *pins],
     )
-    facts = {"unknowns": float(P.shape[1] + Q.shape[1])}
-    facts["mass_kg"] = float(mass.sum()) / solid.components
-    if (volts := _depoling_voltage(solid, setup)) is not None:
-        facts["depoling_voltage_v"] = volts
-    shift = _shift(solid, setup)
-    facts |= electromechanical(undamped, shift)
-    model = _damped(replace(undamped, facts=facts), solid, P, setup.damping)
-    lift = -(Q.T @ full.K_pp @ R).toarray()
-    return Device(model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), lift, shift)
+    return Device(
+        model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), -(Q.T @ K_pp @ R).toarray(),
+        _shift(solid, setup), float(mass.sum()) / solid.components,
+    )  # fmt: skip
 
 
 def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
@@ -149,16 +173,16 @@ def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
     pins = [nodes for name, nodes in setup.electrodes.items() if name != setup.reference]
     if not pins or not known or len(known) < len(limits):
         return None
-    places = solid.basis(1).doflocs.T
+    places = solid.places.T
     from scipy.spatial import cKDTree  # late: few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
     return float(min(known) * min(near.query(places[nodes])[0].min() for nodes in pins))
 
 
-def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damping) -> LinearModel:
+def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
     """Rayleigh damping, or of each material's elastic stiffness by its quality."""
-    facts = model.facts
+    facts, damping = model.facts, setup.damping
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
         raise UsageError("no resonance to damp at", where="damping.at", expected="a frequency")
@@ -173,7 +197,7 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, damping: Damp
             raise UsageError("no quality known", where="damping.per_material", got=material.name,
                              hint="give it in a material table, or a ratio for all")  # fmt: skip
         part = assemble(solid, only=number).K_uu
-        E = E + (P.T @ part @ P) / (material.quality * omega)
+        E = E + setup.sectors * (P.T @ part @ P) / (material.quality * omega)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
@@ -186,10 +210,7 @@ def mean(solid: Solid, axis: np.ndarray, *, facets: np.ndarray | None = None,
 def node_shares(solid: Solid, *, facets: np.ndarray | None = None,
                 elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
     """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
-    if facets is not None:
-        basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=4)
-    else:
-        basis = Basis(solid.mesh, solid.element, elements=elements, intorder=4)
+    basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
     weights = basis.dx
     if solid.axisymmetric:
         weights = weights * np.asarray(basis.global_coordinates())[0]
@@ -206,7 +227,7 @@ def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
 
 
 def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
-    return spread(np.ones(int(solid.basis(1).N)), np.asarray(axis, float), solid)
+    return spread(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
 
 def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
@@ -215,7 +236,7 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """
     if solid.axisymmetric:
         return translation(solid, np.array([0.0, 0.0, 1.0]))[:, None]
-    arm = solid.basis(1).doflocs.T - centre
+    arm = solid.places.T - centre
     turns = np.cross(np.eye(3)[:, None], arm[None])  # (axis, nodes, component)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
@@ -224,7 +245,7 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
 def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
     """``P`` of ``u = P z``, and the columns of the rigid faces' ports."""
     d, kept = solid.components, ~setup.fixed
-    where = solid.basis(1).doflocs.T
+    where = solid.places.T
     blocks = []
     for face in setup.faces:
         rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
@@ -269,13 +290,18 @@ def _potentials(
             got=f"{np.sum(taken > 1)} common nodes", expected="a gap between any two of them",
             hint="one pin may have several groups: PIN = [GROUP, GROUP]",
         )  # fmt: skip
+    if setup.graded is not None:
+        taken[setup.graded[0]] += 1
     _require_grounded(K_pp, live, taken)
     free = np.flatnonzero(live & (taken == 0))
     identity = sparse.eye_array(len(live), format="csc")
     Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
     driven = {pin: n for pin, n in setup.electrodes.items() if pin != setup.reference}
     none = sparse.csc_array((len(live), 0))
-    R = sparse.hstack([none, *(_indicator(n, live) for n in driven.values())], "csc")
+    columns = [_indicator(n, live) for n in driven.values()]
+    if setup.graded is not None:
+        columns[0] = columns[0] + _indicator(setup.graded[0], live, setup.graded[1])
+    R = sparse.hstack([none, *columns], "csc")
     ports = [Port(p, "electrical", pins=(p, setup.reference)) for p in driven]
     return Q, R, ports
 
@@ -290,17 +316,20 @@ def _require_grounded(K_pp: sparse.csc_array, live: np.ndarray, taken: np.ndarra
         )  # fmt: skip
 
 
-def _indicator(nodes: np.ndarray, live: np.ndarray) -> sparse.csc_array:
-    column = np.zeros((len(live), 1))
-    column[nodes[live[nodes]]] = 1.0
-    return sparse.csc_array(column)
+def _indicator(
+    nodes: np.ndarray, live: np.ndarray, values: float | np.ndarray = 1.0
+) -> sparse.csc_array:
+    column = np.zeros(len(live))
+    column[nodes] = values
+    return sparse.csc_array((column * live)[:, None])
 
 
 def _shift(solid: Solid, setup: Setup) -> float:
     """0 [rad^2/s^2] of a supported body, else a small shift that makes ``K + shift M`` regular."""
     motions = rigid_motions(solid, solid.mesh.p.mean(axis=1))
     motions = motions / np.abs(motions).max(axis=0)
-    if np.linalg.matrix_rank(motions[setup.fixed], tol=1e-6) == motions.shape[1]:
+    held = setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
+    if np.linalg.matrix_rank(motions[held], tol=1e-6) == motions.shape[1]:
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))

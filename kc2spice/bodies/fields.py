@@ -102,7 +102,7 @@ def _points(solid: Solid, gauss: bool) -> Basis:
     local = solid.element.doflocs
     if solid.order == 1:  # where its strains are best, and a collapsed edge has none
         local = 0.5 + (local - 0.5) / np.sqrt(3)
-    return Basis(solid.mesh, solid.element, quadrature=(local.T, np.ones(len(local))))
+    return solid.basis(quadrature=(local.T, np.ones(len(local))))
 
 
 def principal(stress: np.ndarray) -> np.ndarray:

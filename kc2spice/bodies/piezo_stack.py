@@ -1,120 +1,192 @@
-"""The multilayer piezoelectric stack: ring-shaped contact ports on its top, one electrode pair."""
+"""The multilayer piezoelectric stack: ring-shaped contact ports on its top, one electrode pair.
+
+One quarter of it is meshed (:mod:`kc2spice.fem.piezo.mesh`); the four move alike. Even planes of
+electrodes are the grounded cathode, odd ones the anode; layers are poled by turns, along -z above a
+cathode, so that a positive anode voltage lengthens every one. Paper 2.2.2 and appendix A.2.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
-from skfem.mesh import MeshHex
+from skfem import BilinearForm, LinearForm
 
-from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.device import Device
-from kc2spice.core.errors import UsageError
+from kc2spice.bodies.device import Device, Setup, Shape, constrained, damped, part_named, spread
+from kc2spice.bodies.keys import Damping
 from kc2spice.fem.materials import Material, material
-from kc2spice.fem.piezo.assembly import (
-    electrodes,
-    free_displacements,
-    piezo_material,
-    poled,
-)
-from kc2spice.fem.piezo.mesh import kick_mesh
+from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
+from kc2spice.fem.piezo.memory import require_memory
+from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.solid import Solid
-from kc2spice.rom.linear import LinearModel, with_potentials
-
-if TYPE_CHECKING:
-    from kc2spice.fem.piezo.keys import Chip
-    from kc2spice.fem.piezo.mesh import KickMesh, Slab
-    from kc2spice.fem.piezo.system import PiezoSystem
+from kc2spice.rom.linear import Port
 
 USUAL = "PZT-5H"  # whose limits a ceramic is assumed to have that states none of its own
+UPWARDS = np.array([0.0, 0.0, 1.0])
+_FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
+
+Profile = tuple[np.ndarray, np.ndarray]
 
 
-def from_sector(system: PiezoSystem) -> LinearModel:
-    """The device of which ``system`` is one of ``sectors`` that move alike, with its facts.
+def stack_device(
+    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+) -> Device:
+    """The stack with ring ports ring0, ring1, ... and the anode, voltage driven, and its facts.
 
-    The unknowns stay those of one sector. Inertia, stiffness and charge are ``sectors`` times the
-    sector's; a force on a whole ring is shared by the sectors, which all answer with the
-    displacement of one, so B is that of the sector and the electrical column ``sectors`` times it.
-    """
-    n = float(system.sectors)
-    model = with_potentials(
-        M=n * system.M, K_uu=n * system.K_uu, K_up=n * system.K_up, K_pp=n * system.K_pp,
-        k_uV=n * system.k_uV, k_pV=n * system.k_pV, c_VV=n * system.c_VV, B=system.B,
-        ports=system.ports,
-        alpha=system.alpha, beta=system.beta, name="piezo_stack",
-    )  # fmt: skip
-    facts = {"unknowns": system.unknowns, "mass_kg": n * system.mass}
-    facts |= electromechanical(model, system.shift)
-    for name in [name for name in facts if name.endswith("_m_per_v")]:
-        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
-    return model.with_facts(facts)
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
+    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
+    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. A stack poled along
+    x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where
+    a plane of nodes lies inside an active layer.
 
-
-def sector_device(kick: Chip, system: PiezoSystem, breakdown: float | None = None) -> Device:
-    """The device of :func:`from_sector` with the mesh of the quarter, for fields inside it.
-
-    ``breakdown`` [V/m] is the field that a layer stands.
+    The unknowns are those of one quarter. A force on a whole ring is shared by the quarters, which
+    all answer with the displacement of one. ``breakdown`` [V/m] is the field that a layer stands.
+    ``pressure``, straight lines over radii [m] and nothing beyond them, is the one mechanical port
+    in place of the rings.
 
     Raises
     ------
-    UsageError : a mesh of quadratic elements, or of several layers in one.
+    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
+        for the memory.
     """
-    if kick.mesh.order != 1 or kick.mesh.layers_per_element != 1:
-        raise UsageError(
-            "fields need linear elements of one layer each", where="mesh",
-            got=f"order {kick.mesh.order}, layers_per_element {kick.mesh.layers_per_element}",
-            expected="order = 1, layers_per_element = 1",
-        )  # fmt: skip
-    mesh, n = kick_mesh(kick), float(system.sectors)
-    solid = _quarter(kick, mesh, breakdown)
-    anode, inner = electrodes(mesh)
-    nodes, moved = solid.mesh.nvertices, free_displacements(mesh, kick)
-    return Device(
-        from_sector(system), solid,
-        sparse.eye_array(3 * nodes, format="csc")[:, moved],
-        sparse.eye_array(nodes, format="csc")[:, inner],
-        sparse.csc_array(anode[:, None]), -n * system.k_pV[:, None], system.shift,
+    solid, setup = stack_setup(kick, breakdown, pressure)
+    device = damped(constrained(solid, setup), setup, {})
+    facts = dict(device.model.facts)
+    facts["unknowns"] += 1  # as the paper counts them: with one anode
+    for name in [name for name in facts if name.endswith("_m_per_v")]:
+        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
+    return replace(device, model=replace(device.model, facts=facts, name="piezo_stack"))
+
+
+def stack_setup(
+    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+) -> tuple[Solid, Setup]:
+    """Mesh and materials of the quarter, and what is done to it."""
+    require_memory(kick)
+    mesh = kick_mesh(kick)
+    materials, owner = layer_materials(kick, mesh.spans, breakdown)
+    with part_named("kick"):
+        solid = Solid(
+            mesh.mesh, materials, owner[mesh.level], order=kick.mesh.order, numbers=mesh.numbers
+        )
+    shapes = ring_shapes(mesh, kick.poling) if pressure is None else [_patch(mesh, solid, pressure)]
+    electrodes, graded = _electrodes(mesh)
+    return solid, Setup(
+        ~free_displacements(mesh, kick), electrodes, "cathode", shapes=shapes, graded=graded,
+        springs=springs(mesh, solid, kick), sectors=SECTORS,
+        damping=Damping(ratio=kick.damping.ratio, at=kick.damping.at, alpha=kick.damping.alpha),
     )  # fmt: skip
 
 
-def _quarter(kick: Chip, mesh: KickMesh, breakdown: float | None) -> Solid:
-    """All levels and caps of the modelled quarter, layers poled by turns."""
-    plain, keys = poled(piezo_material(kick.material), kick.poling), kick.material
-    axis = np.array([0.0, 0.0, 1.0] if kick.poling == "z" else [1.0, 0.0, 0.0])
-    usual = material(USUAL)
-    layers = [
-        Material(
-            "ceramic", plain.density, plain.C, sign * plain.e, plain.eps, axis=sign * axis,
-            tensile_strength=keys.tensile_strength or usual.tensile_strength,
-            depoling_field=keys.depoling_field or usual.depoling_field, breakdown_field=breakdown,
+def layer_materials(
+    kick: Chip, spans: np.ndarray, breakdown: float | None = None
+) -> tuple[tuple[Material, ...], np.ndarray]:
+    """Materials, and the number of that of each level from the bottom up, of so many layers each
+    (none in a cap)."""
+    plain, usual = kick.material.build(), material(USUAL)
+    plain = replace(
+        plain, breakdown_field=breakdown,
+        tensile_strength=plain.tensile_strength or usual.tensile_strength,
+        depoling_field=plain.depoling_field or usual.depoling_field,
+    )  # fmt: skip
+    own, active = plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)), np.flatnonzero(spans)
+    owner = np.zeros(len(spans), int)
+    signed = np.where(np.arange(len(active)) % 2, spans[active], -spans[active])
+    kinds, owner[active] = np.unique(signed, return_inverse=True)
+    materials = [
+        replace(
+            own, e=n * own.e, eps_S=n**2 * own.eps_S, axis=np.sign(n) * own.axis, dielectric=True
         )
-        for sign in (-1.0, 1.0)
-    ]  # fmt: skip
-    parts = [(slab, 0) for slab in mesh.active]
-    for name, slab, cap in (
-        ("bottom_cap", mesh.bottom, kick.bottom_cap), ("top_cap", mesh.top, kick.top_cap),
+        for n in kinds
+    ]
+    below, above = slice(active[0]), slice(active[-1] + 1, None)
+    for levels, name, cap in (
+        (below, "bottom_cap", kick.bottom_cap), (above, "top_cap", kick.top_cap),
     ):  # fmt: skip
-        if slab is None or cap is None:
-            continue
-        own = replace(layers[0], e=np.zeros((3, 6)))
-        made_of = own if cap.material is None else material(cap.material, f"{name}.material")
-        parts.append((slab, len(layers)))
-        layers.append(replace(made_of, name=name, e=np.zeros((3, 6))))
-    cells, owner = [], []
-    for slab, number in parts:
-        for level in range(slab.count):
-            cells.append(_cells(mesh, slab, level))
-            of = (slab.first - mesh.active[0].first) // mesh.steps + level
-            owner.append(np.full(cells[-1].shape[1], number or of % 2))
-    plane = np.tile(mesh.plane, (len(mesh.heights), 1))
-    points = np.column_stack([plane, np.repeat(mesh.heights, len(mesh.plane))])
-    whole = MeshHex(np.ascontiguousarray(points.T), np.ascontiguousarray(np.hstack(cells)))
-    return Solid(whole, tuple(layers), np.concatenate(owner), order=1)
+        if cap is not None:
+            where = f"kick.{name}.material"
+            made_of = plain if cap.material is None else material(cap.material, where)
+            owner[levels] = len(materials)
+            materials.append(replace(made_of, name=name, e=np.zeros((3, 6))))
+    return tuple(materials), owner
 
 
-def _cells(mesh: KickMesh, slab: Slab, level: int) -> np.ndarray:
-    """Corners (8, cells) of one level of a slab."""
-    first = slab.first + level * mesh.steps
-    return np.asarray(mesh.node[slab.layer.t] + first * len(mesh.plane))
+def free_displacements(mesh: KickMesh, kick: Chip) -> np.ndarray:
+    """Mask of the unconstrained displacements ``3 node + axis``, plane by plane."""
+    tolerance = 1e-9 * mesh.heights[-1]
+    x, y = np.abs(mesh.plane.T) < tolerance
+    free = np.ones((len(mesh.heights), len(mesh.plane), 3), dtype=bool)
+    for axis in (0,) if kick.poling == "z" else (1, 2):
+        free[:, x, axis] = False
+    free[:, y, 1] = False
+    held = {"roller": (2,), "glued": (0, 1, 2)}.get(str(kick.mounting), ())
+    for axis in held:
+        free[0, :, axis] = False
+    return free.ravel()
+
+
+def _electrodes(mesh: KickMesh) -> tuple[dict[str, np.ndarray], Profile | None]:
+    """Nodes on the electrodes, and the potentials of those between the ones within a level."""
+    steps, active, each = mesh.steps, np.flatnonzero(mesh.spans), len(mesh.plane)
+    planes = steps * np.r_[active, active[-1] + 1]
+
+    def nodes(chosen: np.ndarray) -> np.ndarray:
+        return np.add.outer(each * chosen, np.arange(each)).ravel()
+
+    within = np.add.outer(planes[:-1][mesh.spans[active] > 1], np.arange(1, steps)).ravel()
+    part = 1 - np.abs((within - planes[0]) % (2 * steps) / steps - 1)
+    pins = {"anode": nodes(planes[1::2]), "cathode": nodes(planes[::2])}
+    return pins, (nodes(within), np.repeat(part, each)) if within.size else None
+
+
+def ring_shapes(mesh: KickMesh, axis: str = "z") -> list[Shape]:
+    """Unit ring forces along ``axis``, equal along the circle.
+
+    Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
+    one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
+    """
+    shapes, top = [], len(mesh.plane) * (len(mesh.heights) - 1)
+    for number, ring in enumerate(mesh.rings):
+        share = np.ones(len(ring))
+        if len(ring) > 1:
+            share[[0, -1]] = 0.5
+        weights = np.zeros(3 * len(mesh.plane) * len(mesh.heights))
+        weights[3 * (top + ring) + "xyz".index(axis)] = share / share.sum()
+        shapes.append(Shape(Port(f"ring{number}", "mechanical"), weights))
+    return shapes
+
+
+def _patch(mesh: KickMesh, solid: Solid, pressure: Profile) -> Shape:
+    """A unit axial force on the top, spread as the pressure is."""
+    basis = solid.face(_facets(mesh, mesh.heights[-1]), _FINE)
+
+    def load(v, w):  # type: ignore[no-untyped-def]
+        return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
+
+    share = LinearForm(load).assemble(basis)
+    return Shape(Port(PATCH, "mechanical"), spread(share / share.sum(), UPWARDS, solid))
+
+
+def springs(mesh: KickMesh, solid: Solid, kick: Chip) -> sparse.csc_array | None:
+    """Springs of one quarter under the bottom face and on the top face, None without any."""
+    found = []
+    if isinstance(kick.mounting, float):
+        found.append(sparse.kron(_face(mesh, solid, 0.0), kick.mounting * np.eye(3)))
+    if kick.preload_spring is not None:
+        face = _face(mesh, solid, mesh.heights[-1])
+        share = kick.preload_spring / SECTORS / face.sum() * face
+        found.append(sparse.kron(share, np.diag(UPWARDS)))
+    return sparse.csc_array(sum(found)) if found else None
+
+
+def _face(mesh: KickMesh, solid: Solid, height: float) -> sparse.csc_array:
+    """``int N_i N_j dA`` over the face at a height."""
+    basis = solid.face(_facets(mesh, height), solid.quadrature + 1)
+    local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
+    return (local + local.T) / 2
+
+
+def _facets(mesh: KickMesh, height: float) -> np.ndarray:
+    near = 1e-6 * mesh.heights[1]
+    return np.asarray(mesh.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

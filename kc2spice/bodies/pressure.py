@@ -22,30 +22,19 @@ of one depth (:func:`dented`), which a circuit evaluates at the cost of one spri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from skfem import BoundaryFacetBasis
 from skfem.mesh import MeshQuad
 
+from kc2spice.bodies.device import Device, constrained
 from kc2spice.bodies.fields import principal, stress
+from kc2spice.bodies.piezo_stack import layer_materials, stack_device, stack_setup
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.materials import Material
-from kc2spice.fem.piezo.assembly import (
-    PiezoMaterial,
-    assemble_kick,
-    cap_materials,
-    free_displacements,
-    patch_shape,
-    piezo_material,
-)
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.fem.solid import Solid, assemble, strains
-from kc2spice.rom.linear import Port
 
 CELLS = 3  # of the graded mesh between two hats
 GROWTH = 1.3  # from cell to cell away from the hats
@@ -56,7 +45,6 @@ DEGREE = 5  # of its polynomial in the contact's radius
 DEPTHS = 300  # that it is fitted to
 ITERATIONS = 60  # of the closed hats
 RIGID = 1e7  # stiffness of what keeps surfaces apart, of a hat's own
-PATCH = "patch"
 
 
 @dataclass(frozen=True)
@@ -179,15 +167,14 @@ class _Stack:
 
 
 def _stack(chip: Chip, shape: Hats, cells: int) -> _Stack:
-    heights, materials = _layers(chip)
-    solid = _graded(shape, min(chip.half), heights, materials, cells)
-    r, z = solid.basis(1).doflocs
+    heights, planes, solid = _graded(chip, shape, cells)
+    r, z = solid.places
     near = 1e-9 * heights[-1]
     held = np.column_stack([r < near, z < near]).ravel()  # the axis and the roller
     full = assemble(solid)
-    planes = heights[_active(materials)]
-    on_plane = (np.abs(z[:, None] - planes) < near).any(axis=1) if planes.size else z < 0
-    inner = np.flatnonzero((full.K_pp.diagonal() > 0) & ~on_plane)
+    on_plane = (np.abs(z[:, None] - planes) < near).any(axis=1)
+    coupled = any(made_of.piezoelectric for made_of in solid.materials)
+    inner = np.flatnonzero((full.K_pp.diagonal() > 0) & ~on_plane & coupled)
     free = np.flatnonzero(~held)
     blocks = full.K_uu[free][:, free], full.K_up[free][:, inner], full.K_pp[inner][:, inner]
     top = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
@@ -196,15 +183,9 @@ def _stack(chip: Chip, shape: Hats, cells: int) -> _Stack:
     return _Stack(solid, free, inner, blocks, loads)
 
 
-def _active(materials: list[Material]) -> np.ndarray:
-    """Numbers of the heights on which an electrode lies: below and above piezoelectric layers."""
-    layers = np.flatnonzero([made_of.piezoelectric for made_of in materials])
-    return np.unique([layers, layers + 1])
-
-
 def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
     """(nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
-    basis = BoundaryFacetBasis(solid.mesh, solid.element, facets=facets, intorder=5)
+    basis = solid.face(facets, 5)
     r = np.asarray(basis.global_coordinates())[0]
     area = basis.dx * r * np.abs(np.asarray(basis.normals)[1])
     loads = np.zeros((int(basis.N), len(shape.nodes) - 1))
@@ -215,10 +196,15 @@ def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
     return loads / loads.sum(axis=0)
 
 
-def _graded(
-    shape: Hats, radius: float, heights: np.ndarray, materials: list[Material], cells: int
-) -> Solid:
-    """Quadrilaterals that grow away from the hats, with a line at every height."""
+def _graded(chip: Chip, shape: Hats, cells: int) -> tuple[np.ndarray, np.ndarray, Solid]:
+    """Heights [m] of the layers' faces, those with electrodes, and quadrilaterals that grow away
+    from the hats, with a line at every height."""
+    below, above = (cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap))
+    caps = (int(below > 0), int(above > 0))
+    thickness = np.r_[[below] * caps[0], [chip.height / chip.layers] * chip.layers,
+                      [above] * caps[1]]  # fmt: skip
+    heights, radius = np.r_[0.0, np.cumsum(thickness)], min(chip.half)
+    planes = heights[caps[0] :][: chip.layers + 1]
     ends = zip(shape.nodes[:-1], shape.nodes[1:], strict=True)
     inner = np.concatenate([*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends),
                             shape.nodes[-1:]])  # fmt: skip
@@ -230,11 +216,9 @@ def _graded(
         step = down[-1] - down[-2]
     mesh = MeshQuad.init_tensor(r, np.concatenate(lines)[::-1])
     middle = mesh.p[1][mesh.t].mean(axis=0)
-    names = list(dict.fromkeys(made_of.name for made_of in materials))
-    owner = [names.index(made_of.name) for made_of in materials]
-    found = tuple(next(m for m in materials if m.name == name) for name in names)
+    materials, owner = layer_materials(chip, np.pad(np.ones(chip.layers, int), caps))
     layer = np.searchsorted(heights, middle) - 1
-    return Solid(mesh, found, np.array(owner)[layer], axisymmetric=True)
+    return heights, planes, Solid(mesh, materials, owner[layer], axisymmetric=True)
 
 
 def _growing(start: float, end: float, step: float) -> np.ndarray:
@@ -243,25 +227,6 @@ def _growing(start: float, end: float, step: float) -> np.ndarray:
     while points[-1] + 1.5 * (step := GROWTH * step) < end:
         points.append(points[-1] + step)
     return np.array([*points, end])
-
-
-def _layers(chip: Chip) -> tuple[np.ndarray, list[Material]]:
-    """Heights [m] from the bottom, and the material of each layer, poled as the stack is."""
-    own, (below, above) = piezo_material(chip.material), cap_materials(chip)
-
-    def layer(made_of: PiezoMaterial, sign: float, name: str) -> Material:
-        return Material(name, made_of.density, made_of.C, sign * made_of.e, made_of.eps)
-
-    thickness = [chip.height / chip.layers] * chip.layers
-    materials = [layer(own, *((1.0, "up") if k % 2 else (-1.0, "down")))
-                 for k in range(chip.layers)]  # fmt: skip
-    if chip.bottom_cap is not None and below is not None:
-        thickness.insert(0, chip.bottom_cap.thickness)
-        materials.insert(0, layer(below, 0.0, "below"))
-    if chip.top_cap is not None and above is not None:
-        thickness.append(chip.top_cap.thickness)
-        materials.append(layer(above, 0.0, "above"))
-    return np.r_[0.0, np.cumsum(thickness)], materials
 
 
 def _round(chip: Chip) -> Chip:
@@ -274,18 +239,15 @@ def _round(chip: Chip) -> Chip:
 
 
 def _patch_compliance(chip: Chip, shape: Hats, shares: np.ndarray) -> float:
-    """Static compliance [m/N] of the patch on the chip's own mesh, whole device."""
-    mesh = kick_mesh(chip)
-    system = assemble_kick(chip, mesh)
-    load = _patch_load(chip, mesh, shape, shares)
-    found = _static(system.K_uu, system.K_up, system.K_pp, load[:, None])
-    return float(load @ found[: load.size, 0]) / system.sectors
+    """Static compliance [m/N] of the patch on the chip's own mesh."""
+    model = constrained(*stack_setup(chip, pressure=_pressure(shape, shares))).model
+    load = model.B[:, 0]
+    return float(load @ model.pencil.pencil_solver(0.0).solve(load))
 
 
-def _patch_load(chip: Chip, mesh: KickMesh, shape: Hats, shares: np.ndarray) -> np.ndarray:
-    """(n,) unit force on the sector, as the shares of the hats spread it."""
-    pressure = np.append(shares / shape.areas, 0.0)
-    return patch_shape(mesh, shape.nodes, pressure)[free_displacements(mesh, chip)]
+def _pressure(shape: Hats, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and pressure as the shares of the hats spread a unit force."""
+    return shape.nodes, np.append(shares / shape.areas, 0.0)
 
 
 def _static(
@@ -307,14 +269,9 @@ def _static(
     return np.asarray(scale[:, None] * factor.solve(right))
 
 
-def with_patch(
-    system: PiezoSystem, chip: Chip, mesh: KickMesh, shape: Hats, own: Pressed
-) -> PiezoSystem:
-    """The same sector with the patch of the hats as its one mechanical port."""
-    load = _patch_load(chip, mesh, shape, own.shares)
-    electrical = [port for port in system.ports if port.kind == "electrical"]
-    ports = (Port(PATCH, "mechanical"), *electrical)
-    return replace(system, B=load[:, None], ports=ports)
+def patched_device(chip: Chip, shape: Hats, own: Pressed, breakdown: float | None = None) -> Device:
+    """The stack with the patch of the hats as its one mechanical port."""
+    return stack_device(chip, breakdown, _pressure(shape, own.shares))
 
 
 @dataclass(frozen=True)

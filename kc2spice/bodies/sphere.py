@@ -26,8 +26,9 @@ from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.coupled import electromechanical
 from kc2spice.bodies.keys import Damping
-from kc2spice.bodies.pressure import CELLS, GROWTH, PATCH, Hats, Pressed, hat_loads
+from kc2spice.bodies.pressure import CELLS, GROWTH, Hats, Pressed, hat_loads
 from kc2spice.fem.materials import Material
+from kc2spice.fem.piezo.keys import PATCH
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 
@@ -86,7 +87,7 @@ def compliance(body: Sphere, shape: Hats, refine: int = 1) -> np.ndarray:
 def _free(body: Sphere, shape: Hats, refine: int) -> LinearModel:
     """The undamped sphere with a port for every hat."""
     solid = _graded(body, shape, refine)
-    r, _ = solid.basis(1).doflocs
+    r, _ = solid.places
     free = np.ones((r.size, 2), dtype=bool)
     free[r < 1e-6 * shape.nodes[1], 0] = False
     kept = np.flatnonzero(free.ravel())

@@ -99,6 +99,7 @@ class Material:
         against the poling and field in any direction [V/m] that it stands, None if not known.
     sources : where each number comes from.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
+    dielectric : has a field between its electrodes even where that is coupled to no stress.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Material:
     breakdown_field: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    dielectric: bool = False
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"
@@ -322,7 +324,7 @@ class MaterialTable(Section):
         hint = None
         if np.any(e):
             hint = "is the permittivity at constant stress or at constant strain?"
-        _require_definite(eps, f"{where}: permittivity at constant strain", hint)
+        require_definite(eps, f"{where}: permittivity at constant strain", hint)
         given = {k for k in type(self).model_fields if getattr(self, k) is not None}
         given -= {"source", "sources", "symmetry", "permittivity_at", "conductor"}
         sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
@@ -336,13 +338,13 @@ class MaterialTable(Section):
             C = _elastic(self.stiffness, "c", self.symmetry, f"{where}: stiffness")
         elif self.compliance is not None:
             s = _elastic(self.compliance, "s", self.symmetry, f"{where}: compliance")
-            _require_definite(s, f"{where}: compliance")
+            require_definite(s, f"{where}: compliance")
             C = np.linalg.inv(s)
         else:
             s = self._engineering(where)
-            _require_definite(s, f"{where}: youngs_modulus and poisson_ratio")
+            require_definite(s, f"{where}: youngs_modulus and poisson_ratio")
             C = np.linalg.inv(s)
-        _require_definite(C, f"{where}: stiffness")
+        require_definite(C, f"{where}: stiffness")
         _require_scale(C, where)
         return (C + C.T) / 2
 
@@ -473,7 +475,7 @@ def _known(symmetry: str | None, tables: Mapping[str, object], where: str) -> st
     return symmetry
 
 
-def _require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
+def require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
     """Positive definite after scaling the diagonal to one, so that units do not matter."""
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())

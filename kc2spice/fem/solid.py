@@ -17,17 +17,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
-from skfem import Basis, ElementHex1, ElementHex2, ElementQuad2, ElementTetP2, ElementTriP2
+from skfem import (
+    Basis,
+    BoundaryFacetBasis,
+    Dofs,
+    ElementHex1,
+    ElementHex2,
+    ElementQuad2,
+    ElementTetP2,
+    ElementTriP2,
+)
 from skfem.mesh import Mesh, MeshHex, MeshQuad, MeshTet
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import Material
 
-ORDER = 4  # exact for the mass of a straight quadratic tetrahedron
 CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
 # Voigt row of the derivative of component i by coordinate j.
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
@@ -38,6 +47,8 @@ _FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
 class Solid:
     """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled), with shape
     functions of ``order`` (1 on hexahedra only). Materials of one name are one in reports.
+    ``numbers`` (l, elements) are those of each element's nodes where they are not scikit-fem's:
+    nodes of collapsed edges and faces share one.
 
     Raises
     ------
@@ -49,6 +60,7 @@ class Solid:
     owner: np.ndarray
     axisymmetric: bool = False
     order: Literal[1, 2] = 2
+    numbers: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         determinant = self.mesh.mapping().detDF(self.basis(2).X)
@@ -81,9 +93,35 @@ class Solid:
             return ElementTetP2()
         return ElementQuad2() if isinstance(mesh, MeshQuad) else ElementTriP2()
 
-    def basis(self, order: int = ORDER, **options: Any) -> Basis:
+    @property
+    def quadrature(self) -> int:
+        """Order of integration: exact for the mass of a straight quadratic tetrahedron."""
+        return 2 * self.order
+
+    def basis(self, order: int | None = None, **options: Any) -> Basis:
         """The scalar basis whose degrees of freedom are called nodes here."""
-        return Basis(self.mesh, self.element, intorder=order, **options)
+        if "quadrature" not in options:
+            options["intorder"] = order or self.quadrature
+        return Basis(self.mesh, self.element, dofs=self._nodes, **options)
+
+    def face(self, facets: np.ndarray, order: int) -> BoundaryFacetBasis:
+        """The same on facets."""
+        return BoundaryFacetBasis(
+            self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes
+        )
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """(d, nodes) positions [m] of the nodes."""
+        return np.asarray(self.basis(1).doflocs)
+
+    @cached_property
+    def _nodes(self) -> Dofs | None:
+        if self.numbers is None:
+            return None
+        found = Dofs(self.mesh, self.element)
+        found.element_dofs, found.N = self.numbers, int(self.numbers.max()) + 1
+        return found
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
         """Numbers of the nodes of some elements."""
@@ -139,13 +177,15 @@ def strains(solid: Solid, basis: Basis) -> Iterator[tuple[np.ndarray, np.ndarray
 
 
 def assemble(solid: Solid, *, only: int | None = None) -> Operators:
-    """Matrices of the solid; coupling and permittivity only where it is piezoelectric.
+    """Matrices of the solid; coupling and permittivity only where it is piezoelectric or
+    dielectric.
 
     ``only`` is the number of the one material that is taken.
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
     for material, cells in _chunks(solid, only):
+        field = material.piezoelectric or material.dielectric
         basis = solid.basis(elements=cells)
         weights = basis.dx
         if solid.axisymmetric:
@@ -156,19 +196,19 @@ def assemble(solid: Solid, *, only: int | None = None) -> Operators:
         for (N, B, G), w in zip(strains(solid, basis), weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (material.C @ B))
-            if material.piezoelectric:
+            if field:
                 c = c + w * (B.transpose(0, 2, 1) @ (material.e.T @ G))
                 p = p + w * (G.transpose(0, 2, 1) @ (material.eps_S @ G))
-        for axis in range(d):
-            parts[0].append((m, moves[:, axis::d], moves[:, axis::d]))
+        parts[0].append((m, nodes, nodes))
         parts[1].append((k, moves, moves))
-        if material.piezoelectric:
+        if field:
             parts[2].append((c, moves, nodes))
             parts[3].append((p, nodes, nodes))
-    n = int(solid.basis(1).N)
-    shapes = ((d * n, d * n), (d * n, d * n), (d * n, n), (n, n))
-    M, K_uu, K_up, K_pp = (_gather(p, s) for p, s in zip(parts, shapes, strict=True))
-    return Operators(_symmetric(M), _symmetric(K_uu), K_up, _symmetric(K_pp))
+    n = solid.places.shape[1]
+    shapes = ((n, n), (d * n, d * n), (d * n, n), (n, n))
+    m, K_uu, K_up, K_pp = (_gather(p, s) for p, s in zip(parts, shapes, strict=True))
+    M = sparse.csc_array(sparse.kron(_symmetric(m), np.eye(d)))
+    return Operators(M, _symmetric(K_uu), K_up, _symmetric(K_pp))
 
 
 def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:

@@ -18,11 +18,11 @@ from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveform import Waveform, pulse
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import Material, material
-from kc2spice.fem.piezo.keys import Chip, Damping
+from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip, Damping
 from kc2spice.parts._linear_body import SOURCES
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.netlist import first_netlist
-from kc2spice.rom.linear import LinearModel, Port
+from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
@@ -42,10 +42,7 @@ from kc2spice.spice.realize import STRIKING, Watch
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.pressure import Hats, Pressed
-    from kc2spice.fem.piezo.mesh import KickMesh
-    from kc2spice.fem.piezo.system import PiezoSystem
 
-SECTORS = 4  # the finite-element model is one symmetry sector of this many
 # Damping ratio at 250 kHz below which modes ring on through a kick, so that the errors of steps add
 # up: launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
 RINGING, UNDAMPED = 4e-3, 2e-4
@@ -53,7 +50,6 @@ LOW_KICK = 0.03  # of reltol: what kicks of 40 to 60 V need to launch as exactly
 # The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
-PATCH = "patch"  # port under hats of pressure
 SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
 
@@ -255,22 +251,13 @@ class PiezoStack(MeshedBody):
         low, high = asked.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
-    def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        chip = chip_of(part.keys)
-        with clock.stage("mesh", "chip mesh"):
-            _mesh(chip)
-        with clock.stage("assemble", "piezoelectric matrices"):
-            _assembled(chip)
-        with clock.stage("reduce", "elimination of the potentials"):
-            shape = pressure_hats(part, scene)
-            return _device(chip) if shape is None else _patched(chip, shape)
-
     def device(self, part: Part, scene: Scene) -> Device:
-        from kc2spice.bodies.piezo_stack import sector_device
-
         chip, shape = chip_of(part.keys), pressure_hats(part, scene)
-        system = _assembled(chip) if shape is None else _on_patch(chip, shape)
-        return sector_device(chip, system, part.keys.rated_field)
+        if shape is None:
+            return _device(chip, part.keys.rated_field)
+        from kc2spice.bodies.pressure import patched_device
+
+        return patched_device(chip, shape, _pressed(chip, shape), part.keys.rated_field)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -487,17 +474,15 @@ def highest_voltage(part: Part, scene: Scene) -> float:
 def free_stroke(keys: Chip, voltage: float) -> float:
     """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
     one that shears."""
-    C, e, _ = keys.material.tensors()
-    axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
-    return keys.layers * abs(np.linalg.solve(C, e[axis])[strain] * voltage)
+    strain = (2, 2) if keys.poling == "z" else (0, 4)
+    return keys.layers * abs(keys.material.build().d[strain] * voltage)
 
 
 def top_material(keys: Chip) -> Material:
     """What something on the top face presses on."""
     if keys.top_cap is not None and keys.top_cap.material is not None:
         return material(keys.top_cap.material, "top_cap.material")
-    C, e, eps = keys.material.tensors()
-    return Material("ceramic", keys.material.density, C, e, eps)
+    return keys.material.build()
 
 
 def _driver(
@@ -545,6 +530,13 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
             "nothing holds the chip under what rests on it", where=f"{part.name}.mounting",
             got="free", expected="roller, glued or a stiffness per area",
         )  # fmt: skip
+    mesh = keys.mesh
+    if keys.fields and (mesh.order != 1 or mesh.layers_per_element != 1):
+        yield UsageError(
+            "fields need linear elements of one layer each", where=f"{part.name}.mesh",
+            got=f"order {mesh.order}, layers_per_element {mesh.layers_per_element}",
+            expected="order = 1, layers_per_element = 1",
+        )  # fmt: skip
     drive = keys.drive
     if keys.driver and keys.electrical != "driven":
         yield UsageError(
@@ -572,37 +564,10 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
 
 # The last chip stays in memory: the next scene often asks for another reduction of the same one.
 @lru_cache(maxsize=1)
-def _mesh(chip: Chip) -> KickMesh:
-    from kc2spice.fem.piezo.mesh import kick_mesh
+def _device(chip: Chip, breakdown: float) -> Device:
+    from kc2spice.bodies.piezo_stack import stack_device
 
-    return kick_mesh(chip)
-
-
-@lru_cache(maxsize=1)
-def _assembled(chip: Chip) -> PiezoSystem:
-    from kc2spice.fem.piezo.assembly import assemble_kick
-
-    return assemble_kick(chip, _mesh(chip))
-
-
-@lru_cache(maxsize=1)
-def _device(chip: Chip) -> LinearModel:
-    from kc2spice.bodies.piezo_stack import from_sector
-
-    return from_sector(_assembled(chip))
-
-
-def _patched(chip: Chip, shape: Hats) -> LinearModel:
-    """The device with the patch as its mechanical port."""
-    from kc2spice.bodies.piezo_stack import from_sector
-
-    return from_sector(_on_patch(chip, shape))
-
-
-def _on_patch(chip: Chip, shape: Hats) -> PiezoSystem:
-    from kc2spice.bodies.pressure import with_patch
-
-    return with_patch(_assembled(chip), chip, _mesh(chip), shape, _pressed(chip, shape))
+    return stack_device(chip, breakdown)
 
 
 def _dents(part: Part, shape: Hats) -> Dents:

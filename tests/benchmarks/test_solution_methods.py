@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import run_deck
@@ -21,6 +20,7 @@ from laboratory.lower_bound import LowerBound
 from laboratory.peers import integrate
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint, imprint_refactorised
+from laboratory.usual.system import quarter
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):
 
 def test_count_of_factorisations_is_that_of_the_code():
     chip = Chip(layers=3, mesh={"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2})
-    system, surface = assemble_kick(chip), contact_surface(chip, 1e8, 1e-3)
+    system, surface = quarter(chip), contact_surface(chip, 1e8, 1e-3)
     depth = np.linspace(0.0, 60e-6, 7)
     counted = factorisations(imprint(system, surface, depth).ring_force)
     assert counted == imprint_refactorised(system, surface, depth).iterations.sum()

@@ -11,16 +11,16 @@ from kc2spice.bodies import disc, langevin
 from kc2spice.bodies.device import Setup, Shape, make_device, mean
 from kc2spice.bodies.fields import Probe, extremes, principal
 from kc2spice.bodies.keys import Damping
-from kc2spice.bodies.piezo_stack import sector_device
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.recover import lowest_modes, recover
 from kc2spice.bodies.vtu import write_vtu
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
 from kc2spice.parts._pictures import OBLIQUE, deformed, shapes
 from kc2spice.rom.linear import Port
+from kc2spice.scene.load import load_scene
 
 PZT = material("PZT-5A")
 SIZE = np.array([4e-3, 1e-3, 0.5e-3])
@@ -91,7 +91,7 @@ SANDWICH = {
 
 def chip(**keys):
     kick = Chip(layers=6, layer_thickness=60e-6, **keys)
-    return sector_device(kick, assemble_kick(kick), 2e6)
+    return stack_device(kick, 2e6)
 
 
 def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
@@ -140,7 +140,7 @@ def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, 
 
 def test_fields_of_merged_layers_are_refused():
     with pytest.raises(UsageError, match="one layer each"):
-        chip(mesh={"layers_per_element": 2})
+        load_scene("kick_and_catch", {"kick.fields": True, "kick.mesh.layers_per_element": 2})
 
 
 def test_motion_is_that_of_the_full_model():

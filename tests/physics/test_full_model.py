@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.pressure import contact_forces
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
@@ -18,6 +17,7 @@ from kc2spice.rom.reduce import reduce
 from kc2spice.rom.surrogate import surrogate
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint, imprint_refactorised
+from laboratory.usual.system import quarter
 from laboratory.usual.transient import Ball, transient
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
@@ -28,13 +28,13 @@ PULSE = Drive(start=0.0).waveform
 @cache
 def small(per_node: bool = False, **change):
     kick = Chip(layers=3, mesh={**SMALL, **change})
-    return assemble_kick(kick), contact_surface(kick, 1e8, 1e-3, per_node=per_node)
+    return quarter(kick), contact_surface(kick, 1e8, 1e-3, per_node=per_node)
 
 
 @pytest.fixture(scope="module")
 def default():
     kick = Chip()
-    return assemble_kick(kick), contact_surface(kick, 1e8, 1e-3)
+    return quarter(kick), contact_surface(kick, 1e8, 1e-3)
 
 
 def energy_error(result) -> float:
@@ -55,15 +55,14 @@ def test_contact_forces_satisfy_the_law_for_random_compliances():
 
 
 def test_surrogate_is_checked_against_direct_solutions():
-    system, _ = small(order=2)
-    full = from_sector(system)
+    full = stack_device(Chip(layers=3, mesh={**SMALL, "order": 2})).model
     small_one = surrogate(full, (0.0, 500e3))
     model = small_one.model
     assert small_one.error < 1e-10
     frequency = np.array([1.23e5, 4.56e5])
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="cannot replace"):
-        surrogate(from_sector(system), (0.0, 500e3), blocks=6)  # 4e-8
+        surrogate(full, (0.0, 500e3), blocks=6)  # 4e-8
 
 
 @pytest.mark.parametrize("electrical", ["open", "short"])
@@ -81,7 +80,7 @@ def test_reduced_imprint_equals_the_full_one(default):
     """Static port answers are in the basis; force laws see nothing else."""
     system, surface = default
     depth = np.linspace(0, 50e-6, 51)
-    rom = resonators(reduce(from_sector(system), order=30, band=(0.0, 500e3)))
+    rom = resonators(reduce(stack_device(Chip()).model, order=30, band=(0.0, 500e3)))
     root = np.r_[np.full(6, 2.0), 0.5]  # back to one of four sectors
     G = rom.transfer(np.zeros(1))[0].real * np.outer(root, root)
     open_anode = G[:6, :6] - np.outer(G[:6, 6], G[6, :6]) / G[6, 6]
@@ -104,7 +103,7 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
     )  # fmt: skip
     surface = contact_surface(kick, 1e13, 1e-3)
     depth = np.array([40e-6])
-    force = 4 * imprint(assemble_kick(kick), surface, depth, "short").force
+    force = 4 * imprint(quarter(kick), surface, depth, "short").force
     hertz = 4 / 3 * young / (1 - nu**2) * np.sqrt(1e-3) * depth**1.5
     np.testing.assert_allclose(force, hertz, rtol=0.08)  # measured 6 %
 
@@ -157,15 +156,15 @@ def test_kick_starts_at_rest_and_launches_at_one_metre_per_second(default):
 def mass_damped():
     """A small chip whose damping is mostly alpha M, and its matrices."""
     kick = Chip(layers=3, mesh=SMALL, damping={"alpha": 3e5, "ratio": 1e-3})
-    system = assemble_kick(kick)
+    system = quarter(kick)
     assert system.K_pp.shape[0] == 0  # one element a layer: nothing to eliminate
     M, K = system.M.toarray(), system.K_uu.toarray()
     return kick, system, (M, 3e5 * M + 1e-3 / (np.pi * 250e3) * K, K, -system.k_uV)
 
 
 def test_mass_damping_reaches_the_response_and_its_reduction(mass_damped):
-    _, system, (M, E, K, b) = mass_damped
-    model = from_sector(system)
+    kick, system, (M, E, K, b) = mass_damped
+    model = stack_device(kick).model
     frequency = np.array([50e3, 230e3, 270e3, 400e3])
     s = 2j * np.pi * frequency
     R0 = system.B[:, 0]

@@ -7,11 +7,10 @@ import pytest
 from scipy.sparse import block_array, csc_array
 from scipy.sparse.linalg import splu
 
-from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.bodies.device import Device
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.parts.contact import ContactKeys
 from kc2spice.parts.piezo_stack import Drive
 from kc2spice.parts.sphere import SphereKeys
@@ -19,6 +18,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
 from laboratory.usual.contact import as_system, contact_surface, on_reduced
+from laboratory.usual.system import PiezoSystem, quarter_of
 from laboratory.usual.transient import Ball, transient
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
@@ -28,21 +28,26 @@ SMALL_VARIANTS = [{}, {"refine": 2}, {"order": 2}]
 
 
 @cache
-def small_system(**change) -> PiezoSystem:
-    return assemble_kick(Chip(layers=3, mesh={**SMALL, **change}))
+def small(**change) -> Device:
+    return stack_device(Chip(layers=3, mesh={**SMALL, **change}))
 
 
 BAND = (0.0, 500e3)
 
 
 @pytest.fixture(scope="module")
-def sector():
-    return assemble_kick(Chip())
+def device():
+    return stack_device(Chip())
 
 
 @pytest.fixture(scope="module")
-def default(sector):
-    return from_sector(sector)
+def default(device):
+    return device.model
+
+
+@pytest.fixture(scope="module")
+def sector(device):
+    return quarter_of(device)
 
 
 def whole(response):
@@ -94,10 +99,10 @@ def full_response(system: PiezoSystem, frequency: float) -> np.ndarray:
 @pytest.mark.parametrize("change", SMALL_VARIANTS)
 def test_small_model_reduced_far_enough_is_the_full_model(change):
     """Rings and charge, potentials inside the layers included, to solver precision."""
-    system = small_system(**change)
-    rom = reduce(from_sector(system), order=70, band=BAND)
+    device = small(**change)
+    rom = reduce(device.model, order=70, band=BAND)
     frequency = np.array([0.0, 3e4, 1.7e5, 2.9e5, 4.9e5])
-    full = np.array([full_response(system, f) for f in frequency])
+    full = np.array([full_response(quarter_of(device), f) for f in frequency])
     assert relative_error(rom.transfer(frequency), whole(full)) < 1e-9
 
 
@@ -130,9 +135,8 @@ def above_band_twice(system, rom):
 
 @pytest.mark.parametrize("order", [16, 20, 24, 28])
 def test_what_contact_sees_above_the_band_is_said(order):
-    system = small_system()
-    rom = reduce(from_sector(system), order=order, band=BAND)
-    said, true = above_band_twice(system, rom)
+    rom = reduce(small().model, order=order, band=BAND)
+    said, true = above_band_twice(quarter_of(small()), rom)
     assert np.all((said < 2 * true) & (true < 2 * said))
 
 
@@ -156,7 +160,7 @@ def test_estimate_agrees_with_the_true_error(default):
 
 @pytest.fixture(scope="module")
 def model():
-    return from_sector(small_system(refine=2))
+    return small(refine=2).model
 
 
 @pytest.mark.parametrize("order", [1, 5, 9, 20, 40])
@@ -217,11 +221,10 @@ def velocity(system, surface):
 
 
 @pytest.fixture(scope="module")
-def launched():
+def launched(sector):
     """The assembled chip, its contact surface, and the launch with it."""
-    full = assemble_kick(Chip())
     surface = contact_surface(Chip(), ContactKeys().penalty, SphereKeys().radius)
-    return full, surface, velocity(full, surface)
+    return sector, surface, velocity(sector, surface)
 
 
 @pytest.mark.slow
@@ -253,4 +256,4 @@ def test_few_states_launch_the_sphere_as_the_full_model_does(default, launched, 
 
 def test_unreachable_tolerance_is_refused():
     with pytest.raises(UsageError, match="certified"):
-        reduce(from_sector(small_system()), tolerance=1e-18, band=BAND)
+        reduce(small().model, tolerance=1e-18, band=BAND)

@@ -12,11 +12,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh
 from laboratory.usual.contact import contact_surface
 from laboratory.usual.statics import imprint
+from laboratory.usual.system import quarter
 from laboratory.usual.transient import Ball, transient
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -40,7 +40,7 @@ def gaps():
 
 def test_matrices_are_those_assembled_by_hand(own):
     M, K, k, c, shapes = own
-    system = assemble_kick(CHIP)
+    system = quarter(CHIP)
     pairs = {"M": (system.M.toarray(), M), "K": (system.K_uu.toarray(), K),
              "k": (system.k_uV, k), "c": (system.c_VV, c), "B": (system.B, shapes)}  # fmt: skip
     for name, (found, exact) in pairs.items():
@@ -67,7 +67,7 @@ def test_imprint_by_hand(own, electrical):
         assert (reached[closed] > 0).all()
         expected.append(PENALTY * np.maximum(reached, 0))
     surface = contact_surface(CHIP, PENALTY, RADIUS)
-    found = imprint(assemble_kick(CHIP), surface, depth, electrical)
+    found = imprint(quarter(CHIP), surface, depth, electrical)
     assert [int((row > 0).sum()) for row in expected] == [1, 2, 3]
     np.testing.assert_allclose(found.ring_force, expected, rtol=1e-9, atol=1e-9)
 
@@ -98,7 +98,7 @@ def test_impact_by_hand(own):
     stop = 4e-6
     exact = solve_ivp(slope, (0, stop), start, "Radau", rtol=1e-7, atol=1e-13, jac=jacobian)
     found = transient(
-        assemble_kick(CHIP), contact_surface(CHIP, PENALTY, RADIUS), Ball(MASS, 1e-7, -1.0),
+        quarter(CHIP), contact_surface(CHIP, PENALTY, RADIUS), Ball(MASS, 1e-7, -1.0),
         step=5e-9, stop=stop, voltage=lambda t: 0.0,
     )  # fmt: skip
     travel = 1e-7 - found.height.min()

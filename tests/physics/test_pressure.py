@@ -23,7 +23,7 @@ from kc2spice.bodies.pressure import (
     stressed,
 )
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.keys import Chip, Material
+from kc2spice.fem.piezo.keys import Ceramic, Chip
 from kc2spice.parts.contact import sides
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
@@ -38,11 +38,11 @@ def steel():
     lame = 211.9e9 * 0.291 / ((1 + 0.291) * (1 - 2 * 0.291))
     shear = 211.9e9 / 2 / (1 + 0.291)
     c11 = lame + 2 * shear
-    return Material(stiffness=(c11, lame, lame, c11, shear, shear), coupling=(0.0, 0.0, 0.0))
+    return Ceramic(stiffness=(c11, lame, lame, c11, shear, shear), coupling=(0.0, 0.0, 0.0))
 
 
 def ceramic():
-    return Material(coupling=(0.0, 0.0, 0.0))
+    return Ceramic(coupling=(0.0, 0.0, 0.0))
 
 
 def modulus(stiffness):
@@ -89,7 +89,7 @@ def body(material, cells=3):
 
 @pytest.mark.parametrize("material", ["steel", "ceramic"])
 def test_rings_of_pressure_dent_as_on_a_half_space(material):
-    E = STEEL if material == "steel" else modulus(Material().stiffness)
+    E = STEEL if material == "steel" else modulus(Ceramic().stiffness)
     S = body(material)[:COUNT, :COUNT]
     expected = without_mean(half_space(E))
     error = np.abs(without_mean(S) - expected).max(axis=1) / np.abs(expected).max()

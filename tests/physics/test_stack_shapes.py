@@ -6,11 +6,10 @@ from scipy.optimize import brentq
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
-from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.core.errors import UsageError
 from kc2spice.core.schema import validated
 from kc2spice.fem.materials import material
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
@@ -22,9 +21,7 @@ SMALL = {"sectors": 4, "rings": 1, "outer_rings": 2, "order": 2}
 
 
 def stack(**keys):
-    return from_sector(
-        assemble_kick(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys))
-    )
+    return stack_device(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.bodies.piezo_stack import from_sector
-from kc2spice.fem.piezo.assembly import assemble_kick
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.fem.piezo.keys import Chip, Damping
 from kc2spice.netlist.deck import Block, Command, Deck
 from kc2spice.netlist.lint import lint
@@ -122,7 +121,5 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 
 
 def chip(damping, header):
-    device = from_sector(
-        assemble_kick(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3}))
-    )
+    device = stack_device(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
     return subcircuit(reduce(device, order=30, band=(0.0, 500e3)), "kick", header)

@@ -14,7 +14,7 @@ MAY = {
     "core": "",
     "linalg": "core",
     "rom": "core linalg",
-    "fem": "core linalg rom",
+    "fem": "core linalg",
     "bodies": "core fem rom",
     "scene": "core bodies",
     "netlist": "core",

@@ -24,10 +24,13 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.units import EPSILON_0
-from kc2spice.fem.materials import material
+from kc2spice.fem.materials import Material, material, require_definite
+
+SECTORS = 4  # quarters of the chip that move alike, of which one is modelled
+PATCH = "patch"  # its port under a pressure
 
 
-class Material(Section):
+class Ceramic(Section):
     """Piezoelectric ceramic in Voigt order xx yy zz yz xz xy, poled along +z (paper A.2)."""
 
     density: Density = Field(7700.0, gt=0, description="of the ceramic")
@@ -49,7 +52,26 @@ class Material(Section):
         None, gt=0, description="largest field against poling; that of PZT-5H is assumed if absent"
     )
 
-    def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def build(self) -> Material:
+        """The ceramic, with its permittivity at constant strain: data sheets give that at constant
+        stress.
+
+        Raises
+        ------
+        UsageError : stiffness or permittivity is not positive definite, so no such material exists.
+        """
+        C, e, eps = self._tensors()
+        require_definite(C, "kick.material.stiffness")
+        if self.permittivity_at == "stress":
+            eps = eps - e @ np.linalg.solve(C, e.T)
+        hint = "is the permittivity at constant stress or strain (permittivity_at)?"
+        require_definite(eps, "kick.material.permittivity", hint)
+        return Material(
+            "ceramic", self.density, C, e, eps, tensile_strength=self.tensile_strength,
+            depoling_field=self.depoling_field,
+        )  # fmt: skip
+
+    def _tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
         c11, c12, c13, c33, c44, c66 = self.stiffness
         C = np.diag([c11, c11, c33, c44, c44, c66])
@@ -106,8 +128,8 @@ def _from_library(given: object) -> object:
         "permittivity": (float(eps[0, 0]), float(eps[2, 2])), "permittivity_at": "strain",
         "tensile_strength": named.tensile_strength, "depoling_field": named.depoling_field,
     }  # fmt: skip
-    found = Material(**keys)
-    same = (found.tensors()[0], C), (found.tensors()[1], named.e), (found.tensors()[2], named.eps_S)
+    found = Ceramic(**keys)._tensors()
+    same = zip(found, (C, named.e, named.eps_S), strict=True)
     if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):
         raise ValueError(f"{given} is no ceramic poled along z (class 6mm)")
     return keys
@@ -139,7 +161,7 @@ class Chip(Section):
     layer_thickness: Length | None = Field(None, gt=0, description="instead of height")
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
-    material: Annotated[Material, BeforeValidator(_from_library)] = Material()
+    material: Annotated[Ceramic, BeforeValidator(_from_library)] = Ceramic()
     poling: Literal["z", "x"] = Field("z", description="z makes the stack longer, x shears it")
     mesh: ChipMesh = ChipMesh()
     damping: Damping = Damping()

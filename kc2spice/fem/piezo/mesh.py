@@ -1,7 +1,7 @@
 """Mapped mesh of the quarter chip: rings around the contact point, swept through the layers.
 
 The paper asks for a mapped mesh (2.2.2): nodes on concentric circles make one force per ring
-exact, and equal layers let one assembled layer stand for all of them.
+exact.
 
 A *level* is one element over the height: one layer, or several of them as one medium where
 ``layers_per_element`` allows it. The field in each layer is given by its electrodes, so m layers in
@@ -17,7 +17,7 @@ from types import ModuleType
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import shortest_path
-from skfem import ElementHex1, ElementHex2, MeshHex1, MeshHex2
+from skfem import MeshHex1, MeshHex2
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.gmsh_session import gmsh_session
@@ -27,61 +27,31 @@ GROWTH = 0.25  # of a level's thickness with its depth
 
 
 @dataclass(frozen=True)
-class Slab:
-    """``count`` equal levels from plane ``first`` on; ``layer`` is the lowest of them.
-
-    Each stands for ``span`` active layers.
-    """
-
-    layer: MeshHex1
-    first: int
-    count: int
-    span: int = 1
-
-
-@dataclass(frozen=True)
 class KickMesh:
     """Quarter chip ``0 <= x, y``, ``0 <= z``, its bottom cap included.
 
     Attributes
     ----------
-    layer : scikit-fem mesh of one active layer at the bottom; the hexahedra at the axis have one
-        edge collapsed.
-    element, order : scalar element on ``layer``: trilinear, or triquadratic and isoparametric.
-    node : (scalar dofs of ``layer``,) their node numbers; the axis has one node per plane.
+    mesh : hexahedra, trilinear, or triquadratic and isoparametric; those at the axis have one edge
+        collapsed.
+    numbers : of the nodes of each triquadratic hexahedron, one on the axis per plane; None of
+        trilinear ones, whose nodes are the vertices.
+    level : (cells,) of each hexahedron, from the bottom up.
     plane : (nodes per plane, 2) positions [m], the centre first, then ring by ring.
     heights : (planes,) [m]. Node ``k * len(plane) + i`` is node ``i`` of plane ``k``.
     steps : planes per level.
     rings : node numbers within the plane for ring0 (centre), ring1, ... from the x to the y axis.
-    spans : piezoelectric layers in each level, from the bottom up.
-    bottom, top : slabs without field below and above them.
+    spans : piezoelectric layers in each level, from the bottom up; 0 in the caps.
     """
 
-    layer: MeshHex1
-    element: ElementHex1 | ElementHex2
-    order: int
-    node: np.ndarray
+    mesh: MeshHex1
+    numbers: np.ndarray | None
+    level: np.ndarray
     plane: np.ndarray
     heights: np.ndarray
     steps: int
     rings: tuple[np.ndarray, ...]
     spans: np.ndarray
-    bottom: Slab | None = None
-    top: Slab | None = None
-
-    @property
-    def active(self) -> tuple[Slab, ...]:
-        """The piezoelectric levels, in runs of equal thickness from the bottom up."""
-        below = self.bottom.count if self.bottom else 0
-        starts = np.flatnonzero(np.diff(self.spans, prepend=0))
-        counts = np.diff(starts, append=len(self.spans))
-        return tuple(
-            Slab(self._stretched(span), self.steps * (below + int(start)), int(count), span)
-            for start, count, span in zip(starts, counts, self.spans[starts].tolist(), strict=True)
-        )
-
-    def _stretched(self, span: int) -> MeshHex1:
-        return type(self.layer)(self.layer.doflocs * np.array([[1.0], [1.0], [span]]), self.layer.t)
 
 
 def kick_mesh(kick: Chip) -> KickMesh:
@@ -93,39 +63,54 @@ def kick_mesh(kick: Chip) -> KickMesh:
     """
     _check(kick)
     steps = kick.mesh.refine * kick.mesh.order
-    plane = _in_plane(kick, steps)
-    layer, element, node = _layer(kick, plane, steps, kick.height / kick.layers)
-    stations = steps * np.arange(kick.mesh.rings + 1)
-    spokes = plane.shape[1]
-    ring_nodes = [np.array([0])] + [1 + (i - 1) * spokes + np.arange(spokes) for i in stations[1:]]
-    caps = [(cap, cap_layers(kick, cap)) for cap in (kick.bottom_cap, kick.top_cap)]
-    spans = level_spans(kick)
-    counts = [caps[0][1], len(spans), caps[1][1]]
-    first = steps * np.concatenate([[0], np.cumsum(counts)])
-    slabs = [
-        Slab(_layer(kick, plane, steps, cap.thickness / count)[0], int(start), count)
-        if cap else None
-        for (cap, count), start in zip(caps, first[[0, 2]], strict=True)
-    ]  # fmt: skip
+    lattice = _in_plane(kick, steps)
+    spokes = lattice.shape[1]
+    stations = steps * np.arange(1, kick.mesh.rings + 1)
+    rings = [np.array([0])] + [1 + (i - 1) * spokes + np.arange(spokes) for i in stations]
+    spans, heights = _levels(kick, steps)
+    mesh, numbers = _hexahedra(lattice, heights, kick.mesh.order)
+    cells = mesh.nelements // (len(heights) - 1) * kick.mesh.order
+    level = np.arange(mesh.nelements) // (cells * kick.mesh.refine)
+    plane = np.vstack([lattice[0, 0], lattice[1:].reshape(-1, 2)])
+    return KickMesh(mesh, numbers, level, plane, heights, steps, tuple(rings), spans)
+
+
+def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Active layers in each level, and the heights [m] of all planes of nodes."""
+    spans, caps = level_spans(kick), (kick.bottom_cap, kick.top_cap)
+    counts = [cap_layers(kick, cap) for cap in caps]
+    below, above = (
+        np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1)
+        for cap, count in zip(caps, counts, strict=True)
+    )
     edges = kick.height / kick.layers * np.r_[0, np.cumsum(spans)]
     active = np.interp(np.arange(steps * len(spans) + 1) / steps, np.arange(len(edges)), edges)
-    below, above = (
-        np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1) for cap, count in caps
-    )
     heights = np.r_[below[:-1], below[-1] + active[:-1], below[-1] + active[-1] + above]
-    return KickMesh(
-        layer=layer,
-        element=element,
-        order=kick.mesh.order,
-        node=node,
-        plane=np.vstack([plane[0, 0], plane[1:].reshape(-1, 2)]),
-        heights=heights,
-        steps=steps,
-        rings=tuple(ring_nodes),
-        spans=spans,
-        bottom=slabs[0],
-        top=slabs[1],
-    )
+    return np.pad(spans, counts), heights
+
+
+def _hexahedra(
+    lattice: np.ndarray, heights: np.ndarray, order: int
+) -> tuple[MeshHex1, np.ndarray | None]:
+    """A box in (ring, spoke, plane) coordinates whose nodes are then moved in place, with the
+    numbers of the nodes of quadratic hexahedra.
+
+    The box gives regular hexahedra and their numbering; the nodes of its face ring = 0 become one
+    node per plane, which collapses those hexahedra into exact wedges.
+    """
+    counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
+    box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
+    if order == 2:
+        box = MeshHex2.from_mesh(box)
+    i, j, k = np.rint(box.doflocs * order).astype(int)
+    spokes, per_plane = lattice.shape[1], 1 + counts[0] * lattice.shape[1]
+    number = np.where(i == 0, 0, 1 + (i - 1) * spokes + j) + k * per_plane
+    places = np.array([*lattice[i, j].T, heights[k]])
+    if order == 2:
+        return MeshHex2(places, box.t), number[box.dofs.element_dofs]
+    located = np.empty((3, per_plane * len(heights)))
+    located[:, number] = places
+    return MeshHex1(located, np.ascontiguousarray(number[box.t])), None
 
 
 def level_spans(kick: Chip) -> np.ndarray:
@@ -243,24 +228,3 @@ def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:
     outside = points[order[1:]].reshape(rings, -1, 2)
     inside = np.broadcast_to(points[centre], outside[:1].shape)
     return np.concatenate([inside, outside])
-
-
-def _layer(
-    kick: Chip, plane: np.ndarray, steps: int, thickness: float
-) -> tuple[MeshHex1, ElementHex1 | ElementHex2, np.ndarray]:
-    """One layer: a box in (ring, spoke, plane) coordinates whose nodes are then moved in place.
-
-    The box gives regular hexahedra and their numbering; the nodes of its face ring = 0 become one
-    node per plane, which collapses those hexahedra into exact wedges.
-    """
-    order = kick.mesh.order
-    counts = (plane.shape[0] - 1, plane.shape[1] - 1, steps)
-    mesh = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
-    element: ElementHex1 | ElementHex2 = ElementHex1()
-    if order == 2:
-        mesh, element = MeshHex2.from_mesh(mesh), ElementHex2()
-    i, j, k = np.rint(mesh.doflocs * order).astype(int)
-    spokes, per_plane = plane.shape[1], 1 + counts[0] * plane.shape[1]
-    in_plane = np.where(i == 0, 0, 1 + (i - 1) * spokes + j)
-    located = np.array([*plane[i, j].T, k * (thickness / steps)])
-    return type(mesh)(located, mesh.t), element, in_plane + k * per_plane

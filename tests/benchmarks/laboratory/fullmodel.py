@@ -7,13 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.piezo.assembly import assemble_kick
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.parts.piezo_stack import chip_of
 from kc2spice.scene.model import Scene
 from laboratory.setup import keys_of
 from laboratory.usual.contact import ContactSurface, contact_surface
+from laboratory.usual.system import PiezoSystem, quarter
 from laboratory.usual.transient import TransientResult
 
 
@@ -24,7 +23,7 @@ def chip(scene: Scene) -> Chip:
 
 @lru_cache(maxsize=1)
 def _assembled(keys: Chip) -> PiezoSystem:
-    return assemble_kick(keys)
+    return quarter(keys)
 
 
 def full_system(scene: Scene) -> PiezoSystem:

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.bodies.piezo_stack import from_sector
+from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce
 from kc2spice.rom.response import relative_error
 from kc2spice.rom.surrogate import surrogate
-from laboratory.fullmodel import full_system
+from laboratory.fullmodel import chip
 from laboratory.points import (
     Outcome,
     Plane,
@@ -42,8 +42,7 @@ def harmonic(setup: Setup) -> Outcome:
     scene = setup.scene("harmonic")
     sweep = keys_of(scene, "port_loads")
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
-    system = full_system(scene)
-    model = from_sector(system)
+    model = stack_device(chip(scene)).model
     taken = frequency if setup.full_sweep else frequency[:: frequency.size // SAMPLED][:SAMPLED]
     with setup.clock.stage("harmonic", f"full model, {taken.size} direct solves"):
         _, sample = timed(lambda: model.transfer(taken), 1)

@@ -14,8 +14,9 @@ from scipy.interpolate import CubicSpline
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.magnetics.table import EMTable
+from kc2spice.fem.piezo.keys import SECTORS
 from kc2spice.parts.pid import Control
-from kc2spice.parts.piezo_stack import SECTORS, Drive
+from kc2spice.parts.piezo_stack import Drive
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.parttype import Build
 from laboratory.setup import keys_of

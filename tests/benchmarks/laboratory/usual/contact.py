@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from kc2spice.bodies.piezo_stack import free_displacements, ring_shapes
 from kc2spice.bodies.pressure import ITERATIONS
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.piezo.assembly import free_displacements, ring_shapes
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.rom.linear import LinearModel
+from laboratory.usual.system import PiezoSystem
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,8 @@ def contact_surface(
     plane get half of their neighbours' share.
     """
     mesh = kick_mesh(kick)
-    rings = ring_shapes(mesh, kick.poling)[free_displacements(mesh, kick)]
+    free = free_displacements(mesh, kick)
+    rings = np.column_stack([each.weights[free] for each in ring_shapes(mesh, kick.poling)])
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
     if not per_node:
         penalty = np.full(rings.shape[1], stiffness)
@@ -107,7 +108,7 @@ def unsettled() -> SimulationError:
 
 def as_system(rom: LinearModel, full: PiezoSystem) -> PiezoSystem:
     """The reduced device as one sector in the form that the full-model solvers take: states for
-    displacements. The other way round than :func:`kc2spice.bodies.piezo_stack.from_sector`."""
+    displacements. Like :func:`laboratory.usual.system.quarter_of`."""
     n = full.sectors
     return replace(
         full,

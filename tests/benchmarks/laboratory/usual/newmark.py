@@ -10,10 +10,10 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.pressure import ITERATIONS, contact_forces
-from kc2spice.fem.piezo.system import PiezoSystem
 from laboratory.usual.contact import ContactSurface, unsettled
 from laboratory.usual.operator import ShiftedSolver, electrical_port, stiffness
 from laboratory.usual.statics import stiffened
+from laboratory.usual.system import PiezoSystem
 
 
 class Advance(Protocol):

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from kc2spice.fem.piezo.system import PiezoSystem
 from kc2spice.linalg.factor import Factor, factorise
+from laboratory.usual.system import PiezoSystem
 
 
 def electrical_port(system: PiezoSystem) -> tuple[np.ndarray, float, Factor | None]:

@@ -10,9 +10,9 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.pressure import ITERATIONS, contact_forces
-from kc2spice.fem.piezo.system import PiezoSystem
 from laboratory.usual.contact import ContactSurface, unsettled
 from laboratory.usual.operator import ShiftedSolver, electrical_port
+from laboratory.usual.system import PiezoSystem
 
 Electrical = Literal["open", "short"]
 

@@ -13,10 +13,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from kc2spice.fem.piezo.system import PiezoSystem
 from laboratory.usual.contact import ContactSurface, resting_forces
 from laboratory.usual.newmark import Advance, Chip, LowRank, Refactorise
 from laboratory.usual.operator import ShiftedSolver
+from laboratory.usual.system import PiezoSystem
 
 Voltage = Callable[[float], float]
 Road = Literal["low_rank", "refactorise"]
