@@ -224,35 +224,6 @@ def test_unknown_dialects_are_refused(loop):
     assert caught.value.expected == ", ".join(DIALECTS)
 
 
-def test_xyce_gets_initial_states_only_where_they_count(loop):
-    """It obeys ``IC=`` always; without ``uic`` the sphere rests on the contact at the start."""
-    spoken = translate(loop, "xyce")
-    assert "IC=" in loop.files["sphere.lib"]
-    assert "IC=" not in "\n".join(line for line in spoken.files["sphere.lib"].splitlines()
-                                  if line[:1] != "*")  # fmt: skip
-    assert ".nodeset V(contact_v)=0 V(contact_bottom)=0\n.tran" in spoken.files["loop.cir"]
-    text = loop.files["loop.cir"]
-    thrown = Deck(name="loop", text=re.sub(r"(?m)^(\.tran .*)$", r"\1 uic", text),
-                  more={k: v for k, v in loop.files.items() if k != "loop.cir"})  # fmt: skip
-    spoken = translate(thrown, "xyce")
-    assert re.search(r"(?m)^Cmass .* IC=", spoken.files["sphere.lib"])
-    assert ".nodeset" not in spoken.files["loop.cir"]
-
-
-@pytest.mark.parametrize("card", ["dec 45 630 14000", "oct 3 5 1k"])
-def test_xyce_reaches_the_last_frequency(card):
-    """It takes points ``start 10^(k / n)`` while they do not exceed the end."""
-    deck = Deck(name="one", text=f"* title\n.ac {card}\n.end\n")
-    (line,) = re.findall(r"(?m)^\.ac .*", translate(deck, "xyce").files["one.cir"])
-    kind, count, start, stop = line.split()[1:]
-    given = float(card.split()[3].replace("k", "e3"))
-    base, count = {"dec": 10.0, "oct": 2.0}[kind], int(count)
-    taken = [float(start) * base ** (k / count) for k in range(1000)]
-    taken = [f for f in taken if f <= float(stop)]
-    assert given * (1 - 1e-9) <= taken[-1] < given * base ** (1 / count)
-    assert taken[-2] < given
-
-
 # ---------------------------------------------------------------------------------- meaning
 
 

@@ -3,12 +3,11 @@
 import json
 import os
 import resource
-import shutil
 import subprocess
 import sys
 
 import pytest
-from hostile import files, meshes
+from hostile import meshes
 from typer.testing import CliRunner
 
 from kc2spice import api
@@ -138,35 +137,3 @@ def command(home, *words, limit=None, stdout=subprocess.PIPE):
         text=True, check=False, cwd=home, preexec_fn=before,
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
-
-
-def told(kind, mutation, home):
-    """Right or refused, never a crash, and nothing of the model acts."""
-    model = files.models()[kind]
-    name, *_ = model
-    for other, data in model.items():
-        (home / other).write_bytes(data if other != name else files.MUTATIONS[mutation](data))
-    before = sorted(home.rglob("*"))
-    words = ["reduce", files.opened(model), "--order", "1", "-q", "-o", "o"]
-    found = CliRunner().invoke(app, words)
-    assert found.exception is None or isinstance(found.exception, SystemExit), found.exc_info
-    assert found.exit_code in (0, 2, 3, 4, 5), (kind, mutation, found.output)
-    assert "internal error" not in found.output
-    assert "Traceback" not in found.output
-    assert not (home / "pwned").exists()
-    if found.exit_code not in (0, 4):  # an unstable model is written as it is
-        assert sorted(home.rglob("*")) == before
-    shutil.rmtree(home / "o", ignore_errors=True)
-
-
-@pytest.mark.parametrize("mutation", ["half", "pickle", "huge second"])
-def test_what_becomes_of_a_model_is_told(mutation, home):
-    for kind in sorted(set(files.models()) - set(files.SLOW)):
-        told(kind, mutation, home)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted(files.models()))
-def test_whatever_becomes_of_a_model_is_told(kind, home):
-    for mutation in files.MUTATIONS:
-        told(kind, mutation, home)

@@ -23,16 +23,6 @@ def sensed(stop, **eye):
     })  # fmt: skip
 
 
-def test_a_step_is_read_with_one_pole_and_the_offset(tmp_path):
-    waves = run_deck(deck_of(sensed(60e-6, offset=OFFSET)), tmp_path)
-    t = waves["time"] - 10e-6 - 0.5e-9
-    exact = OFFSET + STEP * (1 - np.exp(-2 * np.pi * BANDWIDTH * np.maximum(t, 0.0)))
-    away = np.abs(t) > 2e-9
-    # trapezoidal rule at steps of a thirtieth of the time constant
-    assert np.abs(waves["eye.y"] - exact)[away].max() < 2e-4 * STEP
-    assert waves["eye.y"][0] == pytest.approx(OFFSET, rel=1e-9)
-
-
 def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
     rms = 20e-9
     waves = run_deck(deck_of(sensed(20e-3, noise=rms)), tmp_path)

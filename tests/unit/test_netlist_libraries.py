@@ -20,29 +20,11 @@ HEAD = re.compile(r"(?m)^\* (sign|validity|rating): (\S.*)$")
 WARMTH = re.compile(r"temperature|27 C")
 
 
-def names(text):
-    return re.findall(r"(?im)^\.subckt\s+(\w+)", text)
-
-
-def called(text):
-    """Subcircuits that X cards name."""
-    cards = re.sub(r"\n\+", " ", text)
-    lines = re.findall(r"(?im)^x.*$", cards)
-    return {[w for w in line.split() if "=" not in w and w != "params:"][-1] for line in lines}
-
-
 def test_the_table_of_parts_is_complete_and_current():
     page = (NETLISTS / "README.md").read_text()
     table = set(re.findall(r"`(\w+\.lib)`", page))
     assert table == {re.sub(r"\d+(?=\.lib)", "", p.name) for p in LIBRARIES}
     assert TOOL["page"]() == page
-
-
-@pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_a_library_needs_no_other_file(path):
-    text = path.read_text()
-    assert not re.search(r"(?im)^\.(inc|lib)", text)
-    assert {n.lower() for n in called(text)} <= {n.lower() for n in names(text)}
 
 
 @pytest.mark.parametrize("path", OURS, ids=lambda p: f"{p.parent.name}/{p.stem}")

@@ -10,7 +10,6 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
-from kc2spice.rom.matrix_market import read_market
 from kc2spice.rom.reduce import reduce as reduce_model
 
 N = 12
@@ -184,57 +183,3 @@ def test_command_line_writes_nothing_on_bad_input(tmp_path, cli):
         ran = cli("reduce", str(good), "-o", str(tmp_path / "out"), *options)
         assert ran.exit_code == 2, ran.output
         assert not (tmp_path / "out").exists()
-
-
-def huge():
-    """A model that is too large to read at all: the size is refused before memory is taken."""
-    rows = 6_000_000
-    lone = sparse.coo_array(([1.0], ([rows - 1], [rows - 1])), shape=(rows, rows)).tocsc()
-    return {**chain(), "K": lone}
-
-
-def truncated(path):
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-
-
-def corrupt(path):
-    content = bytearray(path.read_bytes())
-    content[len(content) // 3 : len(content) // 3 + 200] = b"\x00\xff%&" * 50
-    path.write_bytes(content)
-
-
-BAD_FILES = {
-    "corrupt": (chain, corrupt),
-    "truncated": (chain, truncated),
-    "complex": (lambda: edited("E", with_value(1j)), None),
-    "NaN": (lambda: edited("K", with_value(np.nan)), None),
-    "mismatched": (lambda: edited("M", lambda m: m[:5, :5]), None),
-    "huge": (huge, None),
-}
-PAIRS = [(writer, case) for writer in ("market", "csc") for case in BAD_FILES]
-
-
-@pytest.mark.parametrize(("writer", "case"), [*PAIRS, ("mat", "corrupt")])
-def test_every_kind_of_file_is_refused_with_one_message(tmp_path, writer, case, cli):
-    """Exit code 2, the file's name, no traceback, nothing written."""
-    make, damage = BAD_FILES[case]
-    path = WRITERS[writer](tmp_path, make())
-    if damage is not None:
-        damage(tmp_path / "model.K" if writer == "market" else path)
-    before = sorted(tmp_path.iterdir())
-    ran = cli("reduce", str(path), "-o", str(tmp_path / "out"), "--json")
-    assert ran.exit_code == 2, ran.output
-    assert str(tmp_path / "model") in ran.stderr.replace("\n", "")
-    assert ran.stderr.count("expected:") <= 1
-    assert "Traceback" not in ran.stderr
-    assert ran.stdout == ""
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def market(text, head="coordinate real general"):
-    """A matrix of a Matrix Market file's content, and what its size was asked as."""
-    asked = []
-    found = read_market(
-        f"%%MatrixMarket matrix {head}\n{text}".encode(), lambda *a: asked.append(a)
-    )
-    return (found.toarray() if sparse.issparse(found) else found).tolist(), asked
