@@ -17,8 +17,8 @@ import numpy as np
 from skfem.mesh import MeshQuad
 
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, mean
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port

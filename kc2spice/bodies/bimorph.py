@@ -34,10 +34,10 @@ from pydantic import Field, StringConstraints, model_validator
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
-from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, si
 from kc2spice.core.schema import validated
+from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port

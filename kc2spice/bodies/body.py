@@ -40,11 +40,11 @@ from kc2spice.bodies.device import (
     part_named,
     spread,
 )
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside
 from kc2spice.core.quantities import Count, Length, Notch, Section
 from kc2spice.core.schema import validated
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, extent, length_unit, read_mesh
 from kc2spice.fem.solid import Solid

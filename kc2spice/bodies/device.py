@@ -22,8 +22,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
 

@@ -21,10 +21,10 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
 from kc2spice.bodies.device import Device, part_named
-from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Ratio, Section
 from kc2spice.core.schema import validated
+from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 
 _CELLS = 8  # along the largest radius before refinement

@@ -14,7 +14,6 @@ from scipy import sparse
 from skfem import BilinearForm, LinearForm
 
 from kc2spice.bodies.device import Device, Setup, Shape, constrained, damped, part_named, spread
-from kc2spice.bodies.keys import Damping
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
 from kc2spice.fem.piezo.memory import require_memory
@@ -75,7 +74,7 @@ def stack_setup(
     return solid, Setup(
         ~free_displacements(mesh, kick), electrodes, "cathode", shapes=shapes, graded=graded,
         springs=springs(mesh, solid, kick), sectors=SECTORS,
-        damping=Damping(ratio=kick.damping.ratio, at=kick.damping.at, alpha=kick.damping.alpha),
+        damping=kick.damping,
     )  # fmt: skip
 
 

@@ -25,8 +25,8 @@ from scipy import sparse
 from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.pressure import CELLS, GROWTH, Hats, Pressed, hat_loads
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.piezo.keys import PATCH
 from kc2spice.fem.solid import Solid, assemble

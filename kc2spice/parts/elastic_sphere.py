@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from kc2spice.bodies.keys import Damping, Mesh
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.parts._linear_body import BodyKeys, LinearBody
 from kc2spice.parts.contact import PATCH, normal, sides
 from kc2spice.parts.sphere import made_of

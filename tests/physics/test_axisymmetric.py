@@ -10,8 +10,8 @@ from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies import disc, langevin
 from kc2spice.bodies.axisymmetric import Block, Electrode, Face, turned
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import assemble
 

@@ -10,11 +10,11 @@ from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 from kc2spice.bodies import disc, langevin
 from kc2spice.bodies.device import Setup, Shape, make_device, mean
 from kc2spice.bodies.fields import Probe, extremes, principal
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.recover import lowest_modes, recover
 from kc2spice.bodies.vtu import write_vtu
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid

@@ -77,7 +77,7 @@ def test_impact_by_hand(own):
     """In modes, with adaptive steps; what is left is the error of steps of 5 ns."""
     M, K, _, _, shapes = own
     square, V = eigh(K, M)
-    rings, beta, n = V.T @ shapes, CHIP.damping.ratio / (np.pi * CHIP.damping.at), len(square)
+    rings, beta, n = V.T @ shapes, CHIP.damping.zeta / (np.pi * CHIP.damping.at), len(square)
 
     def slope(_, z):
         a, v, (y, w) = z[:n], z[n : 2 * n], z[2 * n :]

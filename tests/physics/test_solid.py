@@ -6,8 +6,8 @@ from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
 from kc2spice.bodies.device import Setup, Shape, make_device, mean
-from kc2spice.bodies.keys import Damping
 from kc2spice.core.errors import UsageError
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble
 from kc2spice.rom.linear import Port

@@ -14,9 +14,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import j0, spherical_jn
 
-from kc2spice.bodies.keys import Damping
 from kc2spice.bodies.pressure import Hats, dented, hats
 from kc2spice.bodies.sphere import Sphere, compliance, sphere
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.reduce import reduce

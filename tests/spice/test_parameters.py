@@ -8,7 +8,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.bodies.piezo_stack import stack_device
-from kc2spice.fem.piezo.keys import Chip, Damping
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.netlist.deck import Block, Command, Deck
 from kc2spice.netlist.lint import lint
 from kc2spice.rom.reduce import reduce
@@ -100,7 +100,7 @@ def test_changed_parameters_equal_a_new_export(scene, varied, decks, tmp_path):
 
 def test_damping_of_the_chip_scales(header, tmp_path):
     """A chip of few elements, reduced anew with three times the damping, against ``damping=3``."""
-    parts = [chip(Damping(ratio=ratio), header) for ratio in (0.01, 0.03)]
+    parts = [chip({"ratio": ratio}, header) for ratio in (0.01, 0.03)]
     cases = {"old": (parts[0], ""), "hand": (parts[0], "damping=3"), "export": (parts[1], "")}
     vectors = {"u": ("v(ring0)", 1e-6), "i": ("i(vkick)", -1.0)}
     waves = {}

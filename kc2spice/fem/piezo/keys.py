@@ -17,13 +17,13 @@ from kc2spice.core.quantities import (
     Mounting,
     Polarisation,
     Pressure,
-    Rate,
     Ratio,
     Section,
     Stiffness,
     si,
 )
 from kc2spice.core.units import EPSILON_0
+from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material, material, require_definite
 
 SECTORS = 4  # quarters of the chip that move alike, of which one is modelled
@@ -99,17 +99,17 @@ class ChipMesh(Section):
     )
 
 
-class Damping(Section):
-    """Rayleigh damping: ``alpha`` on the mass, and a ratio met at one frequency by stiffness."""
+class ChipDamping(Damping):
+    """The ratio is met at a frequency of the paper's chip unless ``at`` says another."""
 
-    ratio: Ratio = Field(0.01, ge=0, description="of critical, at `at`")
-    at: Frequency = Field(250e3, gt=0, description="where the ratio holds")
-    alpha: Rate = Field(0.0, ge=0, description="part proportional to mass")
+    at: Frequency | tuple[Frequency, Frequency] | None = Field(
+        250e3, description="where the ratio holds"
+    )
 
     @property
     def beta(self) -> float:
-        """Stiffness coefficient [s]: ``ratio = beta omega / 2`` at ``omega = 2 pi at``."""
-        return self.ratio / (math.pi * self.at)
+        """Stiffness coefficient [s]: ``zeta = beta omega / 2`` at ``omega = 2 pi at``."""
+        return self.rayleigh(0.0)[1]
 
 
 def _from_library(given: object) -> object:
@@ -164,7 +164,7 @@ class Chip(Section):
     material: Annotated[Ceramic, BeforeValidator(_from_library)] = Ceramic()
     poling: Literal["z", "x"] = Field("z", description="z makes the stack longer, x shears it")
     mesh: ChipMesh = ChipMesh()
-    damping: Damping = Damping()
+    damping: ChipDamping = ChipDamping()
     mounting: Mounting = Field(
         "roller", description="of the bottom face: roller, glued, free, or stiffness per area N/m3"
     )

@@ -95,7 +95,7 @@ def kick_error(done: Completed) -> float:
     """Relative error of the launch velocity."""
     waves, scene = done.outcome.waves, done.build.scene
     time, ball, chip = waves["time"], scene.parts["sphere"].keys, scene.parts["kick"].keys
-    model = _chip(chip.damping.ratio)
+    model = _chip(chip.damping.zeta)
     pulse = chip.drive
     corners = np.array([0.0, pulse.edge, pulse.width, pulse.width + pulse.edge]) + pulse.start
     volts = pulse.voltage * np.array([0.0, 1.0, 1.0, 0.0])
