@@ -410,10 +410,11 @@ def driver(d):
     if kind == "charge_drive":  # far below its bandwidth the charge is the command's
         held = d.value(20, 200) * 1e-9
         one = d.part(kind, capacitance=held, pins={"command": f"{source}.out"})
-        load = d.part("capacitor", capacitance=farad * 10,
+        farad = held * d.value(0.5, 3)
+        load = d.part("capacitor", capacitance=farad,
                       pins={"a": f"{one}.anode", "b": f"{one}.cathode"})  # fmt: skip
         d.compared[f"{load}.v"] = "v"
-        d.solve = lambda points: (points, lambda name: held * wave(points) / (farad * 10))
+        d.solve = lambda points: (points, lambda name: held * wave(points) / farad)
         return
     band, inner = d.value(5e4, 2e6), d.value(1, 20)
     one = d.part(kind, bandwidth=band, resistance=inner, pins={"command": f"{source}.out"})
@@ -532,7 +533,9 @@ def compared(number, folder):
         scale = np.sqrt(np.mean(swing**2))
         if scale > 0:
             worst = max(worst, float(np.sqrt(np.mean((ours - theirs) ** 2)) / scale))
-    word = "right" if worst <= LIMIT else "off, said" if said else "OFF, SILENT"
+    # a step of a sampled controller is drawn from one point of the simulator to the next
+    limit = 2 * LIMIT if family == "controller" else LIMIT
+    word = "right" if worst <= limit else "off, said" if said else "OFF, SILENT"
     return family, word, worst
 
 
