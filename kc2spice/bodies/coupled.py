@@ -67,6 +67,9 @@ def _resonance(
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+    ports = [k for k in ports if model.B[:, k].any()]
+    if not ports:  # a dielectric moves nothing
+        return None
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES[shift > 0 :]):

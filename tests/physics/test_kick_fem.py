@@ -165,6 +165,14 @@ def test_permittivity_at_strain_is_taken_as_it_is():
     assert 4 * quarter(kick).c_VV == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
 
 
+def test_a_chip_without_coupling_is_a_capacitor_that_nothing_drives():
+    facts = stack_device(Chip(layers=3, mesh=SMALL, material={"coupling": (0, 0, 0)})).model.facts
+    for name in ("capacitance_free_f", "capacitance_clamped_f"):
+        assert facts[name] == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
+    assert facts["free_stroke_ring0_m_per_100v"] == 0
+    assert "resonance_short_hz" not in facts
+
+
 def test_slender_stack_rings_at_the_bar_frequency():
     """Clamped-free bar, anode shorted: f = sqrt(1 / (s33 rho)) / (4 h), up to lateral inertia."""
     kick = Chip(
