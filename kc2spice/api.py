@@ -573,7 +573,7 @@ def sweep(
     from kc2spice.sim.ngspice import find_ngspice
     from kc2spice.workflow.sweep.plan import Grid, make_plan
     from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
-    from kc2spice.workflow.sweep.run import Sweep, outcomes
+    from kc2spice.workflow.sweep.run import outcomes, planned
     from kc2spice.workflow.sweep.table import columns, require_columns
     from kc2spice.workflow.sweep.workers import cores
 
@@ -584,7 +584,7 @@ def sweep(
     named = isinstance(scene, (str, Path))
     source = scene_text(str(scene)) if named else LoadedScene(load_scene(scene))
     plan = make_plan([Grid(key, tuple(each)) for key, each in values.items()])
-    asked = Sweep(source.load(()), Job(source), plan, dict.fromkeys(plan.keys, ""))
+    asked = planned(Job(source), plan, dict.fromkeys(plan.keys, ""))
     found: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")

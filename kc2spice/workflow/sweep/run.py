@@ -142,11 +142,21 @@ def make_sweep(
     )  # fmt: skip
     units = {key: find_key(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
+    return planned(job, plan, units, tuple(dict.fromkeys(metrics)))
+
+
+def planned(job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()) -> Sweep:
+    """The sweep of ``plan``.
+
+    Raises
+    ------
+    UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
+    """
     first = job.load(plan.values(0))
-    for block in range(len(plan.blocks)):  # what one end of a range cannot be ends the command
+    for block in range(len(plan.blocks)):
         for values in plan.ends(block):
             job.load(values)
-    return Sweep(first, job, plan, units, tuple(dict.fromkeys(metrics)))
+    return Sweep(first, job, plan, units, metrics)
 
 
 def _at_first(source: Source, fixed: Sequence[str], firsts: Sequence[str]) -> Scene:
