@@ -44,6 +44,7 @@ def test_a_table_has_the_points_in_order_and_their_numbers(charge):
     assert all((out / name).stat().st_size for name in summary["files"])
 
 
+@pytest.mark.slow
 def test_an_unreachable_scheduler_is_a_missing_tool_and_spoils_nothing(charge, tmp_path):
     pytest.importorskip("distributed")
     scene, _, _ = charge

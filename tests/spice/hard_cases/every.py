@@ -5,7 +5,6 @@ from hard_cases import (  # noqa: F401
     cases_contact,
     cases_kick,
     cases_models,
-    cases_pressure,
 )
 from hard_cases.kit import CASES
 
