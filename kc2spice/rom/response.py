@@ -22,7 +22,7 @@ CANCELLED = 1e-13
 COUPLING = 1e-9
 # A resonance sharper than this cannot be hit by a frequency that is not exact to rounding; errors
 # are then measured on its flanks, at this relative distance.
-SHARPEST = 3e-7
+SHARPEST = 1e-7
 FLANK = 1e-4
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
 CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance

@@ -129,15 +129,15 @@ def sampled(
 
 
 def uncertainty(pencil: Pencil, frequency: np.ndarray) -> np.ndarray:
-    """How far the last digits of a dense first-order model's entries move its response (relative)
-    at each ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares."""
+    """How far the last digits of a dense model's entries move its response (relative) at each
+    ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares."""
     found = []
     dual = pencil.transposed()
     for s in 2j * np.pi * frequency:
-        P = pencil.coefficients[0] + s * pencil.coefficients[1]
         x, y = pencil.states(s[None])[0], dual.states(s[None])[0]
         H = np.abs(pencil.C @ x + pencil.D)
-        moved = np.sqrt((np.abs(y.T) ** 2) @ (np.abs(P) ** 2) @ (np.abs(x) ** 2))
+        squares = sum(np.abs(s**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
+        moved = np.sqrt((np.abs(y.T) ** 2) @ squares @ (np.abs(x) ** 2))
         found.append(float((moved / np.maximum(H, FLOOR * H.max())).max()))
     return np.finfo(float).eps * np.array(found)
 

@@ -42,7 +42,7 @@ from kc2spice.rom.response import (
 from kc2spice.rom.sampled import sampled, uncertainty
 from kc2spice.rom.structure import dissipative
 
-EXTENDED = 1000  # unknowns up to which a model is turned into its modes with 19 digits
+EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 digits
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
 # Unknowns of decoupled models, states of others up to which nothing is sampled.
 WHOLE_DECOUPLED, WHOLE = 1300, 600
@@ -57,6 +57,7 @@ MANY, COSTLY = 20, 10_000  # factorisations that need a word, from so many unkno
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
+SHARP = 8  # resonances at which rounding of a small model is looked at
 ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
 
 
@@ -196,7 +197,13 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     proof = f"being all of the full model, solved to {error:.0e}"
     if T is not None:
         proof += _own_uncertainty(given, T, response, band, 2 * limit)
-    found = Subspace(full, error, static, proof, rounding)
+    floor = 0.0
+    at, ratio = response.within(band)
+    if T is None and at.size:  # products and solutions round its entries
+        sharp = np.argsort(ratio)[:SHARP]
+        at = at[sharp] * (1 + FLANK * (ratio[sharp] < SHARPEST))
+        floor = SPREAD * float(uncertainty(full, at).max())
+    found = Subspace(full, error, static, proof, rounding, floor)
     found.__dict__["response"] = response  # as the cached property would
     return found
 
