@@ -87,8 +87,8 @@ class ContactKeys(Section):
     )
     b: str | None = Field(
         None,
-        description="side above, whose rise opens the gap: sphere, or a port of a body; the only "
-        "sphere",
+        description="side above, whose rise opens the gap: sphere, a port of a body, or "
+        "gnd; the only sphere",
     )
     gap: Length = Field(0.0, description="at rest, on top of that of the geometry")
     inertia: Literal["massless", "lumped"] = Field(
@@ -152,7 +152,7 @@ class Contact(PartType):
         other = moved_by(other, scene)
         if b.rigid:
             return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
-        return joins | {"b": f"{other}.{b.force[0]}"}
+        return joins | {"b": other if other == GROUND else f"{other}.{b.force[0]}"}
 
     def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterator[tuple[str, str]]:
         """Surfaces that touch at rest: what presses on them finds its place."""
@@ -627,6 +627,8 @@ def reach(part: Part, scene: Scene) -> Reach:
 def thrown(part: Part, scene: Scene) -> bool:
     """Whether one side starts with a prescribed velocity, or each may."""
     (_, a), (other, _) = _names(part, scene)
+    if other == GROUND:  # a ceiling stays where it is
+        return True
     kind = scene.parts[other].type
     return a.rigid or kind.without_operating_point(scene.parts[other], scene)
 
@@ -764,9 +766,11 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
 
 
 def _kinetic(other: str, build: Build, waves: Waveforms) -> float:
-    mass = getattr(build.scene.parts[other].keys, "mass", 0.0)
     v = waves.data.get(f"{other}.v")
-    return 0.0 if v is None else mass * float((v**2).max()) / 2
+    if v is None or other == GROUND:
+        return 0.0
+    mass = getattr(build.scene.parts[other].keys, "mass", 0.0)
+    return mass * float((v**2).max()) / 2
 
 
 def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:

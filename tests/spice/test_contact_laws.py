@@ -131,3 +131,21 @@ def test_hertz_asks_for_what_it_cannot_know():
         bounce(law="hertz")
     with pytest.raises(UsageError, match="one point"):
         load_scene("impact", ["contact.law=hertz", "contact.rings=3"])
+
+
+def test_a_ceiling_is_a_plane_above(tmp_path):
+    """``x = (F + eps gap) / (k + eps)`` of what a spring holds and a force presses against it."""
+    force, stiffness, penalty, gap = 1.0, 1e3, 1e5, 1e-4
+    waves, _, failed = ran(
+        load_scene({
+            "name": "ceiling", "gravity": 0.0, "analysis": {"type": "op"},
+            "block": {"part": "mass", "mass": 1e-3, "pins": {"a": "spring.a"}},
+            "spring": {"part": "spring", "stiffness": stiffness},
+            "push": {"part": "source", "kind": "force", "dc": force, "pins": {"out": "block.a"}},
+            "stop": {"part": "contact", "a": "block", "b": "gnd", "gap": gap, "penalty": penalty},
+        }),
+        tmp_path,
+    )  # fmt: skip
+    wanted = (force + penalty * gap) / (stiffness + penalty)
+    assert waves["block.x"][-1] == pytest.approx(wanted, rel=1e-9)
+    assert not failed
