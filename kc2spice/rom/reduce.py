@@ -241,9 +241,14 @@ class Reduction:
         return order * self.pencil.degree
 
     def fewer(self, tolerance: float, states: int) -> int | None:
-        """:meth:`smallest` if that has fewer than ``states`` first-order states, else None."""
+        """:meth:`smallest` of those with fewer than ``states`` first-order states, if
+        one of them is stable, else None."""
         most = min(self.size, (states - 1) // self.pencil.degree)
-        if most < 1 or self.error(most) > tolerance:
+        while most > 0 and self.error(most) <= tolerance:
+            if self.structure(most).stable:
+                break
+            most -= 1
+        else:
             return None
         return replace(self, pencil=self.pencil.leading(most)).smallest(tolerance)
 
