@@ -46,7 +46,7 @@ def results(tmp_path_factory):
 
 
 # More of the same parts: plain buzzers but two, long transients.
-MORE = ("amplifier_kick", "coil_rails", "three_cycles", "buzzer_self")
+MORE = ("amplifier_kick", "buzzer_self", "buzzer_square", "coil_rails", "pwm_coil", "three_cycles")
 ONE_OF = re.compile(r"buzzer_7bb_(?!20_6)|buzzer_ft_(?!39t)")
 SCENES = [
     pytest.param(name, marks=pytest.mark.slow if name in MORE or ONE_OF.match(name) else ())
