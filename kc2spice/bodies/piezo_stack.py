@@ -16,7 +16,6 @@ from skfem import BilinearForm, LinearForm
 from kc2spice.bodies.device import Device, Setup, Shape, constrained, damped, part_named, spread
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
-from kc2spice.fem.piezo.memory import require_memory
 from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
@@ -62,7 +61,6 @@ def stack_setup(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> tuple[Solid, Setup]:
     """Mesh and materials of the quarter, and what is done to it."""
-    require_memory(kick)
     mesh = kick_mesh(kick)
     materials, owner = layer_materials(kick, mesh.spans, breakdown)
     with part_named("kick"):
