@@ -475,15 +475,16 @@ def highest_voltage(part: Part, scene: Scene) -> float:
 def free_stroke(keys: Chip, voltage: float) -> float:
     """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
     one that shears."""
-    strain = (2, 2) if keys.poling == "z" else (0, 4)
-    return keys.layers * abs(keys.material.build().d[strain] * voltage)
+    C, e, _ = keys.material.tensors()
+    axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
+    return keys.layers * abs(np.linalg.solve(C, e[axis])[strain] * voltage)
 
 
 def top_material(keys: Chip) -> Material:
     """What something on the top face presses on."""
     if keys.top_cap is not None and keys.top_cap.material is not None:
         return material(keys.top_cap.material, "top_cap.material")
-    return keys.material.build()
+    return Material("ceramic", keys.material.density, *keys.material.tensors())
 
 
 def _driver(

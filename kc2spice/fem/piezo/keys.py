@@ -60,7 +60,7 @@ class Ceramic(Section):
         ------
         UsageError : stiffness or permittivity is not positive definite, so no such material exists.
         """
-        C, e, eps = self._tensors()
+        C, e, eps = self.tensors()
         require_definite(C, "kick.material.stiffness")
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
@@ -71,7 +71,7 @@ class Ceramic(Section):
             depoling_field=self.depoling_field,
         )  # fmt: skip
 
-    def _tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
         c11, c12, c13, c33, c44, c66 = self.stiffness
         C = np.diag([c11, c11, c33, c44, c44, c66])
@@ -128,7 +128,7 @@ def _from_library(given: object) -> object:
         "permittivity": (float(eps[0, 0]), float(eps[2, 2])), "permittivity_at": "strain",
         "tensile_strength": named.tensile_strength, "depoling_field": named.depoling_field,
     }  # fmt: skip
-    found = Ceramic(**keys)._tensors()
+    found = Ceramic(**keys).tensors()
     same = zip(found, (C, named.e, named.eps_S), strict=True)
     if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):
         raise ValueError(f"{given} is no ceramic poled along z (class 6mm)")
