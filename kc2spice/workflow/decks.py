@@ -128,6 +128,35 @@ def edited_deck(build: Build, path: Path) -> Deck:
     )  # fmt: skip
 
 
+def edits(build: Build, deck: Deck) -> frozenset[str]:
+    """Parts of the scene whose cards are others in the edited ``deck``: their keys no longer
+    say what is there. Also names of cards that it has besides, and of instances joined otherwise.
+    """
+    owner = {
+        card.split()[0].lower(): part.name
+        for part in build.scene.parts.values()
+        for card in part.type.cards(part, build)
+    }
+    own, now = (
+        {e.key: e for e in scope.elements} for scope in (make_deck(build).scope, deck.scope)
+    )
+
+    def same(key: str, ends: bool) -> bool:
+        a, b = own.get(key), now.get(key)
+        if a is None or b is None or (ends and a.ends != b.ends):
+            return False
+        return (a.model, a.values, a.settings, a.expression) == (
+            b.model, b.values, b.settings, b.expression,
+        )  # fmt: skip
+
+    keys = own.keys() | now.keys()
+    return frozenset(
+        owner.get(key, key) if not same(key, ends=not key.startswith("x")) else key
+        for key in keys
+        if not same(key, ends=True)
+    )
+
+
 def _require_results(own: Deck, text: str, path: Path) -> None:
     """Refuse a deck without the nodes and devices that results are read from.
 

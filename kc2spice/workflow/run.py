@@ -28,7 +28,7 @@ from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
 from kc2spice.workflow.converge import Converged, converge
-from kc2spice.workflow.decks import edited_deck, make_deck
+from kc2spice.workflow.decks import edited_deck, edits, make_deck
 from kc2spice.workflow.judge import metrics, probe_units
 from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
@@ -110,6 +110,8 @@ def complete(
         build = build_models(scene, clock, trust=trust, functions=functions)
         with clock.stage("export", "netlists"):
             chosen = make_deck(build) if deck is None else edited_deck(build, deck)
+            if deck is not None:
+                build = replace(build, unjudged=build.unjudged | edits(build, chosen))
             lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
             write_files(chosen.files, work)
         try:

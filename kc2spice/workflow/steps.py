@@ -207,11 +207,12 @@ def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
     if scene.analysis.type != "transient" or "time" not in waves:
         return
     decided = any(row.decides for row in time_scales(scene))
-    worst, exact = ((0.0, 0.0, ""), set()) if decided else _exact_motion(build, waves)
+    known = not decided and not build.unjudged
+    worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
         yield _check("steps against the exact motion", worst)
     for part in scene.parts.values():
-        if part.name in exact:
+        if part.name in exact or part.name in build.unjudged:
             continue
         found = part.type.exact_outputs(part, build, waves)
         pairs = [(ours, true, name) for name, (ours, true) in found.items() if true.any()]

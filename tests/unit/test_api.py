@@ -153,6 +153,21 @@ def edited(tmp_path, change):
     return path
 
 
+def test_a_driver_in_the_place_of_a_source_is_not_held_against_its_keys(tmp_path):
+    """The source's card stays as an ammeter; what it gave is no longer what drives."""
+
+    def change(text):
+        card = next(line for line in text.splitlines() if line.startswith("Vdrive "))
+        return text.replace(card, f"Vdrive {card.split()[1]} mine 0\nVmine mine 0 0.5")
+
+    done = kc.run(PULSE, deck=edited(tmp_path, change))
+    assert done.metrics["top_v"] == pytest.approx(0.5, rel=1e-2)
+    assert not done.checks
+    assert {"drive drives as defined", "steps against the exact motion"} <= {
+        check.name for check in kc.run(PULSE).checks
+    }
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
