@@ -126,7 +126,7 @@ def make_device(solid: Solid, setup: Setup) -> Device:
 
 def damped(bare: Device, setup: Setup, facts: Mapping[str, float]) -> Device:
     """A constrained device with its damping and facts, beside those that are given."""
-    unknowns = float(bare.displacement.shape[1] + bare.potential.shape[1])
+    unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass, **facts}
     facts |= electromechanical(bare.model, bare.shift)
     model = replace(bare.model, facts=facts)

@@ -41,7 +41,7 @@ def assemble(source: Source) -> LinearModel:
     _effective(source, B[keep], C[:, keep])
     operators = _damped(source, cut)
     return LinearModel(
-        B=B[keep], C=C[:, keep], D=D, ports=ports, facts={"unknowns": float(len(keep))},
+        B=B[keep], C=C[:, keep], D=D, ports=ports, facts={"unknowns": len(keep)},
         name=source.name, band=source.sidecar.band, **operators,
     )  # fmt: skip
 
@@ -431,6 +431,6 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
         M=_cut(M, u), K_uu=_cut(K, u), K_up=sparse.csc_array(K[u][:, p]) if len(p) else None,
         K_pp=-_cut(K, p) if len(p) else None, k_uV=KT[u], k_pV=-KT[p] if len(p) else None,
         c_VV=c, B=np.column_stack(B) if B else np.zeros((len(u), 0)), ports=ports,
-        alpha=alpha, beta=beta, E=E, facts={"unknowns": float(len(rest))}, name=source.name,
+        alpha=alpha, beta=beta, E=E, facts={"unknowns": len(rest)}, name=source.name,
     )  # fmt: skip
     return replace(model, band=source.sidecar.band)

@@ -1,0 +1,237 @@
+"""Plain transients of what resonates are right, or refused: no scene says how to step.
+
+The oracle shares nothing with the product but the bodies' matrices, reduced over a band wide enough
+by themselves: scipy's exact response of ``M x'' + E x' + K x = B u`` to a drive of straight lines
+on a grid, fine enough for a sine that what lies between its points is 1e-6 of it.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+import kc2spice as kc
+from kc2spice.core.errors import SimulationError
+from kc2spice.core.progress import Clock, silent
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.run import run
+
+DISC = """
+[body]
+part = "disc"
+layers = [
+  { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+  { material = "PZT-5A", diameter = "15 mm", thickness = "0.22 mm" },
+]
+support = { node = "13 mm" }
+damping = { quality = QUALITY }
+pins = { anode = "drive.out", cathode = "gnd" }
+"""
+LANGEVIN = """
+[body]
+part = "langevin"
+front = [{ material = "aluminium", diameter = "20 mm", length = "30 mm" }]
+back = [{ material = "steel", diameter = "20 mm", length = "20 mm" }]
+rings = { material = "PZT-8", outer = "20 mm", inner = "8 mm", thickness = "3 mm" }
+bolt = { material = "steel", diameter = "6 mm" }
+damping = { quality = QUALITY }
+pins = { anode = "drive.out", cathode = "gnd" }
+"""
+BIMORPH = """
+[body]
+part = "bimorph"
+length = "50 mm"
+width = "10 mm"
+layers = [
+  { material = "PZT-5A", thickness = "0.3 mm" },
+  { material = "brass", thickness = "0.2 mm" },
+  { material = "PZT-5A", thickness = "0.3 mm" },
+]
+wiring = "parallel"
+damping = { quality = QUALITY }
+pins = { anode = "drive.out", cathode = "gnd" }
+"""
+# port whose displacement is judged, highest frequency of the oracle's model [Hz]
+BODIES = {"disc": (DISC, "centre", 3e5), "langevin": (LANGEVIN, "front", 1.5e5),
+          "bimorph": (BIMORPH, "tip", 6e4)}  # fmt: skip
+FREQUENCY = {"rlc": 10e3, "oscillator": 5e3}
+
+
+def circuit(family, quality):
+    """Text of a scene, its output, and M, E, K, B, C of it with the drive as input."""
+    if family in BODIES:
+        text, port, _ = BODIES[family]
+        text = (
+            text.replace("QUALITY", f"{quality:g}")
+            + f"\n[probes]\np = {{ of = 'body.u.{port}' }}\n"
+        )
+        return text, f"body.u.{port}", None
+    w = 2 * np.pi * FREQUENCY[family]
+    if family == "rlc":
+        L, C = 1e-3, 1 / (1e-3 * w**2)
+        R = w * L / quality
+        text = f"""
+[r]
+part = "resistor"
+resistance = {R!r}
+pins = {{ a = "drive.out" }}
+[l]
+part = "inductor"
+inductance = {L!r}
+pins = {{ a = "r.b" }}
+[c]
+part = "capacitor"
+capacitance = {C!r}
+pins = {{ a = "l.b" }}
+"""
+        return text, "c.v", (1.0, w / quality, w**2, w**2, 1.0)
+    m, k = 1e-3, 1e-3 * w**2
+    d = m * w / quality
+    text = f"""
+[m]
+part = "mass"
+mass = {m!r}
+pins = {{ a = "k.a" }}
+[k]
+part = "spring"
+stiffness = {k!r}
+pins = {{ a = "drive.out" }}
+[d]
+part = "damper"
+damping = {d!r}
+pins = {{ a = "m.a" }}
+"""
+    return text, "m.x", (m, d, k, 1.0, 1.0)
+
+
+def drive(shape, f, family, cycles):
+    """The source's table, its values over time, and the end of the run."""
+    kind = 'kind = "force"\n' if family == "oscillator" else ""
+    edge, period = 0.02 / f, 1 / f
+    if shape == "sine":
+        text = f"sine = {{ amplitude = 1.0, frequency = {f!r} }}"
+        return kind + text, lambda t: np.sin(2 * np.pi * f * t), cycles / f
+    count = 5 if shape == "burst" else cycles + 1
+    text = (
+        f"pulse = {{ high = 1.0, width = {period / 2!r}, edge = {edge!r}, "
+        f"period = {period!r}, count = {count} }}"
+    )
+
+    def value(t):
+        inside = np.interp(
+            np.mod(t, period), [0, edge, period / 2, period / 2 + edge, period], [0, 1, 1, 0, 0]
+        )
+        return np.where(t < count * period, inside, 0.0)
+
+    return kind + text, value, cycles / f
+
+
+def oracle(matrices, value, stop, f):
+    """Times and output of scipy on a grid that holds the corners."""
+    M, E, K, B, C = (np.atleast_2d(x) for x in matrices)
+    n = len(M)
+    inverse = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ E]])
+    drive = np.vstack([np.zeros((n, 1)), inverse @ B.reshape(n, 1)])
+    out = np.hstack([C.reshape(1, n), np.zeros((1, n))])
+    step = 1 / (1000 * f)
+    t = np.arange(round(stop / step) + 1) * step
+    scale = np.concatenate([np.ones(n), np.full(n, 2 * np.pi * f)])  # equal sizes of the states
+    _, y, _ = lsim(
+        (A * scale / scale[:, None], drive / scale[:, None], out * scale, 0), value(t), t
+    )
+    return t, y
+
+
+def body_matrices(text, port, high, folder):
+    """The body's matrices from voltage to displacement, and its strongest resonance [Hz]."""
+    path = folder / "wide.toml"
+    path.write_text(
+        'name = "wide"\n' + text + f"\n[rom]\ntolerance = 1e-5\nband = [0, {high!r}]\n"
+        '[drive]\npart = "source"\nac = 1.0\n[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
+    )
+    model = build_models(load_scene(path), Clock(silent)).model("body")
+    K, E, M = model.pencil.dense().coefficients
+    i, o = model.inputs.index("anode"), model.outputs.index(port)
+    f = np.geomspace(high / 300, high, 6000)
+    s = 2j * np.pi * f[:, None, None]
+    x = np.linalg.solve(s**2 * M + s * E + K, np.tile(model.B[:, [i]], (f.size, 1, 1)))
+    peak = f[np.abs(model.C[o] @ x[..., 0].T).argmax()]
+    return (M, E, K, model.B[:, i], model.C[o]), float(peak)
+
+
+def judged(family, quality, shape, folder, cycles, detune=0.0):
+    """Error of the amplitude and of the wave, None where the run was refused."""
+    text, output, matrices = circuit(family, quality)
+    f = FREQUENCY.get(family)
+    if matrices is None:
+        _, port, high = BODIES[family]
+        matrices, f = body_matrices(text, port, high, folder)
+    f *= 1 + detune / quality
+    table, value, stop = drive(shape, f, family, cycles)
+    path = folder / "case.toml"
+    path.write_text(
+        f'name = "case"\n{text}\n[drive]\npart = "source"\n{table}\n'
+        f'[analysis]\ntype = "transient"\nstop = {stop!r}\n'
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run(load_scene(path), folder / "out")
+    except SimulationError:
+        return None
+    found = np.load(folder / "out" / "waveforms.npz")
+    t, exact = oracle(matrices, value, stop, f)
+    ours = np.interp(t, found["time"], found[output])
+    errors = []
+    for part in np.array_split(np.arange(t.size), 8):
+        a, b = ours[part], exact[part]
+        errors.append(abs(np.sqrt(np.mean(a**2)) - np.sqrt(np.mean(b**2))))
+    peak = np.abs(exact).max()
+    rms = max(np.sqrt(np.mean(exact[part] ** 2)) for part in np.array_split(np.arange(t.size), 8))
+    return max(errors) / rms, np.abs(ours - exact).max() / peak
+
+
+FEW = [
+    ("rlc", 30, "square", 30, 0.0), ("oscillator", 300, "burst", 50, 0.0),
+    pytest.param("disc", 30, "sine", 25, 0.3, marks=pytest.mark.slow),
+]  # fmt: skip
+MANY = [
+    (family, quality, shape, cycles, detune)
+    for family in ("rlc", "oscillator", "disc", "langevin", "bimorph")
+    for quality, shape, cycles, detune in (
+        (10, "sine", 40, 0.0), (1000, "sine", 150, 0.5), (100, "sine", 200, 0.5),
+        (30, "square", 50, 0.0), (300, "square", 150, 0.2), (1000, "burst", 100, 0.0),
+    )
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("family", "quality", "shape", "cycles", "detune"), FEW)
+def test_a_plain_run_is_right_to_a_thousandth(family, quality, shape, cycles, detune, tmp_path):
+    amplitude, wave = judged(family, quality, shape, tmp_path, cycles, detune)
+    assert amplitude < 1e-3
+    assert wave < 3e-3  # interpolation between its points and SHAPE of the steps
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+@pytest.mark.parametrize(("family", "quality", "shape", "cycles", "detune"), MANY)
+def test_resonant_transients_are_right_or_refused(family, quality, shape, cycles, detune, tmp_path):
+    found = judged(family, quality, shape, tmp_path, cycles, detune)
+    print(f"RESONANT {family} Q {quality} {shape}: {found}")
+    assert found is None or found[0] < 1e-2
+
+
+def test_an_edge_that_begins_at_the_end_of_the_run_is_no_error_of_its_steps():
+    """36 periods of 250 us end at 9 ms, where a current may already be that of the next edge."""
+    tables = {
+        "drive": {"part": "source", "pulse": {"high": "5 V", "width": "125 us", "edge": "0.1 us",
+                                              "period": "250 us"}},
+        "r": {"part": "resistor", "resistance": "1 kOhm", "pins": {"a": "drive.out"}},
+        "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "r.b"}},
+        "analysis": {"type": "transient", "stop": "9 ms"},
+    }  # fmt: skip
+    (check,) = (c for c in kc.run(kc.load_scene(tables)).checks if c.name.startswith("steps"))
+    assert check.value < 1e-3
