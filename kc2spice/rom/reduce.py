@@ -51,6 +51,7 @@ SAFETY = 1.15  # on differences at samples, for what lies between them
 RIGID = 100.0  # times the rounding of the projected stiffness
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 BALANCED = 1200  # first-order states at most
+CHEAP = 200  # of them where balancing only tells what the form costs
 # Definite matrices become resonators, which prove their stability: they are given up for a model
 # of this share of their states, not for one with few fewer.
 FORM_SHARE = 0.91
@@ -181,13 +182,16 @@ def _with_or_without_form(
 ) -> tuple[Reduction, int]:
     """The congruence, or the balanced model that needs fewer states where all ports are signals and
     no passive resonators would be lost. Either says what the other needs."""
+    free_to_choose = default_norm(model) == "peak"
+    if not free_to_choose and kept.states(kept.pencil.size) > CHEAP:
+        return kept, order
     other = balanced(kept, order, tolerance)
     if other is None:
         return kept, order
     free, less = other
     form = "second" if kept.pencil.degree == 2 else "first"
     resonators = kept.pencil.degree == 2 and kept.structure(order).passive
-    if default_norm(model) == "peak" and not resonators:
+    if free_to_choose and not resonators:
         text = f"{free.origin}, where a congruence needs {order} of {form} order; "
         return replace(free, origin=text), less
     text = f"{kept.states(order)} first-order states, {less} without keeping the form; "
@@ -364,12 +368,11 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
         return None
     model = Response(balance.standard(pencil, top))
     H, peak = like.reference
-    ways = {
-        "balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak)),
-        "balanced truncation over the band": lambda: balance.by_samples(
+    ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak))}
+    if model.quick:
+        ways["balanced truncation over the band"] = lambda: balance.by_samples(
             model, 1j * like.frequency / top, *balance.weights(like.frequency, H, peak, like.norm)
-        ),
-    }
+        )
     best = None
     states = like.states(order)
     if like.pencil.degree == 2 and like.structure(order).proof == FORM:  # worth a few states

@@ -66,6 +66,11 @@ class Response:
             self.modes is not None and isinstance(self.modes[2], tuple)
         )
 
+    @property
+    def quick(self) -> bool:
+        """Whether no sample needs a factorisation of many unknowns."""
+        return self.modes is not None or self.pencil.size <= FEW
+
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
         if self.modes is None:
