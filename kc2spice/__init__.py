@@ -50,10 +50,32 @@ _HOMES = {
 }
 
 __all__ = [
-    "Certificate", "Deck", "LinearModel", "Param", "PartType", "Pin", "Port", "Result", "Scene",
-    "Section", "Subcircuit", "Table", "Terminal", "build", "deck", "errors", "load_scene",
-    "read_lib", "read_model", "reduce", "register_part", "run", "simulate", "subcircuit", "sweep",
-]  # fmt: skip
+    "Certificate",
+    "Deck",
+    "LinearModel",
+    "Param",
+    "PartType",
+    "Pin",
+    "Port",
+    "Result",
+    "Scene",
+    "Section",
+    "Subcircuit",
+    "Table",
+    "Terminal",
+    "build",
+    "deck",
+    "errors",
+    "load_scene",
+    "read_lib",
+    "read_model",
+    "reduce",
+    "register_part",
+    "run",
+    "simulate",
+    "subcircuit",
+    "sweep",
+]
 
 
 def __getattr__(name: str) -> Any:

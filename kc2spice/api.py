@@ -144,9 +144,11 @@ def reduce(
     if band is not None:
         if isinstance(band, (str, float, int)) or len(band) != 2:
             raise UsageError(
-                "not a frequency band", where="band", got=repr(band),
+                "not a frequency band",
+                where="band",
+                got=repr(band),
                 expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
-            )  # fmt: skip
+            )
         low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
         band = low, high
     if tolerance is not None:
@@ -237,9 +239,12 @@ def run(
 
     if out is not None and not isinstance(out, (str, Path)):
         raise UsageError(
-            "not a directory", where="out", got=repr(out)[:120], expected="a path",
+            "not a directory",
+            where="out",
+            got=repr(out)[:120],
+            expected="a path",
             hint='other values of keys: kc.run(SCENE, overrides={"rom.order": 10})',
-        )  # fmt: skip
+        )
     loaded = load_scene(scene, overrides)
     edited = None if deck is None else Path(deck)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
@@ -363,9 +368,11 @@ class Result:
         for name in names:
             if name not in known:
                 raise UsageError(
-                    "no such wave or figure", where=self.scene, got=repr(name),
+                    "no such wave or figure",
+                    where=self.scene,
+                    got=repr(name),
                     expected=", ".join([*self.figures, *known]),
-                )  # fmt: skip
+                )
         return notebook_figure(self._sheet(names or tuple(known)))
 
     def _sheet(self, names: tuple[str, ...]) -> Figure:
@@ -381,13 +388,20 @@ class Result:
         unit = {"time": "time in s", "frequency": "frequency in Hz"}.get(self.scale, self.scale)
         log = self.scale == "frequency"
         return Figure(
-            self.scene, self.scene, "",
+            self.scene,
+            self.scene,
+            "",
             tuple(
-                Panel(unit if k == len(panels) else "", f"in {u}" if u else "", tuple(curves),
-                      log_x=log, log_y=log)
+                Panel(
+                    unit if k == len(panels) else "",
+                    f"in {u}" if u else "",
+                    tuple(curves),
+                    log_x=log,
+                    log_y=log,
+                )
                 for k, (u, curves) in enumerate(panels.items(), 1)
             ),
-        )  # fmt: skip
+        )
 
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
@@ -458,10 +472,16 @@ def _result(done: Completed) -> Result:
 
     record, outcome = run_record(done), done.outcome
     return Result(
-        done.build.scene.name, record["metrics"], outcome.waves.data,
-        _units(outcome.deck, outcome.waves), outcome.verdict.checks, record, outcome.deck,
-        {figure.name: figure for figure in done.figures}, done,
-    )  # fmt: skip
+        done.build.scene.name,
+        record["metrics"],
+        outcome.waves.data,
+        _units(outcome.deck, outcome.waves),
+        outcome.verdict.checks,
+        record,
+        outcome.deck,
+        {figure.name: figure for figure in done.figures},
+        done,
+    )
 
 
 def _plain_result(deck: Deck, waves: Waveforms) -> Result:

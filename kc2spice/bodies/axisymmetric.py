@@ -94,23 +94,31 @@ def turned(
         kind: {e.name: touched(e) for e in electrodes if e.kind == kind}
         for kind in ("terminal", "ground", "floating")
     }
-    return make_device(solid, Setup(
-        fixed=_fixed(nodes, supports, near).ravel(),
-        electrodes=by_kind["terminal"] | by_kind["ground"],
-        reference=next(iter(by_kind["ground"]), ""),
-        floating=list(by_kind["floating"].values()),
-        shapes=[
-            Shape(Port(name, "mechanical"), mean(solid, AXIAL, facets=_facets(solid, face, near)))
-            for name, face in faces.items()
-        ],
-        damping=damping,
-    ))  # fmt: skip
+    return make_device(
+        solid,
+        Setup(
+            fixed=_fixed(nodes, supports, near).ravel(),
+            electrodes=by_kind["terminal"] | by_kind["ground"],
+            reference=next(iter(by_kind["ground"]), ""),
+            floating=list(by_kind["floating"].values()),
+            shapes=[
+                Shape(
+                    Port(name, "mechanical"), mean(solid, AXIAL, facets=_facets(solid, face, near))
+                )
+                for name, face in faces.items()
+            ],
+            damping=damping,
+        ),
+    )
 
 
 def _solid(
-    blocks: Sequence[Block], faces: Iterable[Face], supports: Sequence[Fixed], size: float,
+    blocks: Sequence[Block],
+    faces: Iterable[Face],
+    supports: Sequence[Fixed],
+    size: float,
     refine: int,
-) -> Solid:  # fmt: skip
+) -> Solid:
     """Quads of the cells that some block owns; the later block wins."""
     radii = [x for spans in (blocks, faces, supports) for item in spans for x in item.r]
     heights = [x for spans in (blocks, supports) for item in spans for x in item.z]

@@ -200,14 +200,15 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
     return Setup(
         fixed=fixed.ravel(),
         electrodes={"anode": level(wires.anode), "cathode": level(wires.cathode)}
-        if wires.levels else {},
+        if wires.levels
+        else {},
         reference="cathode",
         floating=[level([n]) for n in ends],
         shapes=shapes,
         base=[(Port("base", "acceleration"), UP)] if keys.support != "free" else [],
         lumped=keys.tip_mass * end,
         damping=keys.damping,
-    )  # fmt: skip
+    )
 
 
 def _port(name: str, shares: np.ndarray, solid: Solid) -> Shape:

@@ -260,17 +260,20 @@ class _Groups:
         group = self.found.get(name)
         if group is None:
             raise UsageError(
-                "no such group in the mesh", where=where, got=name,
+                "no such group in the mesh",
+                where=where,
+                got=name,
                 expected=", ".join(sorted(self.found)) or "physical groups in the file",
-            )  # fmt: skip
+            )
         if not group.members.size:
             raise UsageError("group is empty", where=where, got=name)
         if codimensions and group.codimension not in codimensions:
             raise UsageError(
-                "group of the wrong kind", where=where,
+                "group of the wrong kind",
+                where=where,
                 got=f"{name}, {self.kinds[group.codimension]}",
                 expected=" or ".join(self.kinds[c] for c in codimensions),
-            )  # fmt: skip
+            )
         return group
 
     def facets(self, name: str, where: str) -> np.ndarray:
@@ -292,9 +295,11 @@ def _solid(keys: Body, groups: _Groups) -> Solid:
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         raise UsageError(
-            "elements without material", where="materials", got=f"{np.sum(owner < 0)} elements",
+            "elements without material",
+            where="materials",
+            got=f"{np.sum(owner < 0)} elements",
             expected=f"every element in one of {', '.join(sorted(groups.found))}",
-        )  # fmt: skip
+        )
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
@@ -302,12 +307,16 @@ def _setup(keys: Body, groups: _Groups, solid: Solid) -> Setup:
     pins = list(keys.electrodes)
     reference = next((pin for pin in _REFERENCES if pin in pins), pins[-1] if pins else "")
     electrodes = {
-        pin: np.unique(np.concatenate([
-            _electrode(solid, groups, name, f"electrodes.{pin}")
-            for name in ([given] if isinstance(given, str) else given)
-        ]))
+        pin: np.unique(
+            np.concatenate(
+                [
+                    _electrode(solid, groups, name, f"electrodes.{pin}")
+                    for name in ([given] if isinstance(given, str) else given)
+                ]
+            )
+        )
         for pin, given in keys.electrodes.items()
-    }  # fmt: skip
+    }
     shapes, faces = [], []
     for port in keys.ports:
         if port.kind == "mean":
@@ -344,10 +353,11 @@ def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarr
     if not (active[sides] & (sides >= 0)).any():
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
         raise UsageError(
-            "electrode on a material that is not piezoelectric", where=where,
+            "electrode on a material that is not piezoelectric",
+            where=where,
             got=f"{name} on {', '.join(sorted(made_of))}",
             expected="a face of a piezoelectric group",
-        )  # fmt: skip
+        )
     return _facet_nodes(solid, facets)
 
 
@@ -393,11 +403,16 @@ def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
         raise UsageError("no rigid faces in axisymmetric bodies", where=where)
     nodes = _facet_nodes(solid, groups.facets(str(port.group), where))
     motions = _MOTIONS if port.axis is None else (str(port.axis),)
-    return RigidFace(nodes, [
-        (_motion(port.name if port.axis else f"{port.name}_{motion}", motion),
-         np.eye(6)[_MOTIONS.index(motion)])
-        for motion in motions
-    ])  # fmt: skip
+    return RigidFace(
+        nodes,
+        [
+            (
+                _motion(port.name if port.axis else f"{port.name}_{motion}", motion),
+                np.eye(6)[_MOTIONS.index(motion)],
+            )
+            for motion in motions
+        ],
+    )
 
 
 def _motion(name: str, motion: str) -> Port:

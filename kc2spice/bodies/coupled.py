@@ -74,9 +74,15 @@ def _resonance(
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
         values, modes = eigsh(
-            inverse, count, M=M, sigma=-shift, OPinv=inverse, v0=start, tol=RESIDUAL,
+            inverse,
+            count,
+            M=M,
+            sigma=-shift,
+            OPinv=inverse,
+            v0=start,
+            tol=RESIDUAL,
             ncv=min(2 * count + 1, n),
-        )  # fmt: skip
+        )
         rigid = modes[:, values <= 10 * shift]
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))

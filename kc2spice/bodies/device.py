@@ -160,9 +160,15 @@ def constrained(solid: Solid, setup: Setup) -> Device:
         ports=[*(port for port, _ in columns), *pins],
     )
     return Device(
-        model, solid, P, sparse.csc_array(Q), sparse.csc_array(R), -(Q.T @ K_pp @ R).toarray(),
-        _shift(solid, setup), float(mass.sum()) / solid.components,
-    )  # fmt: skip
+        model,
+        solid,
+        P,
+        sparse.csc_array(Q),
+        sparse.csc_array(R),
+        -(Q.T @ K_pp @ R).toarray(),
+        _shift(solid, setup),
+        float(mass.sum()) / solid.components,
+    )
 
 
 def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
@@ -194,21 +200,31 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup)
     E = damping.alpha * model.M
     for number, material in enumerate(solid.materials):
         if material.quality is None:
-            raise UsageError("no quality known", where="damping.per_material", got=material.name,
-                             hint="give it in a material table, or a ratio for all")  # fmt: skip
+            raise UsageError(
+                "no quality known",
+                where="damping.per_material",
+                got=material.name,
+                hint="give it in a material table, or a ratio for all",
+            )
         part = assemble(solid, only=number).K_uu
         E = E + setup.sectors * (P.T @ part @ P) / (material.quality * omega)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
-def mean(solid: Solid, axis: np.ndarray, *, facets: np.ndarray | None = None,
-         elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
+def mean(
+    solid: Solid,
+    axis: np.ndarray,
+    *,
+    facets: np.ndarray | None = None,
+    elements: np.ndarray | None = None,
+) -> np.ndarray:
     """Weights (d nodes,) of the mean displacement along ``axis`` over facets or elements."""
     return spread(node_shares(solid, facets=facets, elements=elements), axis, solid)
 
 
-def node_shares(solid: Solid, *, facets: np.ndarray | None = None,
-                elements: np.ndarray | None = None) -> np.ndarray:  # fmt: skip
+def node_shares(
+    solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
+) -> np.ndarray:
     """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
     basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
     weights = basis.dx
@@ -252,8 +268,9 @@ def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Po
         if not kept[rows].all():
             raise UsageError(
                 "a rigid face touches a support or another rigid face",
-                where=", ".join(port.name for port, _ in face.ports), hint="give it free nodes",
-            )  # fmt: skip
+                where=", ".join(port.name for port, _ in face.ports),
+                hint="give it free nodes",
+            )
         kept[rows] = False
         motion = np.zeros((len(kept), 6))
         motion[rows] = rigid_motions(solid, where[face.nodes].mean(axis=0))[rows]
@@ -280,16 +297,19 @@ def _potentials(
         nodes = nodes[live[nodes]]
         if not nodes.size:
             raise UsageError(
-                "electrode on a material that is not piezoelectric", where=where,
+                "electrode on a material that is not piezoelectric",
+                where=where,
                 expected="a face of a piezoelectric group",
-            )  # fmt: skip
+            )
         taken[nodes] += 1
     if taken.max(initial=0) > 1:
         raise UsageError(
-            "electrodes touch each other", where="electrodes",
-            got=f"{np.sum(taken > 1)} common nodes", expected="a gap between any two of them",
+            "electrodes touch each other",
+            where="electrodes",
+            got=f"{np.sum(taken > 1)} common nodes",
+            expected="a gap between any two of them",
             hint="one pin may have several groups: PIN = [GROUP, GROUP]",
-        )  # fmt: skip
+        )
     if setup.graded is not None:
         taken[setup.graded[0]] += 1
     _require_grounded(K_pp, live, taken)
@@ -311,9 +331,10 @@ def _require_grounded(K_pp: sparse.csc_array, live: np.ndarray, taken: np.ndarra
     _, piece = connected_components(K_pp, directed=False)
     if np.setdiff1d(piece[live], piece[taken > 0]).size:
         raise UsageError(
-            "a ceramic touches no electrode: its potential is undetermined", where="electrodes",
+            "a ceramic touches no electrode: its potential is undetermined",
+            where="electrodes",
             hint="every piezoelectric piece needs an electrode on one face at least",
-        )  # fmt: skip
+        )
 
 
 def _indicator(

@@ -77,9 +77,12 @@ class Probe:
 
 
 def stress(
-    solid: Solid, basis: Basis, operators: Iterable[tuple[np.ndarray, ...]], u: np.ndarray,
+    solid: Solid,
+    basis: Basis,
+    operators: Iterable[tuple[np.ndarray, ...]],
+    u: np.ndarray,
     phi: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Stress (points, 6, k) and field (points, 3, k) at the points of ``basis``, whose
     ``operators`` are those of :func:`kc2spice.fem.solid.strains`, of nodal columns."""
     d, nodes = solid.components, basis.element_dofs.T
@@ -188,11 +191,19 @@ def extremes(motion: Motion) -> list[Extreme]:
         k = int(curve.argmax())
         unit, limit = QUANTITIES[quantity]
         material = solid.materials[probe.owner[int(points[k])]]
-        found.append(Extreme(
-            name, quantity, unit, float(curve[k]), getattr(material, limit),
-            float(motion.time[chosen[k]]), tuple(places[:, int(points[k])]),
-            motion.time[chosen], curve,
-        ))  # fmt: skip
+        found.append(
+            Extreme(
+                name,
+                quantity,
+                unit,
+                float(curve[k]),
+                getattr(material, limit),
+                float(motion.time[chosen[k]]),
+                tuple(places[:, int(points[k])]),
+                motion.time[chosen],
+                curve,
+            )
+        )
     return found
 
 

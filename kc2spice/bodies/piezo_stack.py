@@ -70,10 +70,15 @@ def stack_setup(
     shapes = ring_shapes(mesh, kick.poling) if pressure is None else [_patch(mesh, solid, pressure)]
     electrodes, graded = _electrodes(mesh)
     return solid, Setup(
-        ~free_displacements(mesh, kick), electrodes, "cathode", shapes=shapes, graded=graded,
-        springs=springs(mesh, solid, kick), sectors=SECTORS,
+        ~free_displacements(mesh, kick),
+        electrodes,
+        "cathode",
+        shapes=shapes,
+        graded=graded,
+        springs=springs(mesh, solid, kick),
+        sectors=SECTORS,
         damping=kick.damping,
-    )  # fmt: skip
+    )
 
 
 def layer_materials(
@@ -83,10 +88,11 @@ def layer_materials(
     (none in a cap)."""
     plain, usual = kick.material.build(), material(USUAL)
     plain = replace(
-        plain, breakdown_field=breakdown,
+        plain,
+        breakdown_field=breakdown,
         tensile_strength=plain.tensile_strength or usual.tensile_strength,
         depoling_field=plain.depoling_field or usual.depoling_field,
-    )  # fmt: skip
+    )
     own, active = plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)), np.flatnonzero(spans)
     owner = np.zeros(len(spans), int)
     signed = np.where(np.arange(len(active)) % 2, spans[active], -spans[active])
@@ -99,8 +105,9 @@ def layer_materials(
     ]
     below, above = slice(active[0]), slice(active[-1] + 1, None)
     for levels, name, cap in (
-        (below, "bottom_cap", kick.bottom_cap), (above, "top_cap", kick.top_cap),
-    ):  # fmt: skip
+        (below, "bottom_cap", kick.bottom_cap),
+        (above, "top_cap", kick.top_cap),
+    ):
         if cap is not None:
             where = f"kick.{name}.material"
             made_of = plain if cap.material is None else material(cap.material, where)

@@ -112,9 +112,11 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
     if lowest < 0:
         raise SimulationError(
             "the mesh of the stack is softer than a graded one under a patch of pressure",
-            where="contact.shape", got=f"compliance {lowest:.3g} m/N of a hat", expected="above 0",
+            where="contact.shape",
+            got=f"compliance {lowest:.3g} m/N of a hat",
+            expected="above 0",
             hint="raise kick.mesh.sectors, or lower contact.spacing",
-        )  # fmt: skip
+        )
     return Pressed(shares, added, coarse)
 
 
@@ -149,9 +151,10 @@ def stressed(chip: Chip, shape: Hats, force: np.ndarray, cells: int = CELLS) -> 
     shear = (principal(T) + principal(-T)) / 2
     z = np.asarray(basis.global_coordinates())[1].ravel()
     return Stressed(
-        float((force / shape.areas).max()), float(shear.max()),
+        float((force / shape.areas).max()),
+        float(shear.max()),
         float(solid.mesh.p[1].max() - z[shear.argmax()]),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -201,13 +204,15 @@ def _graded(chip: Chip, shape: Hats, cells: int) -> tuple[np.ndarray, np.ndarray
     from the hats, with a line at every height."""
     below, above = (cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap))
     caps = (int(below > 0), int(above > 0))
-    thickness = np.r_[[below] * caps[0], [chip.height / chip.layers] * chip.layers,
-                      [above] * caps[1]]  # fmt: skip
+    thickness = np.r_[
+        [below] * caps[0], [chip.height / chip.layers] * chip.layers, [above] * caps[1]
+    ]
     heights, radius = np.r_[0.0, np.cumsum(thickness)], min(chip.half)
     planes = heights[caps[0] :][: chip.layers + 1]
     ends = zip(shape.nodes[:-1], shape.nodes[1:], strict=True)
-    inner = np.concatenate([*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends),
-                            shape.nodes[-1:]])  # fmt: skip
+    inner = np.concatenate(
+        [*(np.linspace(a, b, cells + 1)[:-1] for a, b in ends), shape.nodes[-1:]]
+    )
     r = np.concatenate([inner, _growing(inner[-1], radius, inner[-1] - inner[-2])[1:]])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
@@ -232,9 +237,9 @@ def _growing(start: float, end: float, step: float) -> np.ndarray:
 def _round(chip: Chip) -> Chip:
     """The round stack of the same layers and the same mesh under the hats."""
     given = {
-        name: getattr(chip, name) for name in ("height", "layers", "bottom_cap", "top_cap",
-                                                "material", "mesh", "damping")
-    }  # fmt: skip
+        name: getattr(chip, name)
+        for name in ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
+    }
     return Chip(**given, diameter=2 * min(chip.half))
 
 
@@ -261,9 +266,11 @@ def _static(
     scale = 1 / np.sqrt(np.abs(whole.diagonal()))
     equal = sparse.diags_array(scale)
     factor = splu(
-        (equal @ whole @ equal).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        (equal @ whole @ equal).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
-    )  # fmt: skip
+    )
     right = np.zeros((whole.shape[0], loads.shape[1]))
     right[: len(loads)] = scale[: len(loads), None] * loads
     return np.asarray(scale[:, None] * factor.solve(right))

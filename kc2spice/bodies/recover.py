@@ -53,9 +53,11 @@ class Motion:
         """
         if not self.time[0] <= instant <= self.time[-1]:
             raise UsageError(
-                "instant outside the run", where="fields", got=instant,
+                "instant outside the run",
+                where="fields",
+                got=instant,
                 expected=f"{self.time[0]:g} to {self.time[-1]:g} s",
-            )  # fmt: skip
+            )
         k = int(np.argmin(np.abs(self.time - instant)))
         return self.basis @ self.states[k], self.voltages[k]
 
@@ -75,9 +77,11 @@ def recover(
     for name, wave in inputs.items():
         if name not in names or np.shape(wave) != np.shape(time):
             raise UsageError(
-                "not a port waveform of this body", where="fields", got=f"{name} {np.shape(wave)}",
+                "not a port waveform of this body",
+                where="fields",
+                got=f"{name} {np.shape(wave)}",
                 expected=f"{len(time)} values of one of {', '.join(names)}",
-            )  # fmt: skip
+            )
         u[:, names.index(name)] = wave
     t = np.asarray(time)
     basis, omega, damp = _modes(device, order, float(t[-1] - t[0]))

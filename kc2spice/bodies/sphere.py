@@ -63,8 +63,13 @@ def sphere(body: Sphere, shares: np.ndarray, shape: Hats, refine: int = 1) -> Li
     ``refine`` divides every cell along each axis.
     """
     free = _free(body, shape, refine)
-    model = replace(free, B=free.B @ shares[:, None], C=(free.B @ shares[:, None]).T,
-                    D=np.zeros((1, 1)), ports=(Port(PATCH, "mechanical"),))  # fmt: skip
+    model = replace(
+        free,
+        B=free.B @ shares[:, None],
+        C=(free.B @ shares[:, None]).T,
+        D=np.zeros((1, 1)),
+        ports=(Port(PATCH, "mechanical"),),
+    )
     facts = {**free.facts, **electromechanical(model)}
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
@@ -100,12 +105,16 @@ def _free(body: Sphere, shape: Hats, refine: int) -> LinearModel:
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / body.radius**2
     return with_potentials(
-        M=M, K_uu=K, K_up=sparse.csc_array(momentum[:, None]),
-        K_pp=sparse.csc_array([[mass / slow]]), k_uV=np.zeros((len(kept), 0)),
-        c_VV=np.zeros((0, 0)), B=loads[kept] - momentum[:, None] / mass,
+        M=M,
+        K_uu=K,
+        K_up=sparse.csc_array(momentum[:, None]),
+        K_pp=sparse.csc_array([[mass / slow]]),
+        k_uV=np.zeros((len(kept), 0)),
+        c_VV=np.zeros((0, 0)),
+        B=loads[kept] - momentum[:, None] / mass,
         ports=[Port(f"hat{k}", "mechanical") for k in range(loads.shape[1])],
         facts={"unknowns": float(len(kept)), "mass_kg": mass},
-    )  # fmt: skip
+    )
 
 
 def _graded(body: Sphere, shape: Hats, refine: int) -> Solid:

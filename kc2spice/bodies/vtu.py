@@ -28,8 +28,9 @@ def write_vtu(path: Path, device: Device, z: np.ndarray, voltages: np.ndarray) -
     try:
         import meshio
     except ImportError as error:
-        raise MissingToolError("meshio cannot be loaded", where="fields", got=str(error),
-                               hint="pip install meshio") from error  # fmt: skip
+        raise MissingToolError(
+            "meshio cannot be loaded", where="fields", got=str(error), hint="pip install meshio"
+        ) from error
     probe = Probe(device, gauss=False)
     fields = probe(z, voltages)
     mesh = device.solid.mesh

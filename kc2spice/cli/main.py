@@ -278,8 +278,9 @@ def verify(
 
         shipped = None if deck is None else read_deck(deck)
         with shown_progress(quiet) as progress:
-            found = verify_scenes(loaded, directory, full=full, deck=shipped,
-                                 trust=trust, progress=progress)  # fmt: skip
+            found = verify_scenes(
+                loaded, directory, full=full, deck=shipped, trust=trust, progress=progress
+            )
         passed = all(record["passed"] for record in found.values())
         if as_json:
             record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))

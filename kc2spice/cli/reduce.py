@@ -68,9 +68,14 @@ def reduce(
 
         with shown_progress(quiet) as progress:
             found = reduce_study(
-                model, out, band=band, tolerance=tolerance, order=order,
-                norm=norm, progress=progress,
-            )  # fmt: skip
+                model,
+                out,
+                band=band,
+                tolerance=tolerance,
+                order=order,
+                norm=norm,
+                progress=progress,
+            )
         if as_json:
             print(json.dumps(found))
         elif not quiet:

@@ -101,9 +101,14 @@ def sweep(
 
         table = run.table_name(table_format)
         found = run.named_sweep(
-            scene, set_ or (), zipped=zipped, latin=latin, seed=seed, metrics=metric or (),
+            scene,
+            set_ or (),
+            zipped=zipped,
+            latin=latin,
+            seed=seed,
+            metrics=metric or (),
             timeout=timeout,
-        )  # fmt: skip
+        )
         out = out or Path(f"{found.scene.name}_sweep")
         count = workers or pools.cores()
         pool = pools.processes(count) if dask is None else pools.dask(dask, count)
@@ -111,20 +116,31 @@ def sweep(
             print(found.describe(), file=sys.stderr)
         if dry_run:
             result = {
-                "scene": found.scene.name, "points": found.plan.size, "failed": 0, "resumed": 0,
-                "table": str((out / table).absolute()), "runs": found.runs,
-            }  # fmt: skip
+                "scene": found.scene.name,
+                "points": found.plan.size,
+                "failed": 0,
+                "resumed": 0,
+                "table": str((out / table).absolute()),
+                "runs": found.runs,
+            }
         else:
             with shown_progress(quiet) as progress:
                 shown = progress if quiet or sys.stderr.isatty() else _Lines(progress)
                 try:
                     result = run.sweep(
-                        found, out, pool, shown, table_format=table_format,
+                        found,
+                        out,
+                        pool,
+                        shown,
+                        table_format=table_format,
                         retry_failed=retry_failed,
-                    )  # fmt: skip
+                    )
                 except KeyboardInterrupt:
-                    print(f"kc2spice: interrupted; the points run so far are kept in {out}, the "
-                          "same command runs the rest", file=sys.stderr)  # fmt: skip
+                    print(
+                        f"kc2spice: interrupted; the points run so far are kept in {out}, the "
+                        "same command runs the rest",
+                        file=sys.stderr,
+                    )
                     raise typer.Exit(INTERRUPTED) from None
         if as_json:
             print(json.dumps(result))

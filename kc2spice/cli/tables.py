@@ -35,8 +35,10 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
     print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
     for raw in (name for name in result["files"] if name.endswith(".raw")):
-        rows = [("ngspice", f"load {raw}, then plot VECTOR"),
-                ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')")]  # fmt: skip
+        rows = [
+            ("ngspice", f"load {raw}, then plot VECTOR"),
+            ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
+        ]
         print_table("viewers of the raw file", rows)
 
 
@@ -131,13 +133,19 @@ def show_keys(keys: Iterable[Key]) -> None:
 def show_parts(docs: Iterable[PartDoc]) -> None:
     """What ``scenes --parts`` lists."""
     for doc in docs:
-        rows = [("pin", pin.name, pin.kind, f"default {pin.default}" if pin.default else "")
-                for pin in doc.pins]  # fmt: skip
+        rows = [
+            ("pin", pin.name, pin.kind, f"default {pin.default}" if pin.default else "")
+            for pin in doc.pins
+        ]
         rows += [
-            ("key", key.name, key.unit or " | ".join(key.choices),
-             "" if key.default is None else f"default {key.default}")
+            (
+                "key",
+                key.name,
+                key.unit or " | ".join(key.choices),
+                "" if key.default is None else f"default {key.default}",
+            )
             for key in doc.keys
-        ]  # fmt: skip
+        ]
         print_table(f"{doc.name}: {doc.title}", rows, names=1)
 
 

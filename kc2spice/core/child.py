@@ -58,9 +58,13 @@ def in_child(
         prepare(folder)
         command = [sys.executable, "-m", __name__, function, str(memory)]
         with subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, env={**os.environ, **threads, "PYTHONPATH": paths},
-        ) as process:  # fmt: skip
+            command,
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **threads, "PYTHONPATH": paths},
+        ) as process:
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(json.dumps(dict(request)).encode() + b"\n")

@@ -82,9 +82,12 @@ def beside(home: Path, name: str, where: str) -> Path:
         outside = True
     if given.is_absolute() or ".." in given.parts or outside:
         raise UsageError(
-            "leads out of the scene's folder", where=where, got=repr(name)[:200],
-            expected="a file beside the scene or below", hint="copy it there",
-        )  # fmt: skip
+            "leads out of the scene's folder",
+            where=where,
+            got=repr(name)[:200],
+            expected="a file beside the scene or below",
+            hint="copy it there",
+        )
     return path
 
 

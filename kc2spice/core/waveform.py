@@ -124,9 +124,14 @@ def linear(points: np.ndarray) -> Waveform:
 
 
 def pulse(
-    low: float, high: float, start: float, width: float, edge: float,
-    period: float | None = None, count: int | None = None,
-) -> Waveform:  # fmt: skip
+    low: float,
+    high: float,
+    start: float,
+    width: float,
+    edge: float,
+    period: float | None = None,
+    count: int | None = None,
+) -> Waveform:
     """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end."""
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)

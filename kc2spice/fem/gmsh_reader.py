@@ -91,9 +91,11 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     wanted = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not wanted <= MOST:
         raise UsageError(
-            "elements of this size are too many", where="size", got=f"about {wanted:.1g} of them",
+            "elements of this size are too many",
+            where="size",
+            got=f"about {wanted:.1g} of them",
             expected=f"at most {MOST}",
-        )  # fmt: skip
+        )
     labels = {entity: _label(gmsh, entity) for entity in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -133,14 +135,18 @@ def _pick(
     near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     found: list[int] = []
     for point in at:
-        hits = [tag for d, tag in gmsh.model.getEntities(dimension)
-                if _contains(gmsh, d, tag, np.asarray(point), near)]  # fmt: skip
+        hits = [
+            tag
+            for d, tag in gmsh.model.getEntities(dimension)
+            if _contains(gmsh, d, tag, np.asarray(point), near)
+        ]
         if not hits:
             raise UsageError(
                 f"no {DIMENSION[dimension][:-1]} contains this point",
-                where=f"groups.{name}.at", got=[float(x) for x in point],
+                where=f"groups.{name}.at",
+                got=[float(x) for x in point],
                 expected="a point of the geometry, in the file's unit here",
-            )  # fmt: skip
+            )
         found += hits
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near

@@ -163,9 +163,12 @@ class Material:
             raise UsageError("not a rotation", where=self.name, got=R.tolist())
         M = bond(R)
         return replace(
-            self, C=M @ self.C @ M.T, e=R @ self.e @ M.T, eps_S=R @ self.eps_S @ R.T,
+            self,
+            C=M @ self.C @ M.T,
+            e=R @ self.e @ M.T,
+            eps_S=R @ self.eps_S @ R.T,
             axis=R @ self.axis,
-        )  # fmt: skip
+        )
 
     def poled(self, direction: Sequence[float]) -> Material:
         """The material with its z axis (poling of a ceramic) along ``direction`` in body axes.
@@ -329,9 +332,19 @@ class MaterialTable(Section):
         given -= {"source", "sources", "symmetry", "permittivity_at", "conductor"}
         sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
         return Material(
-            name, self.density, C, e, eps, self.conductor, self.quality, self.loss_tangent,
-            self.tensile_strength, self.depoling_field, self.breakdown_field, sources,
-        )  # fmt: skip
+            name,
+            self.density,
+            C,
+            e,
+            eps,
+            self.conductor,
+            self.quality,
+            self.loss_tangent,
+            self.tensile_strength,
+            self.depoling_field,
+            self.breakdown_field,
+            sources,
+        )
 
     def _stiffness(self, where: str) -> np.ndarray:
         if self.stiffness is not None:

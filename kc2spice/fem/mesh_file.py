@@ -88,21 +88,31 @@ def read_mesh(
     """
     data = _content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
-        raise UsageError("a STEP file states its own unit", where="unit", got=f"{unit:g} m",
-                         expected="no unit, or mm")  # fmt: skip
+        raise UsageError(
+            "a STEP file states its own unit",
+            where="unit",
+            got=f"{unit:g} m",
+            expected="no unit, or mm",
+        )
     cad = path.suffix.lower() != ".msh"
     if cad == (size is None):
         raise UsageError(
             "a CAD file needs the size of its elements" if cad else "a mesh has its size already",
-            where="size", expected='a length such as "1 mm"' if cad else "no size with .msh",
-        )  # fmt: skip
+            where="size",
+            expected='a length such as "1 mm"' if cad else "no size with .msh",
+        )
     if picks and not cad:
-        raise UsageError("groups are picked in CAD files only", where="groups",
-                         hint="name physical groups in the mesh")  # fmt: skip
+        raise UsageError(
+            "groups are picked in CAD files only",
+            where="groups",
+            hint="name physical groups in the mesh",
+        )
     request = {
-        "size": None if size is None else size / unit, "dimension": dimension,
-        "picks": _scaled(picks or {}, unit), "splits": splits,
-    }  # fmt: skip
+        "size": None if size is None else size / unit,
+        "dimension": dimension,
+        "picks": _scaled(picks or {}, unit),
+        "splits": splits,
+    }
     found = _ask_gmsh("tables", path, data, **request)
     return _collect(found, unit, dimension, str(path))
 
@@ -119,10 +129,12 @@ def length_unit(path: Path, unit: str | None) -> float:
     sides = extent(path)
     sizes = (f'"{name}" if it is {_sides(quantity(f"1 {name}", "m") * sides)}' for name in LENGTHS)
     raise UsageError(
-        f"a {path.suffix} file does not state its unit of length", where="unit",
+        f"a {path.suffix} file does not state its unit of length",
+        where="unit",
         got=f"{' x '.join(f'{side:.4g}' for side in sides)} in that unit",
-        expected=", ".join(sizes), hint='state it beside mesh, such as unit = "mm"',
-    )  # fmt: skip
+        expected=", ".join(sizes),
+        hint='state it beside mesh, such as unit = "mm"',
+    )
 
 
 def extent(path: Path) -> np.ndarray:
@@ -162,8 +174,12 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """
     known = FORMATS.get(path.suffix.lower())
     if known is None:
-        raise UsageError("not a kind of mesh", where=str(path), got=path.suffix or "no suffix",
-                         expected=", ".join(FORMATS))  # fmt: skip
+        raise UsageError(
+            "not a kind of mesh",
+            where=str(path),
+            got=path.suffix or "no suffix",
+            expected=", ".join(FORMATS),
+        )
     if head is None:
         if not path.is_file():
             return
@@ -172,15 +188,19 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     magic, wrong = known[0], "is not what its name says"
     if not head.startswith(magic):
         raise UsageError(
-            wrong, where=str(path), got=repr(head[:20])[1:],
+            wrong,
+            where=str(path),
+            got=repr(head[:20])[1:],
             expected=f"{magic.decode()} as its very first characters",
-        )  # fmt: skip
+        )
     if magic == b"$MeshFormat" and not _is_mesh(head):
         raise UsageError(
-            wrong, where=str(path), got=repr(head[:40])[1:],
+            wrong,
+            where=str(path),
+            got=repr(head[:40])[1:],
             expected="a header of version 2 or 4, as text or binary",
             hint='gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write',
-        )  # fmt: skip
+        )
 
 
 def _content(path: Path) -> bytes:
@@ -194,9 +214,12 @@ def _content(path: Path) -> bytes:
     require_format(path, data[:_HEAD])
     if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
         raise UsageError(
-            "refers to other files", where=str(path), got="DOCUMENT_FILE",
-            expected="one file with all solids", hint="export it without external references",
-        )  # fmt: skip
+            "refers to other files",
+            where=str(path),
+            got="DOCUMENT_FILE",
+            expected="one file with all solids",
+            hint="export it without external references",
+        )
     return data
 
 
@@ -307,8 +330,12 @@ def _simplices(
             continue
         count = block.nodes.shape[1]
         if block.corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
-            raise UsageError("element that is not supported", where="mesh", got=block.name,
-                             expected="triangles, tetrahedra of order 1 or 2")  # fmt: skip
+            raise UsageError(
+                "element that is not supported",
+                where="mesh",
+                got=block.name,
+                expected="triangles, tetrahedra of order 1 or 2",
+            )
         result.append((block.tags, block.nodes))
     return result
 

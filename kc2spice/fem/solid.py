@@ -67,16 +67,21 @@ class Solid:
         flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
         if flipped.any():
             raise UsageError(
-                "elements turned inside out", where="mesh", got=f"{flipped.sum()} of them",
-                expected="Jacobian determinants of one sign", hint="repair or refine the mesh",
-            )  # fmt: skip
+                "elements turned inside out",
+                where="mesh",
+                got=f"{flipped.sum()} of them",
+                expected="Jacobian determinants of one sign",
+                hint="repair or refine the mesh",
+            )
         for material in self.materials if self.axisymmetric else ():
             _require_isotropic_about_z(material)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
             raise UsageError(
-                "axisymmetric mesh crosses its axis", where="mesh",
-                got=f"x = {self.mesh.p[0].min():g} m", expected="x (the radius) of at least 0",
-            )  # fmt: skip
+                "axisymmetric mesh crosses its axis",
+                where="mesh",
+                got=f"x = {self.mesh.p[0].min():g} m",
+                expected="x (the radius) of at least 0",
+            )
 
     @property
     def components(self) -> int:

@@ -26,9 +26,11 @@ def array_deck(deck: Deck, count: int) -> Deck:
         )
     if deck.command.kind == "dc":
         raise UsageError(
-            "a dc sweep moves one source, not one of each copy", where="--count",
-            got=deck.command.card, expected="a scene with a transient or an ac analysis",
-        )  # fmt: skip
+            "a dc sweep moves one source, not one of each copy",
+            where="--count",
+            got=deck.command.card,
+            expected="a scene with a transient or an ac analysis",
+        )
     unit = f"{deck.name}_unit"
     title, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
     copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in range(1, count + 1)))

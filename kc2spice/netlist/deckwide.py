@@ -53,21 +53,32 @@ def refuse_in_part(cards: Iterable[tuple[Statement, str]]) -> None:
         depth += (key == ".subckt") - (key == ".ends")
         if key in ANALYSES | _OUTPUTS:
             what = "asks for an analysis" if key in ANALYSES else "asks for an output"
-            raise _refused(f"{what} of its own", where, card, _PARTS,
-                           "drop this line: the scene has analysis and results")  # fmt: skip
+            raise _refused(
+                f"{what} of its own",
+                where,
+                card,
+                _PARTS,
+                "drop this line: the scene has analysis and results",
+            )
         _deck_wide(card, where)
         if key == ".temp" or (given := _inexact(card)):
             what = "temperature" if key == ".temp" else f"option {given[0]}"
             raise _refused(
-                f"sets the {what} of the whole deck", where, card, _PARTS,
+                f"sets the {what} of the whole deck",
+                where,
+                card,
+                _PARTS,
                 "drop this line; accuracy is set by the scene's [solver], the temperature of a "
                 "device by temp=… on its own card",
-            )  # fmt: skip
+            )
         if depth == 0 and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
             raise _refused(
                 "has a card outside of every subcircuit, which acts on nodes of the whole deck",
-                where, card, _PARTS, "put it into the .subckt or drop it",
-            )  # fmt: skip
+                where,
+                card,
+                _PARTS,
+                "put it into the .subckt or drop it",
+            )
         if depth == 0:
             _built_in(card, where)
 
@@ -85,8 +96,13 @@ def refuse_in_deck(cards: Iterable[tuple[Statement, str]]) -> None:
         depth += (card.keyword == ".subckt") - (card.keyword == ".ends")
         _deck_wide(card, where)
         if "interp" in _inexact(card):
-            raise _refused("sets the option interp", where, card, "results at every time point",
-                           "drop it: events lie between the points that it keeps")  # fmt: skip
+            raise _refused(
+                "sets the option interp",
+                where,
+                card,
+                "results at every time point",
+                "drop it: events lie between the points that it keeps",
+            )
         if depth == 0:
             _built_in(card, where)
 
@@ -105,8 +121,13 @@ def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
 
 def _deck_wide(card: Statement, where: str) -> None:
     if card.keyword.startswith(".global"):
-        raise _refused("makes nodes global", where, card, "nodes of subcircuits",
-                       "make it a pin: it would be one with any node of its name")  # fmt: skip
+        raise _refused(
+            "makes nodes global",
+            where,
+            card,
+            "nodes of subcircuits",
+            "make it a pin: it would be one with any node of its name",
+        )
 
 
 def _built_in(card: Statement, where: str) -> None:
@@ -118,9 +139,12 @@ def _built_in(card: Statement, where: str) -> None:
         again = again or any(name in CONSTANTS for name in names)
     if again:
         raise _refused(
-            "defines a built-in name for the whole deck", where, card, "a name of its own",
+            "defines a built-in name for the whole deck",
+            where,
+            card,
+            "a name of its own",
             "rename it, or put it into the .subckt that uses it",
-        )  # fmt: skip
+        )
 
 
 def _inexact(card: Statement, *, whole: bool = False) -> list[str]:

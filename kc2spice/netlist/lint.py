@@ -117,9 +117,11 @@ def _duplicates(scope: Scope) -> Iterator[Problem]:
     for part in scope.elements:
         if part.key in seen:
             yield Problem(
-                part.where, "two parts have one name", part.name,
+                part.where,
+                "two parts have one name",
+                part.name,
                 f"another name; the first {part.key} is in {seen[part.key].where}",
-            )  # fmt: skip
+            )
         seen.setdefault(part.key, part)
 
 
@@ -137,10 +139,12 @@ def _defined_twice(scope: Scope) -> Iterator[Problem]:
             first, place = seen.setdefault(what, (value, card))
             if _file(place) != _file(card) and first != value:
                 yield Problem(
-                    card.where, f"two files define the {what}", card.text,
+                    card.where,
+                    f"two files define the {what}",
+                    card.text,
                     f"one definition; the first is in {place.where}",
                     "rename one, or put it into its .subckt",
-                )  # fmt: skip
+                )
 
 
 def _file(card: Card) -> str:
@@ -179,11 +183,12 @@ def _references(part: Element, scope: Scope) -> Iterator[Problem]:
     for param in part.settings if part.kind in "rlcvi" else ():
         if param in _PARASITIC:
             yield Problem(
-                part.where, "ngspice has no such parameter of an element, LTspice has",
+                part.where,
+                "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
                 f"{_PARASITIC[param]}, as an element of its own",
                 f"write the {_PARASITIC[param]} as a card of its own and leave {param} out",
-            )  # fmt: skip
+            )
     kind = "l" if part.kind == "k" else "v"
     present = [e.key for e in scope.elements if e.kind == kind]
     for source in map(str.lower, part.sources):

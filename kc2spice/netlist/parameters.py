@@ -54,9 +54,11 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     for key, value in values:
         if key not in known:
             raise UsageError(
-                "no part of this scene has such a parameter", where=f"param.{key}",
-                expected=", ".join(known), hint=did_you_mean(key, known),
-            )  # fmt: skip
+                "no part of this scene has such a parameter",
+                where=f"param.{key}",
+                expected=", ".join(known),
+                hint=did_you_mean(key, known),
+            )
         library, _, name = key.partition(".")
         parts = [_changed(part, library, name, value) for part in parts]
     return replace(deck, parts=tuple(parts))
@@ -81,9 +83,10 @@ def _with_default(circuit: Item, name: str, value: float) -> Item:
     head = f"* @param {name}="
     notes = tuple(
         f"{head}{number(value)} {line.partition(' unit=')[1].strip()}{line.partition(' unit=')[2]}"
-        if line.startswith(head) else line
+        if line.startswith(head)
+        else line
         for line in circuit.notes
-    )  # fmt: skip
+    )
     return replace(circuit, defaults={**circuit.defaults, name: number(value)}, notes=notes)
 
 
@@ -96,6 +99,8 @@ def _require_within(param: Param, library: str, value: float) -> None:
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == LEAST else f"at least {least:g}"
     raise UsageError(
-        "outside the range of this parameter", where=f"param.{library}.{param.name}",
-        got=f"{value:g} {param.unit}", expected=expected,
-    )  # fmt: skip
+        "outside the range of this parameter",
+        where=f"param.{library}.{param.name}",
+        got=f"{value:g} {param.unit}",
+        expected=expected,
+    )

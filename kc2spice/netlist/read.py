@@ -76,9 +76,11 @@ def _items(
     if head is not None:
         name = head.words[1]
         raise UsageError(
-            "subcircuit is not closed", where=head.where, got=f".subckt {name}",
+            "subcircuit is not closed",
+            where=head.where,
+            got=f".subckt {name}",
             expected=f".ends {name}",
-        )  # fmt: skip
+        )
     return tuple(found), ()
 
 
@@ -228,9 +230,14 @@ def _behaviour(s: Statement) -> Element:
             expected="I=expression or V=expression",
         )
     return Element(
-        "b", name, tuple(rest[:2]), quantity=quantity.strip().upper(), expression=law.strip(),
-        notes=s.comments, where=s.where,
-    )  # fmt: skip
+        "b",
+        name,
+        tuple(rest[:2]),
+        quantity=quantity.strip().upper(),
+        expression=law.strip(),
+        notes=s.comments,
+        where=s.where,
+    )
 
 
 def _controlled(part: Element) -> Element:

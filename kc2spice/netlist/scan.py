@@ -43,7 +43,7 @@ _SHELL_WORDS = frozenset((
 _FILES = re.compile(
     r"(?i)\b(\w*file|simulation|lib|library|process)\s*=|\b\w*file\s*\(|"
     r"\b(table|spline|fasttable)\s*\(\s*[\"']"
-)  # fmt: skip
+)
 _HIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
 _STRANGE_BLANK = re.compile(r"[^\S \t]")
 _DISGUISED = re.compile(r"(?i)^[\s+;$/#&]*\.(control|endc|exec|inc|lib|codemodel)")

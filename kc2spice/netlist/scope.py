@@ -44,18 +44,23 @@ class Scope:
 
     def find(self, name: str) -> Scope | None:
         """The subcircuit ``name`` as this scope sees it."""
-        return next((s.subcircuits[name.lower()] for s in self.outwards()
-                     if name.lower() in s.subcircuits), None)  # fmt: skip
+        return next(
+            (s.subcircuits[name.lower()] for s in self.outwards() if name.lower() in s.subcircuits),
+            None,
+        )
 
     def model(self, name: str) -> Model | None:
         """The model ``name`` as this scope sees it."""
-        return next((s.models[name.lower()] for s in self.outwards()
-                     if name.lower() in s.models), None)  # fmt: skip
+        return next(
+            (s.models[name.lower()] for s in self.outwards() if name.lower() in s.models), None
+        )
 
     def function(self, name: str) -> Function | None:
         """The function ``name`` as this scope sees it."""
-        return next((s.functions[name.lower()] for s in self.outwards()
-                     if name.lower() in s.functions), None)  # fmt: skip
+        return next(
+            (s.functions[name.lower()] for s in self.outwards() if name.lower() in s.functions),
+            None,
+        )
 
     def knows_param(self, name: str) -> bool:
         """Is the parameter ``name`` visible here?"""
@@ -128,19 +133,23 @@ def _known(part: Element) -> Element:
         return part
     letters = "".join(sorted(NODES)).upper()
     raise UsageError(
-        "unknown kind of element", where=part.where, got=part.name,
+        "unknown kind of element",
+        where=part.where,
+        got=part.name,
         expected=f"a name that begins with one of {letters}X",
-    )  # fmt: skip
+    )
 
 
 def _add_model(model: Model, scope: Scope) -> None:
     first = scope.models.get(model.name.lower(), model)
     if first.where.partition(":")[0] != model.where.partition(":")[0] and not first.same(model):
         raise UsageError(
-            "two models have one name", where=model.where, got=model.name,
+            "two models have one name",
+            where=model.where,
+            got=model.name,
             expected=f"one definition; the first is in {first.where}",
             hint="rename one, or put it into its .subckt",
-        )  # fmt: skip
+        )
     scope.models[model.name.lower()] = model
 
 

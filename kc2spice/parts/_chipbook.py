@@ -77,9 +77,13 @@ def exact_outputs(
 
 
 def balance(
-    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray],
-    *, pressed: bool,
-) -> Balance:  # fmt: skip
+    name: str,
+    model: Resonators,
+    waves: Waveforms,
+    forces: dict[str, np.ndarray],
+    *,
+    pressed: bool,
+) -> Balance:
     """Work of voltage and forces on the body against its exact response to the same loads.
 
     What the exact response takes in and does not store is damped. The electrical part needs the

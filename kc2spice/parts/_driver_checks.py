@@ -25,9 +25,13 @@ def check(name: str, what: str, value: float, limit: float, unit: str, advice: s
 
 
 def within(
-    name: str, volts: np.ndarray, low: np.ndarray | float, high: np.ndarray | float,
-    slack: float, advice: str = MEANING,
-) -> Check:  # fmt: skip
+    name: str,
+    volts: np.ndarray,
+    low: np.ndarray | float,
+    high: np.ndarray | float,
+    slack: float,
+    advice: str = MEANING,
+) -> Check:
     """``low <= volts <= high`` but for ``slack`` [V]."""
     beyond = float(np.maximum(volts - high, low - volts).max())
     return check(name, "within its rails", max(0.0, beyond), slack, "V beyond", advice)
@@ -76,9 +80,13 @@ class Stage:
         inner = self.volts + self.rout * self.current  # before the output resistance
         free = np.abs(self.current) < LINEAR * self.limit
         yield within(
-            name, inner, self.low, self.high, SLACK * span,
+            name,
+            inner,
+            self.low,
+            self.high,
+            SLACK * span,
             "its load drives it beyond its rails, where diodes of a real output would conduct",
-        )  # fmt: skip
+        )
         yield bounded(name, self.current, self.limit)
         yield slewing(name, self.time[free], inner[free], self.slew, LAG * span)
         lag = self._lag(inner, free, SLACK * span) / max(float(np.ptp(inner)), SLACK * span)

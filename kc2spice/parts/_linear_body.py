@@ -145,17 +145,18 @@ class LinearBody(PartType):
         for name in unknown:
             if name not in ("base", "ground", "ref"):
                 raise UsageError(
-                    f"{part.name} has no such port", where=part.name, got=repr(name),
+                    f"{part.name} has no such port",
+                    where=part.name,
+                    got=repr(name),
                     expected=", ".join(p.name for p in every),
-                )  # fmt: skip
+                )
         if scene.exported and self.declares:
             return every
         used = [
             p
             for p in every
-            if p.kind in ("electrical", "input", "output")
-            or names & {p.name, *p.terminals}
-        ]  # fmt: skip
+            if p.kind in ("electrical", "input", "output") or names & {p.name, *p.terminals}
+        ]
         return tuple(used) or every[:1]
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
@@ -182,9 +183,11 @@ class LinearBody(PartType):
         for name in names:
             if name not in mechanical:
                 raise UsageError(
-                    f"{part.name} has no such mechanical port", where=part.name, got=repr(name),
+                    f"{part.name} has no such mechanical port",
+                    where=part.name,
+                    got=repr(name),
                     expected=", ".join(mechanical) or "none",
-                )  # fmt: skip
+                )
         return Surface(names, names, names, (0.0,) * len(names)) if names else None
 
     def indentation_modulus(self, part: Part) -> float | None:
@@ -284,9 +287,12 @@ class LinearBody(PartType):
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
-            "body", self.model_key(part, scene), build, classes=(LinearModel, Certificate, Port),
+            "body",
+            self.model_key(part, scene),
+            build,
+            classes=(LinearModel, Certificate, Port),
             sources=self.sources(),
-        )  # fmt: skip
+        )
         return model
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -468,9 +474,15 @@ class LinearBody(PartType):
             law = _signal_law(n, model)
         elif (modal := modal_form(model)) is not None:
             law = laws.LinearBody(
-                n, modal.inertia, modal.damp, modal.omega**2, modal.gain, modal.gain.T,
-                modal.D, own,
-            )  # fmt: skip
+                n,
+                modal.inertia,
+                modal.damp,
+                modal.omega**2,
+                modal.gain,
+                modal.gain.T,
+                modal.D,
+                own,
+            )
         else:
             K, E, M = model.pencil.dense().coefficients
             law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
@@ -619,8 +631,10 @@ def layer_problems(part: Part, widths: Sequence[float], *, plate: bool) -> Itera
     """What :func:`kc2spice.scene.plausible.layers` says of a body's layers, each this wide [m]."""
     from kc2spice.fem.materials import material
 
-    found = [(width, layer.thickness, material(layer.material, part.name).piezoelectric)
-             for layer, width in zip(part.keys.layers, widths, strict=True)]  # fmt: skip
+    found = [
+        (width, layer.thickness, material(layer.material, part.name).piezoelectric)
+        for layer, width in zip(part.keys.layers, widths, strict=True)
+    ]
     yield from layers(f"{part.name}.layers", found, plate=plate)
 
 
@@ -716,13 +730,14 @@ def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) 
     size = Curve("", f, np.abs(z))
     phase = Curve("", f, np.angle(z, deg=True))
     return Figure(
-        f"{name}_impedance", f"Impedance of {name}",
+        f"{name}_impedance",
+        f"Impedance of {name}",
         f"Magnitude and phase {how}: minimum at resonance, maximum at antiresonance.",
         (
             Panel("", "|Z| in Ω", (size,), log_x=log, log_y=True),
             Panel(f"frequency in {unit}", "phase in °", (phase,), log_x=log),
         ),
-    )  # fmt: skip
+    )
 
 
 def response_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:

@@ -96,17 +96,20 @@ class MeshedBody(LinearBody):
         kind = scene.analysis.type
         if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
             yield UsageError(
-                "fields are recovered from waveforms over time", where=f"{part.name}.fields",
+                "fields are recovered from waveforms over time",
+                where=f"{part.name}.fields",
                 got=f"analysis {kind}",
                 expected="a transient, fields = true in ac for the shapes of modes, or false",
-            )  # fmt: skip
+            )
             return
         outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
         if outside:
             yield UsageError(
-                "instant outside the run", where=f"{part.name}.fields", got=f"{outside[0]:g} s",
+                "instant outside the run",
+                where=f"{part.name}.fields",
+                got=f"{outside[0]:g} s",
                 expected=f"0 to {scene.stop:g} s",
-            )  # fmt: skip
+            )
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -156,10 +159,12 @@ class MeshedBody(LinearBody):
         if hertz.size:
             caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
             yield Figure(
-                f"{part.name}_modes", f"Modes of {part.name}",
+                f"{part.name}_modes",
+                f"Modes of {part.name}",
                 caption + "displacements relative to the largest.",
-                tuple(shapes(device, hertz, columns)), columns=3,
-            )  # fmt: skip
+                tuple(shapes(device, hertz, columns)),
+                columns=3,
+            )
 
     def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterator[str]:
         recovered = self.recovered(part, build, waves)
@@ -210,10 +215,11 @@ class MeshedBody(LinearBody):
                 wave = waves.data.get(f"{part.name}.a.{port.name}", still)
             if wave is None:
                 raise UsageError(
-                    "fields need every load of the body", where=f"{part.name}.fields",
+                    "fields need every load of the body",
+                    where=f"{part.name}.fields",
                     got=f"a force on {port.name} that its part does not record",
                     expected="contacts, springs, dampers, masses and sources",
-                )  # fmt: skip
+                )
             found[port.name] = np.asarray(wave)
         return found
 

@@ -57,7 +57,10 @@ def _params(level: Level) -> tuple[Param, ...]:
     if level == "pole":
         return (gain, pole, output, offset, positive("clip", 1e3, "S", "stiffness of the rails"))
     return (
-        gain, pole, output, offset,
+        gain,
+        pole,
+        output,
+        offset,
         positive("slew", 1e9, "V/s", "fastest change of the output"),
         positive("current_limit", 1.0, "A", "largest output current"),
-    )  # fmt: skip
+    )

@@ -74,8 +74,9 @@ def _map(device: Device, corners: np.ndarray, values: np.ndarray, label: str) ->
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     around = local[:, _around(corners[element[:, None], local])]
     points, own = corners[element[:, None], around], values[element[:, None], around]
-    flat = 1e3 * np.stack((points[..., 0] + OBLIQUE * points[..., 1],
-                           points[..., 2] + OBLIQUE * points[..., 1]), -1)  # fmt: skip
+    flat = 1e3 * np.stack(
+        (points[..., 0] + OBLIQUE * points[..., 1], points[..., 2] + OBLIQUE * points[..., 1]), -1
+    )
     fan = [(0, k, k + 1) for k in range(1, flat.shape[1] - 1)]
     triangles = np.concatenate([flat[:, t] for t in fan])
     depth = np.concatenate([points[:, t, 1] for t in fan]).mean(axis=1)

@@ -56,9 +56,16 @@ class Amplifier(Driver):
         keys = part.keys
         volts = wave["out"] + keys.resistance * wave["i"]
         return Stage(
-            time, wave["command"] - volts, volts, wave["i"] + volts / FEEDBACK,
-            SINK, keys.rail, keys.slew, keys.current_limit, keys.bandwidth,
-        ).checks(part.name)  # fmt: skip
+            time,
+            wave["command"] - volts,
+            volts,
+            wave["i"] + volts / FEEDBACK,
+            SINK,
+            keys.rail,
+            keys.slew,
+            keys.current_limit,
+            keys.bandwidth,
+        ).checks(part.name)
 
 
 def amplifier_subcircuit(

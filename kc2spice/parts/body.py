@@ -73,9 +73,11 @@ class Body(MeshedBody):
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         """Its mesh, then what all bodies show."""
         x, y = cached(
-            "outline", self.full_key(part, build.scene),
-            lambda: outline(self.device(part, build.scene).solid.mesh), sources=self.sources(),
-        )[0]  # fmt: skip
+            "outline",
+            self.full_key(part, build.scene),
+            lambda: outline(self.device(part, build.scene).solid.mesh),
+            sources=self.sources(),
+        )[0]
         panel = Panel("mm", "mm", (Curve("", x, y),), equal=True)
         caption = f"Edges of the mesh {part.keys.mesh}."
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))

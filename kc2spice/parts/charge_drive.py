@@ -61,9 +61,17 @@ class ChargeDrive(Driver):
         share = keys.capacitance / (keys.sense + keys.capacitance)
         error = wave["command"] * keys.capacitance / keys.sense - wave["cathode"]
         return Stage(
-            time, error, wave["anode"] + keys.resistance * wave["i"], wave["i"],
-            -keys.rail, keys.rail, keys.slew, keys.current_limit, keys.bandwidth / share, share,
-        ).checks(part.name)  # fmt: skip
+            time,
+            error,
+            wave["anode"] + keys.resistance * wave["i"],
+            wave["i"],
+            -keys.rail,
+            keys.rail,
+            keys.slew,
+            keys.current_limit,
+            keys.bandwidth / share,
+            share,
+        ).checks(part.name)
 
 
 def charge_drive_subcircuit(header: Header, drive: ChargeKeys, name: str = "charge") -> Subcircuit:

@@ -20,20 +20,31 @@ class CombDriveKeys(Section):
     stop: Stiffness = Field(1e4, gt=0, description="of the stop")
 
 
-register(DeclaredPart(Declaration(
-    "comb_drive", "electrostatic comb drive, with a stop", CombDriveKeys,
-    (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-    constants={"eps0": repr(EPSILON_0)},
-    energy="0.5*stop*max(0, x - travel)^2",
-    coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
-    limits={"the overlap": "overlap + x"},
-    neglected=(
-        ("fringing field", "the field is that between the overlapping fingers",
-         "of the order of gap / thickness"),
-        ("sideways pull-in", "the fingers stay in the middle of their gaps", "not estimated"),
-    ),
-    rating="not known; compare the field v / gap with the breakdown of what is in the gap",
-    example="""
+register(
+    DeclaredPart(
+        Declaration(
+            "comb_drive",
+            "electrostatic comb drive, with a stop",
+            CombDriveKeys,
+            (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+            constants={"eps0": repr(EPSILON_0)},
+            energy="0.5*stop*max(0, x - travel)^2",
+            coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
+            limits={"the overlap": "overlap + x"},
+            neglected=(
+                (
+                    "fringing field",
+                    "the field is that between the overlapping fingers",
+                    "of the order of gap / thickness",
+                ),
+                (
+                    "sideways pull-in",
+                    "the fingers stay in the middle of their gaps",
+                    "not estimated",
+                ),
+            ),
+            rating="not known; compare the field v / gap with the breakdown of what is in the gap",
+            example="""
 [comb_drive]
 part = "comb_drive"
 fingers = 50
@@ -51,4 +62,6 @@ stiffness = "1 N/m"
 part = "source"
 dc = "10 V"
 """,
-)))  # fmt: skip
+        )
+    )
+)

@@ -142,8 +142,9 @@ class Contact(PartType):
 
     def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
         (one, a), (other, b) = _names(part, scene)
-        joins = {port: one if one == GROUND else f"{one}.{port}"
-                 for port in kept_ports(part, scene)}  # fmt: skip
+        joins = {
+            port: one if one == GROUND else f"{one}.{port}" for port in kept_ports(part, scene)
+        }
         if a.rigid:
             one = moved_by(one, scene)
             joins = {"va": f"{one}.{a.force[0]}", "a": f"{one}.{a.place[0]}"}
@@ -182,9 +183,11 @@ class Contact(PartType):
         (one, a), (other, b) = _names(part, scene)
         if one == other != GROUND and set(a.force) & set(b.force):
             yield UsageError(
-                "nothing touches itself", where=f"{part.name}.b",
-                got=f"{one} on both sides", expected="two parts, or two ports of a body",
-            )  # fmt: skip
+                "nothing touches itself",
+                where=f"{part.name}.b",
+                got=f"{one} on both sides",
+                expected="two parts, or two ports of a body",
+            )
         if b.radius is not None and max(a.distance) >= b.radius:
             (one, _), (other, _) = _names(part, scene)
             yield UsageError(
@@ -205,11 +208,17 @@ class Contact(PartType):
         under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
         return (
             contact_subcircuit(
-                header, ports, added, normal(part, build.scene), under=under,
-                rigid=(a.rigid, b.rigid), elastic=bool(b.elastic), groove=part.keys.groove,
+                header,
+                ports,
+                added,
+                normal(part, build.scene),
+                under=under,
+                rigid=(a.rigid, b.rigid),
+                elastic=bool(b.elastic),
+                groove=part.keys.groove,
                 name=build.libraries[part.name],
             ),
-        )  # fmt: skip
+        )
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         forces = {
@@ -288,9 +297,10 @@ class Contact(PartType):
             reduced = REDUCED * certificate.error_estimate if certificate else BEYOND
             full = gates.launch_full_model or steps + reduced
             limits = {
-                "ngspice_vs_rom": gates.launch_velocity or steps, "rom_vs_fom": full,
+                "ngspice_vs_rom": gates.launch_velocity or steps,
+                "rom_vs_fom": full,
                 "ngspice_vs_fom": full,
-            }  # fmt: skip
+            }
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
@@ -345,7 +355,7 @@ class Contact(PartType):
                 "stiff modes above the band that keep the ports' compliance exact; their mass is "
                 "the mesh's and rattles behind the springs",
                 "part of the reduced model's certified error",
-            )  # fmt: skip
+            )
         dry = "" if part.keys.friction else "friction, "
         what = f"{dry}adhesion and plastic flow between {one} and {other}"
         yield LeftOut(what, "the law is elastic and normal to the surface", "not estimated")
@@ -356,9 +366,10 @@ class Contact(PartType):
                 why = f"{part.name}.rings = {part.keys.rings}"
             last = f" to {a.ports[-1]}" if kept + 1 < len(a.ports) else ""
             yield LeftOut(
-                f"contact at {a.ports[kept]}{last}", why,
+                f"contact at {a.ports[kept]}{last}",
+                why,
                 "none while they stay open, checked after the run",
-            )  # fmt: skip
+            )
 
 
 # --- geometry: the one place for gap laws and symmetry factors ------------------------------------
@@ -391,11 +402,12 @@ def normal(part: Part, scene: Scene) -> Normal:
         round_ = [1 / side.radius for side in (a, b) if side.radius is not None]
         if not round_ or len(a.ports) > 1:
             raise UsageError(
-                "Hertz's law is that of a sphere at one point", where=f"{part.name}.law",
+                "Hertz's law is that of a sphere at one point",
+                where=f"{part.name}.law",
                 got=f"{len(a.ports)} ports, {len(round_)} spheres",
                 expected="a sphere against one port or another sphere",
                 hint='law = "linear"',
-            )  # fmt: skip
+            )
         value, power = 4 / 3 * _modulus(part, scene) / math.sqrt(sum(round_)), 1.5
     if (s := flank(part)) is not None:
         value *= 2 * s ** (1 + power)
@@ -420,10 +432,16 @@ def _pressed(part: Part, scene: Scene) -> Normal:
     found = _dented(shape.nodes.tobytes(), dents.compliance.tobytes(), b.radius)
     first, *_ = found.coefficients
     return Normal(
-        first / found.depth**1.5, 1.5, keys.damping, keys.friction, keys.creep,
-        tuple(c / first for c in found.coefficients), found.depth, dents.pace,
+        first / found.depth**1.5,
+        1.5,
+        keys.damping,
+        keys.friction,
+        keys.creep,
+        tuple(c / first for c in found.coefficients),
+        found.depth,
+        dents.pace,
         b.radius,
-    )  # fmt: skip
+    )
 
 
 def hat_forces(part: Part, scene: Scene, force: float) -> np.ndarray:
@@ -493,26 +511,36 @@ def _pressure_problems(part: Part, a: Surface, b: Surface) -> Iterator[UsageErro
     where, rings = f"{part.name}.shape", 'shape = "rings" takes ports as they are'
     if a.dents is None:
         yield UsageError(
-            "no port of pressure on this body", where=where, got=a.ports[0],
-            expected="a piezo_stack, whose contact names no port", hint=rings,
-        )  # fmt: skip
+            "no port of pressure on this body",
+            where=where,
+            got=a.ports[0],
+            expected="a piezo_stack, whose contact names no port",
+            hint=rings,
+        )
     elif not part.keys.spacing < a.patch / 4:
         yield UsageError(
-            "hats of pressure wider than the patch that they are in", where=f"{part.name}.spacing",
-            got=f"{part.keys.spacing:g} m", expected=f"less than {a.patch / 4:g} m",
-        )  # fmt: skip
+            "hats of pressure wider than the patch that they are in",
+            where=f"{part.name}.spacing",
+            got=f"{part.keys.spacing:g} m",
+            expected=f"less than {a.patch / 4:g} m",
+        )
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
         yield UsageError(
-            "pressure is that under a sphere", where=where, got=got,
-            expected=f"a sphere of more than {a.patch:g} m, the outermost ring", hint=rings,
-        )  # fmt: skip
+            "pressure is that under a sphere",
+            where=where,
+            got=got,
+            expected=f"a sphere of more than {a.patch:g} m, the outermost ring",
+            hint=rings,
+        )
     for key, usual in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != usual:
             yield UsageError(
-                f"pressure has its own law, without {key}", where=f"{part.name}.{key}", got=got,
+                f"pressure has its own law, without {key}",
+                where=f"{part.name}.{key}",
+                got=got,
                 hint=rings,
-            )  # fmt: skip
+            )
 
 
 def _modulus(part: Part, scene: Scene) -> float:
@@ -525,9 +553,10 @@ def _modulus(part: Part, scene: Scene) -> float:
         modulus = None if body is None else body.type.indentation_modulus(body)
         if modulus is None:
             raise UsageError(
-                f"no modulus of {name} is known", where=f"{part.name}.modulus",
+                f"no modulus of {name} is known",
+                where=f"{part.name}.modulus",
                 expected='a pressure such as "110 GPa", or a material of both sides',
-            )  # fmt: skip
+            )
         compliance += 1 / modulus
     return 1 / compliance
 
@@ -561,18 +590,21 @@ def _side(
         offers = [
             (other.name, surface)
             for other in scene.parts.values()
-            if other is not part and (surface := other.type.surface(other, scene)) is not None
+            if other is not part
+            and (surface := other.type.surface(other, scene)) is not None
             and (surface.radius is not None) == round_
-        ]  # fmt: skip
+        ]
         if len(offers) != 1:
             kind = "a sphere" if round_ else "a body with a surface"
             raise UsageError(
-                f"{part.name} needs to know what touches", where=where,
+                f"{part.name} needs to know what touches",
+                where=where,
                 got=", ".join(name for name, _ in offers) or f"no part that is {kind}",
                 expected=f'{key} = "PART" or "PART.PORT"',
-                hint=None if offers else f"add [{'sphere' if round_ else 'kick'}]; an empty "
-                "table takes the defaults",
-            )  # fmt: skip
+                hint=None
+                if offers
+                else f"add [{'sphere' if round_ else 'kick'}]; an empty table takes the defaults",
+            )
         return offers[0]
     if chosen == GROUND:
         return GROUND, Surface((FLOOR,), (FLOOR,), (FLOOR,), (0.0,))
@@ -585,9 +617,11 @@ def _side(
     surface = other.type.surface(other, scene, ports)
     if surface is None:
         raise UsageError(
-            f"{other.type.name} offers nothing to touch", where=where, got=repr(other.name),
+            f"{other.type.name} offers nothing to touch",
+            where=where,
+            got=repr(other.name),
             expected="a body, a sphere or a mass",
-        )  # fmt: skip
+        )
     return other.name, surface
 
 
@@ -615,9 +649,7 @@ def moved_by(name: str, scene: Scene) -> str:
 
 def reach(part: Part, scene: Scene) -> Reach:
     """The largest of what the parts of the scene can do; a prescribed one beats all."""
-    found = [
-        each for other in scene.parts.values() for each in other.type.reach(other, scene)
-    ]  # fmt: skip
+    found = [each for other in scene.parts.values() for each in other.type.reach(other, scene)]
     for each in found:
         if each.prescribed:
             return each
@@ -799,10 +831,13 @@ def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     ports = kept_ports(part, build.scene)
     deepest = max(float(waves[f"{part.name}.force.{r}"].max()) for r in ports)
     yield Check(
-        "penetration", deepest / normal(part, build.scene).stiffness, float(every[1]), "m",
+        "penetration",
+        deepest / normal(part, build.scene).stiffness,
+        float(every[1]),
+        "m",
         f"the penalty springs give more than the surfaces curve: raise {part.name}.penalty",
         build.scene.checks.penetration,
-    )  # fmt: skip
+    )
 
 
 def _events(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -819,11 +854,15 @@ def _events(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     most = max(int(np.count_nonzero(now[1:] & ~now[:-1])) for now in closed)
     reltol = waves.stats.get("reltol", build.scene.solver.reltol)
     yield Check(
-        "touches", most, max(FEW, EVENTS / reltol), "contact events",
+        "touches",
+        most,
+        max(FEW, EVENTS / reltol),
+        "contact events",
         "so many decide the launch that the errors of their steps add up: lower solver.reltol; "
         "a launch after hundreds of contact events may be ill-conditioned",
-        build.scene.checks.touches, coarse=True,
-    )  # fmt: skip
+        build.scene.checks.touches,
+        coarse=True,
+    )
 
 
 def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -850,9 +889,14 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         advice = f"set {part.name}.rings to more than {len(ports)}, or to 'all'"
         ours = part.keys.rings == "needed"
         yield Check(
-            "ring_left_out", float(rise.max()), OPEN * gap, "m", advice, action,
+            "ring_left_out",
+            float(rise.max()),
+            OPEN * gap,
+            "m",
+            advice,
+            action,
             mend=(f"{part.name}.rings", len(ports) + 1) if ours else None,
-        )  # fmt: skip
+        )
     elif "imprint.depth" not in waves:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
@@ -870,17 +914,23 @@ def _within_law(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         return
     deepest = float((height - place - part.keys.gap).max())
     yield Check(
-        "depth of the contact", deepest, own.depth, "m",
+        "depth of the contact",
+        deepest,
+        own.depth,
+        "m",
         f"no law of the pressure is known so deep: more {one}.mesh.rings, or wider ones",
         build.scene.checks.range,
-    )  # fmt: skip
+    )
     if deepest > 0.0 and b.radius is not None:
         widest = math.sqrt(deepest * b.radius) / CARRYING
         yield Check(
-            "hats of the contact", part.keys.spacing, widest, "m",
+            "hats of the contact",
+            part.keys.spacing,
+            widest,
+            "m",
             f"so few of them carry that the force is more than 5e-3 off: lower {part.name}.spacing",
             build.scene.checks.penetration,
-        )  # fmt: skip
+        )
 
 
 # --- the subcircuit -------------------------------------------------------------------------------
@@ -915,9 +965,11 @@ def contact_subcircuit(
     pins = (*first, *side, *carried, *along, Pin("base", "um", "N"))
     distinct([pin.name for pin in pins], _inner(rings), where=name)
     radii = () if under is None else under[1][: len(rings)]
-    sphere = [] if under is None else [
-        Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))
-    ]  # fmt: skip
+    sphere = (
+        []
+        if under is None
+        else [Param("radius", under[0], "m", "radius of the sphere", float(max(radii)))]
+    )
     doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
     what = "contact penalty of a whole ring" if law.power == 1 else "Hertz: 4/3 E* sqrt(R)"
     damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"
@@ -929,7 +981,7 @@ def contact_subcircuit(
         sphere = [
             Param("radius", law.radius, "m", "radius of the sphere", law.depth),
             Param("pace", law.pace, "s", "in which the surfaces follow the pressure"),
-        ]  # fmt: skip
+        ]
     params = (
         positive("eps", law.stiffness, f"N/m{'' if law.power == 1 else '^1.5'}", what),
         *sphere,

@@ -78,19 +78,25 @@ wiring = "parallel"
         keys = part.keys
         if keys.delay >= keys.period:
             yield UsageError(
-                "answers come after the next sample", where=f"{part.name}.delay",
-                got=f"{keys.delay:g} s", expected=f"less than the period, {keys.period:g} s",
-            )  # fmt: skip
+                "answers come after the next sample",
+                where=f"{part.name}.delay",
+                got=f"{keys.delay:g} s",
+                expected=f"less than the period, {keys.period:g} s",
+            )
         if scene.analysis.type != "transient":
             yield UsageError(
-                "a function is asked in time", where=part.name, got=scene.analysis.type,
+                "a function is asked in time",
+                where=part.name,
+                got=scene.analysis.type,
                 expected="the analysis transient",
-            )  # fmt: skip
+            )
         if not keys.inputs:
             yield UsageError(
-                "sees nothing", where=f"{part.name}.inputs", got="no input",
+                "sees nothing",
+                where=f"{part.name}.inputs",
+                got="no input",
                 expected='names of its input pins, such as inputs = ["y"]',
-            )  # fmt: skip
+            )
 
     def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
         return ((part.name.lower(), "held"),)
@@ -129,14 +135,18 @@ wiring = "parallel"
         where = f"{part.name}.file"
         if keys.file is None:
             raise UsageError(
-                "no function", where=where, expected="a Python file, or a function handed over",
+                "no function",
+                where=where,
+                expected="a Python file, or a function handed over",
                 hint=f"kc.simulate(scene, functions={{'{part.name}': function}})",
-            )  # fmt: skip
+            )
         if not build.trust:
             raise UsageError(
-                "runs a Python file of the scene", where=where, got=keys.file,
+                "runs a Python file of the scene",
+                where=where,
+                got=keys.file,
                 hint="read the file; if you trust every line of it, repeat with --trust",
-            )  # fmt: skip
+            )
         path = build.scene.home / keys.file
         spec = importlib.util.spec_from_file_location(f"kc2spice_{part.name}", path)
         if spec is None or spec.loader is None or not path.is_file():

@@ -16,13 +16,19 @@ class CubicSpringKeys(Section):
     cubic: Annotated[float, si("N/m3")] = Field(0.0, description="times the stretch cubed")
 
 
-register(DeclaredPart(Declaration(
-    "cubic_spring", "spring with a cubic term between two displacement pins", CubicSpringKeys,
-    (displacement("x", "a", "b"),),
-    energy="0.5*stiffness*x^2 + 0.25*cubic*x^4",
-    limits={"the stretch at which it gives way": "stiffness + 3*cubic*x^2"},
-    neglected=(("mass of the spring", "it joins two pins without inertia", "not estimated"),),
-    example="""
+register(
+    DeclaredPart(
+        Declaration(
+            "cubic_spring",
+            "spring with a cubic term between two displacement pins",
+            CubicSpringKeys,
+            (displacement("x", "a", "b"),),
+            energy="0.5*stiffness*x^2 + 0.25*cubic*x^4",
+            limits={"the stretch at which it gives way": "stiffness + 3*cubic*x^2"},
+            neglected=(
+                ("mass of the spring", "it joins two pins without inertia", "not estimated"),
+            ),
+            example="""
 [cubic_spring]
 part = "cubic_spring"
 stiffness = "100 N/m"
@@ -34,4 +40,6 @@ part = "source"
 kind = "force"
 dc = "10 mN"
 """,
-)))  # fmt: skip
+        )
+    )
+)

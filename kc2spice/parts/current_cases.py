@@ -130,9 +130,13 @@ class CurrentCases(PartType):
         slope = np.diff(forces, axis=1) / np.diff(y)
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
         yield Check(
-            "jump of the lookup's slope", jump, build.scene.gates.lookup_slope,
-            "of the largest slope", f"raise {coils}.points", "warn",
-        )  # fmt: skip
+            "jump of the lookup's slope",
+            jump,
+            build.scene.gates.lookup_slope,
+            "of the largest slope",
+            f"raise {coils}.points",
+            "warn",
+        )
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")

@@ -59,14 +59,18 @@ elastic = true
         stuff = made_of(scene.parts[part.keys.of])
         if stuff.piezoelectric:
             yield UsageError(
-                "a sphere has no electrodes", where=f"{part.keys.of}.material", got=stuff.name,
+                "a sphere has no electrodes",
+                where=f"{part.keys.of}.material",
+                got=stuff.name,
                 expected="a material that is not piezoelectric",
-            )  # fmt: skip
+            )
         if part.keys.damping.per_material:
             yield UsageError(
-                "a sphere has one material", where=f"{part.keys.of}.elastic.damping.per_material",
-                got=True, expected="ratio, quality or loss_factor",
-            )  # fmt: skip
+                "a sphere has one material",
+                where=f"{part.keys.of}.elastic.damping.per_material",
+                got=True,
+                expected="ratio, quality or loss_factor",
+            )
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         """None by itself: its sphere is touched, and carries the patch that a contact names."""
@@ -82,10 +86,13 @@ elastic = true
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
-            "radius": body.radius, "density": body.material.density,
-            "stiffness": body.material.C.tolist(), "rayleigh": body.rayleigh, "own": own,
+            "radius": body.radius,
+            "density": body.material.density,
+            "stiffness": body.material.C.tolist(),
+            "rayleigh": body.rayleigh,
+            "own": own,
             "hats": _hats(part, scene).nodes.tolist(),
-        }  # fmt: skip
+        }
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         from kc2spice.bodies.sphere import sphere
@@ -115,9 +122,10 @@ elastic = true
         yield from super().left_out(part, scene)
         deep = normal(_contact(part, scene), scene).depth / _body(part, scene).radius
         yield LeftOut(
-            f"slope of {part.keys.of} under the contact", "pressure acts along the axis",
+            f"slope of {part.keys.of} under the contact",
+            "pressure acts along the axis",
             f"at most {deep:.1g} of the dent, by its depth over the radius",
-        )  # fmt: skip
+        )
 
     def _pressed(self, part: Part, scene: Scene, shape: Hats) -> Pressed:
         from kc2spice.bodies.pressure import Pressed
@@ -125,9 +133,12 @@ elastic = true
 
         key = {**self.full_key(part, scene), "hats": shape.nodes.tolist()}
         found, _ = cached(
-            "pressed", key, lambda: pressed(_body(part, scene), shape, part.keys.mesh.refine),
-            classes=(Pressed,), sources=self.sources(),
-        )  # fmt: skip
+            "pressed",
+            key,
+            lambda: pressed(_body(part, scene), shape, part.keys.mesh.refine),
+            classes=(Pressed,),
+            sources=self.sources(),
+        )
         return found
 
 
@@ -152,22 +163,27 @@ def _contact(part: Part, scene: Scene) -> Part:
     found = [c for c in scene.of("contact") if part.name in (s.elastic for s in sides(c, scene))]
     if len(found) != 1:
         raise UsageError(
-            "an elastic sphere has one contact", where=f"{of}.elastic",
+            "an elastic sphere has one contact",
+            where=f"{of}.elastic",
             got=", ".join(c.name for c in found) or "none",
             expected='one, with shape = "pressure" and a body in a',
-        )  # fmt: skip
+        )
     (contact,) = found
     if contact.keys.shape != "pressure":
         raise UsageError(
             "forces on rings dent an elastic sphere without limit as meshes get finer",
-            where=f"{contact.name}.shape", got=contact.keys.shape, expected="pressure",
+            where=f"{contact.name}.shape",
+            got=contact.keys.shape,
+            expected="pressure",
             hint=f'set {contact.name}.shape = "pressure", or {of}.elastic = false',
-        )  # fmt: skip
+        )
     if contact.keys.damping:
         raise UsageError(
-            "an elastic sphere has its own damping", where=f"{contact.name}.damping",
-            got=contact.keys.damping, expected=f"0, and {of}.elastic.damping",
-        )  # fmt: skip
+            "an elastic sphere has its own damping",
+            where=f"{contact.name}.damping",
+            got=contact.keys.damping,
+            expected=f"0, and {of}.elastic.damping",
+        )
     return contact
 
 

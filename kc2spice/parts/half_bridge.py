@@ -67,9 +67,10 @@ class HalfBridge(Driver):
         high, low = (_since(time, on) for on in (command >= keys.rail, command <= 0))
         settled = SETTLED * keys.gate_resistance * GATES
         tank = driver.relaxed(
-            time, keys.rail - keys.supply_resistance * i * (command > keys.rail / 2),
+            time,
+            keys.rail - keys.supply_resistance * i * (command > keys.rail / 2),
             keys.supply_resistance * keys.reservoir,
-        )  # fmt: skip
+        )
         share = i / keys.current_limit
         across = (GATE - THRESHOLD) * (1 - np.sqrt(1 - np.minimum(np.abs(share), 1)))
         off = np.abs(bridge - np.where(high > 0, tank, 0.0) + np.sign(i) * across)

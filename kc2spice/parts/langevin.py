@@ -67,8 +67,14 @@ stop = "100 kHz"
             kind: Literal["ceramic", "metal"] = "ceramic" if one is rings else "metal"
             if hole:
                 for side in (-1, 1):
-                    yield Shape(side * (width + hole) / 4, y - high / 2, (width - hole) / 2, high,
-                                kind, named if side > 0 else "")  # fmt: skip
+                    yield Shape(
+                        side * (width + hole) / 4,
+                        y - high / 2,
+                        (width - hole) / 2,
+                        high,
+                        kind,
+                        named if side > 0 else "",
+                    )
             else:
                 yield Shape(0.0, y - high / 2, width, high, kind, named)
             y -= high

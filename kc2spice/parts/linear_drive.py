@@ -60,10 +60,17 @@ class LinearDrive(CoilDriver):
         held = relaxed(time, wave["ret"] - wave["drive"], lasting)  # by the integral's capacitor
         returned = (ratio * wave["ret"] + wave["drive"] + held) / (1 + ratio)
         return Stage(
-            time, wave["command"] - returned, wave["drive"] + wave["i"], wave["i"],
-            -keys.rail, keys.rail, keys.slew, 2 * _most(part, build.scene),
-            5 * keys.bandwidth * (1 + ratio), 1 / (1 + ratio),
-        ).checks(part.name)  # fmt: skip
+            time,
+            wave["command"] - returned,
+            wave["drive"] + wave["i"],
+            wave["i"],
+            -keys.rail,
+            keys.rail,
+            keys.slew,
+            2 * _most(part, build.scene),
+            5 * keys.bandwidth * (1 + ratio),
+            1 / (1 + ratio),
+        ).checks(part.name)
 
 
 def _most(part: Part, scene: Scene) -> float:
@@ -85,11 +92,20 @@ def linear_subcircuit(
     )
     r2 = 1e3 * ratio
     return rendered_driver(
-        header, "linear", name, "current source for the coils", params, ("drive", "ret"),
-        sense=SENSE, inductance=load.inductance, resistance=resistance, bandwidth=drive.bandwidth,
-        r2=r2, c1=load.inductance / resistance / r2,
+        header,
+        "linear",
+        name,
+        "current source for the coils",
+        params,
+        ("drive", "ret"),
+        sense=SENSE,
+        inductance=load.inductance,
+        resistance=resistance,
+        bandwidth=drive.bandwidth,
+        r2=r2,
+        c1=load.inductance / resistance / r2,
         gbw=5 * drive.bandwidth * (1 + ratio),
-    )  # fmt: skip
+    )
 
 
 register(LinearDrive())

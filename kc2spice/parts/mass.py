@@ -61,9 +61,11 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         if _given(part) and scene.analysis.type != "transient":
             yield UsageError(
-                "a position or velocity at t = 0 begins a transient", where=part.name,
-                got=f"analysis {scene.analysis.type}", expected="neither of them",
-            )  # fmt: skip
+                "a position or velocity at t = 0 begins a transient",
+                where=part.name,
+                got=f"analysis {scene.analysis.type}",
+                expected="neither of them",
+            )
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
@@ -169,10 +171,12 @@ def start(part: Part, build: Build) -> tuple[float, float] | None:
                 or other.type.prescribes(other)
             ):
                 raise UsageError(
-                    "begins where and as fast as what it is fixed to", where=part.name,
-                    got=f"{name}.{pin} on the same net", expected="neither position nor velocity",
+                    "begins where and as fast as what it is fixed to",
+                    where=part.name,
+                    got=f"{name}.{pin} on the same net",
+                    expected="neither position nor velocity",
                     hint="a stiff spring between both lets each have its own",
-                )  # fmt: skip
+                )
         return begins
     if scene.analysis.type == "transient" and any(
         p.type.without_operating_point(p, scene) for p in scene.parts.values()

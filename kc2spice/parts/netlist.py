@@ -89,28 +89,33 @@ class Netlist(PartType):
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in KINDS:
                 yield UsageError(
-                    "not a kind of a pin", where=f"{part.name}.units.{name}", got=repr(kind),
+                    "not a kind of a pin",
+                    where=f"{part.name}.units.{name}",
+                    got=repr(kind),
                     expected=f"one of {', '.join(KINDS)} for one of {', '.join(pins)}",
-                )  # fmt: skip
+                )
         scope = None
         for name, node in _probed(part, scene):
             scope = scope or _scope(part, scene)
             if node in pins or has_vector(scope, _inside(node)):
                 if scene.analysis.type == "ac" and "@" in _inside(node):
                     yield UsageError(
-                        "has no small-signal current to read", where=f"probes.{name}.of",
-                        got=repr(f"{part.name}.{node}"), expected="i(…) of a V, E or H element",
+                        "has no small-signal current to read",
+                        where=f"probes.{name}.of",
+                        got=repr(f"{part.name}.{node}"),
+                        expected="i(…) of a V, E or H element",
                         hint="a 0 V source in series with it has one",
-                    )  # fmt: skip
+                    )
                 continue
             nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.ends)))
             read = [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
             yield UsageError(
-                "no such pin, node or current", where=f"probes.{name}.of",
+                "no such pin, node or current",
+                where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
                 expected=f"of {part.name}: " + ", ".join([*(n for n in nodes if n != "0"), *read]),
                 hint=did_you_mean(node, [*nodes, *read]),
-            )  # fmt: skip
+            )
         for name in part.keys.ratings:
             if name not in pins:
                 yield UsageError(
@@ -194,19 +199,22 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise UsageError(
-            "no such subcircuit", where=f"{part.name}.subckt", got=repr(part.keys.subckt),
+            "no such subcircuit",
+            where=f"{part.name}.subckt",
+            got=repr(part.keys.subckt),
             expected=", ".join(known) or f"a .subckt in {part.keys.file}",
             hint=did_you_mean(part.keys.subckt, known),
-        )  # fmt: skip
+        )
     for pin in pins:
         checked(pin, where=f"{part.name}.subckt")
     missing = [pin for pin in part.pins if pin not in pins] if part.at[1:2] == ("driver",) else []
     if missing:
         raise UsageError(
             f"as a driver the subcircuit needs the pin {missing[0]}",
-            where=".".join(map(str, (*part.at, "subckt"))), got=f"pins {' '.join(pins)}",
+            where=".".join(map(str, (*part.at, "subckt"))),
+            got=f"pins {' '.join(pins)}",
             expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",
-        )  # fmt: skip
+        )
     return pins
 
 

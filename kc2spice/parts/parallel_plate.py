@@ -23,21 +23,28 @@ class ParallelPlateKeys(Section):
     stop: Stiffness = Field(1e5, gt=0, description="of the stop")
 
 
-register(DeclaredPart(Declaration(
-    "parallel_plate", "electrostatic actuator of two parallel plates, with a stop",
-    ParallelPlateKeys,
-    (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-    constants={"eps0": repr(EPSILON_0)},
-    energy="0.5*stop*max(0, x - travel)^2",
-    coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
-    limits={"the gap": "gap - x"},
-    neglected=(
-        ("fringing field", "the field is that of infinite plates", "of the order of gap / width"),
-        ("squeezed air", "a damper between a and b stands for it", "not estimated"),
-        ("rebound losses of the stop", "it is elastic", "not estimated"),
-    ),
-    rating="not known; compare the field v / (gap - x) with the breakdown of what is in the gap",
-    example="""
+register(
+    DeclaredPart(
+        Declaration(
+            "parallel_plate",
+            "electrostatic actuator of two parallel plates, with a stop",
+            ParallelPlateKeys,
+            (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+            constants={"eps0": repr(EPSILON_0)},
+            energy="0.5*stop*max(0, x - travel)^2",
+            coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
+            limits={"the gap": "gap - x"},
+            neglected=(
+                (
+                    "fringing field",
+                    "the field is that of infinite plates",
+                    "of the order of gap / width",
+                ),
+                ("squeezed air", "a damper between a and b stands for it", "not estimated"),
+                ("rebound losses of the stop", "it is elastic", "not estimated"),
+            ),
+            rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
+            example="""
 [parallel_plate]
 part = "parallel_plate"
 area = "0.01 mm2"
@@ -53,4 +60,6 @@ stiffness = "1 N/m"
 part = "source"
 dc = "3 V"
 """,
-)))  # fmt: skip
+        )
+    )
+)

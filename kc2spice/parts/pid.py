@@ -210,25 +210,28 @@ class Pid(PartType):
         keys, coils = part.keys, _coils(part, scene)
         if not coils.keys.y_min < keys.setpoint < coils.keys.y_max:
             yield UsageError(
-                "outside the force table", where=f"{part.name}.setpoint",
+                "outside the force table",
+                where=f"{part.name}.setpoint",
                 got=f"height {keys.setpoint:g} m",
                 expected=f"between {coils.keys.y_min:g} and {coils.keys.y_max:g} m",
                 hint=f"{coils.name}.y_min and {coils.name}.y_max set the table's range",
-            )  # fmt: skip
+            )
         times = [time for time, _ in keys.switching]
         states = [state for _, state in keys.switching]
         if min(times) < 0 or states != [1.0, 0.0] * (len(states) // 2) + [1.0] * (len(states) % 2):
             yield UsageError(
-                "enable and disable times do not alternate", where=f"{part.name}.enable_at",
+                "enable and disable times do not alternate",
+                where=f"{part.name}.enable_at",
                 got=f"{keys.enable_at}, disabled at {keys.disable_at}",
                 expected="an enable time, then a disable time, and so on, all from 0 on",
-            )  # fmt: skip
+            )
         if scene.analysis.type == "transient" and times[0] >= scene.stop:
             yield UsageError(
                 "the controller starts after the simulation ends",
-                where=f"{part.name}.enable_at", got=f"{times[0]:g} s",
+                where=f"{part.name}.enable_at",
+                got=f"{times[0]:g} s",
                 expected=f"before the end of the simulation, {scene.stop:g} s",
-            )  # fmt: skip
+            )
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
@@ -252,9 +255,17 @@ class Pid(PartType):
             return None
         on = tuple(t for t, state in keys.switching if state)
         law = laws.Pid(
-            n, keys.kp, keys.ki, keys.kd, keys.rolloff, keys.current_limit, keys.setpoint,
-            sphere.offset(part, "y", scene), on, tuple(keys.disable_at),
-        )  # fmt: skip
+            n,
+            keys.kp,
+            keys.ki,
+            keys.kd,
+            keys.rolloff,
+            keys.current_limit,
+            keys.setpoint,
+            sphere.offset(part, "y", scene),
+            on,
+            tuple(keys.disable_at),
+        )
         pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
         return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
 
@@ -286,10 +297,13 @@ class Pid(PartType):
         limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
         yield Check(
-            "saturation", share, SATURATED, "of the time",
+            "saturation",
+            share,
+            SATURATED,
+            "of the time",
             f"the coils cannot give what the controller asks for: raise {part.name}.current_limit",
             build.scene.checks.saturation,
-        )  # fmt: skip
+        )
 
     def modelled(self, part: Part, scene: Scene) -> Modelled:
         coils = "real coils" if _remote(part, scene) else "current-driven coils"

@@ -125,9 +125,11 @@ class PiezoStack(MeshedBody):
         if keys.driver is not None:
             if len(keys.driver) != 1:
                 raise UsageError(
-                    "needs one driver", where=f"{part.name}.driver", got=", ".join(keys.driver),
+                    "needs one driver",
+                    where=f"{part.name}.driver",
+                    got=", ".join(keys.driver),
                     expected="one table of half_bridge, amplifier, charge, user",
-                )  # fmt: skip
+                )
             ((kind, table),) = keys.driver.items()
             name, chosen = f"{part.name}_driver", _driver_type(part, kind)
             at = (part.name, "driver", kind)
@@ -176,14 +178,21 @@ class PiezoStack(MeshedBody):
         if part.keys.poling == "x":
             raise UsageError(
                 "the top of a stack that shears moves sideways: nothing can press on it",
-                where=f"{part.name}.poling", got="x", expected="z under a contact",
-            )  # fmt: skip
+                where=f"{part.name}.poling",
+                got="x",
+                expected="z under a contact",
+            )
         shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
         if shape is not None:
             return Surface(
-                (PATCH,), (PATCH,), (PATCH,), (0.0,), sectors=SECTORS,
-                patch=float(shape.nodes[-1]), dents=lambda hats: _dents(part, hats),
-            )  # fmt: skip
+                (PATCH,),
+                (PATCH,),
+                (PATCH,),
+                (0.0,),
+                sectors=SECTORS,
+                patch=float(shape.nodes[-1]),
+                dents=lambda hats: _dents(part, hats),
+            )
         names = ports or tuple(f"ring{k}" for k in range(len(radii)))
         distance = tuple(float(radii[_ring(part, name)]) for name in names)
         return Surface(names, names, names, distance, sectors=SECTORS)
@@ -293,9 +302,10 @@ class PiezoStack(MeshedBody):
             return {}
         found = stressed(chip_of(part.keys), shape, hat_forces(scene.parts[name], scene, most))
         return {
-            f"{name}_pressure_pa": found.pressure, f"{name}_shear_pa": found.shear,
+            f"{name}_pressure_pa": found.pressure,
+            f"{name}_shear_pa": found.shear,
             f"{name}_shear_depth_m": found.depth,
-        }  # fmt: skip
+        }
 
     def indentation_modulus(self, part: Part) -> float:
         return top_material(part.keys).indentation_modulus
@@ -323,24 +333,25 @@ class PiezoStack(MeshedBody):
         yield LeftOut("electrodes, coating and glue", "thin and compliant", "not estimated")
         if part.keys.mounting == "roller":
             yield LeftOut(
-                f"what holds {part.name}", "its bottom face slides without friction on a plane",
+                f"what holds {part.name}",
+                "its bottom face slides without friction on a plane",
                 f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, first "
                 "resonance +14 %",
-            )  # fmt: skip
+            )
         yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
         if part.keys.fields and pressure_hats(part, scene) is not None:
             yield LeftOut(
                 f"tension around the contact on {part.name}",
                 "its own mesh is too coarse for it; pressure and shear are those of a graded one",
                 "not estimated",
-            )  # fmt: skip
+            )
         if (several := part.keys.mesh.layers_per_element) > 1:
             yield LeftOut(
                 f"layers of {part.name} within an element",
                 f"{several} layers share one: mesh.layers_per_element",
                 f"{(several / part.keys.layers) ** 2:.2g} of the first resonances, at most; stroke "
                 "and capacitance are those of the layers",
-            )  # fmt: skip
+            )
         kept, every = kept_rings(part, scene), rings(part)
         if kept < every and pressure_hats(part, scene) is None:
             effect = f"{part.name}: ports at ring{kept}"
@@ -466,8 +477,9 @@ def highest_voltage(part: Part, scene: Scene) -> float:
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
     sources = [p for p in scene.of("source") if p.keys.kind == "voltage"]
-    tops = [float(np.abs(np.array(p.keys.waveform(scene.home).points)[:, 1]).max())
-            for p in sources]  # fmt: skip
+    tops = [
+        float(np.abs(np.array(p.keys.waveform(scene.home).points)[:, 1]).max()) for p in sources
+    ]
     rails = [p.keys.rail for p in scene.of("half_bridge", "amplifier", "charge_drive")]
     return max([*tops, *rails], default=0.0)
 
@@ -504,9 +516,11 @@ def _driver_type(part: Part, kind: str) -> str:
     known |= {name: name for name in ("half_bridge", "amplifier", "charge_drive", "netlist")}
     if kind not in known:
         raise UsageError(
-            "no such driver", where=f"{part.name}.driver", got=repr(kind),
+            "no such driver",
+            where=f"{part.name}.driver",
+            got=repr(kind),
             expected="one of half_bridge, amplifier, charge, user",
-        )  # fmt: skip
+        )
     return known[kind]
 
 
@@ -529,22 +543,27 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
         )
     if keys.mounting == "free" and scene.of("contact") and scene.analysis.type == "transient":
         yield UsageError(
-            "nothing holds the chip under what rests on it", where=f"{part.name}.mounting",
-            got="free", expected="roller, glued or a stiffness per area",
-        )  # fmt: skip
+            "nothing holds the chip under what rests on it",
+            where=f"{part.name}.mounting",
+            got="free",
+            expected="roller, glued or a stiffness per area",
+        )
     mesh = keys.mesh
     if keys.fields and (mesh.order != 1 or mesh.layers_per_element != 1):
         yield UsageError(
-            "fields need linear elements of one layer each", where=f"{part.name}.mesh",
+            "fields need linear elements of one layer each",
+            where=f"{part.name}.mesh",
             got=f"order {mesh.order}, layers_per_element {mesh.layers_per_element}",
             expected="order = 1, layers_per_element = 1",
-        )  # fmt: skip
+        )
     drive = keys.drive
     if keys.driver and keys.electrical != "driven":
         yield UsageError(
-            "the chip's electrodes are not driven", where=f"{part.name}.driver",
-            got=keys.electrical, expected=f"{part.name}.electrical = 'driven'",
-        )  # fmt: skip
+            "the chip's electrodes are not driven",
+            where=f"{part.name}.driver",
+            got=keys.electrical,
+            expected=f"{part.name}.electrical = 'driven'",
+        )
     if drive is None:
         return
     if drive.edge > drive.width:
@@ -581,9 +600,12 @@ def _pressed(chip: Chip, shape: Hats) -> Pressed:
     from kc2spice.bodies.pressure import Pressed, pressed
 
     found, _ = cached(
-        "pressed", _hatted(chip, shape), lambda: pressed(chip, shape), classes=(Pressed,),
+        "pressed",
+        _hatted(chip, shape),
+        lambda: pressed(chip, shape),
+        classes=(Pressed,),
         sources=SOURCES,
-    )  # fmt: skip
+    )
     return found
 
 

@@ -58,9 +58,11 @@ class PortLoads(PartType):
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
             yield UsageError(
-                "empty frequency range", where=f"{part.name}.stop",
-                got=f"{part.keys.start:g} … {part.keys.stop:g} Hz", expected="start < stop",
-            )  # fmt: skip
+                "empty frequency range",
+                where=f"{part.name}.stop",
+                got=f"{part.keys.start:g} … {part.keys.stop:g} Hz",
+                expected="start < stop",
+            )
 
     def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
         return {body_of(part, build.scene).name: ()}
@@ -88,9 +90,10 @@ class PortLoads(PartType):
             if is_open and load == "anode":
                 unit, node = own("Vload"), own("load")
                 cards += [
-                    f"{unit} {node} 0 AC 1", f"{own('Cload')} {node} 0 1",
+                    f"{unit} {node} 0 AC 1",
+                    f"{own('Cload')} {node} 0 1",
                     f"{own('Fload')} 0 {anode} {unit} -1",
-                ]  # fmt: skip
+                ]
             if not is_open:
                 cards += [
                     f"{source} {anode} 0 AC {int(load == 'anode')}",
@@ -127,8 +130,10 @@ class PortLoads(PartType):
         gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
         limits = {
-            "rom_vs_fom": rom, "ngspice_vs_rom": gates.harmonic_ngspice, "ngspice_vs_fom": rom,
-        }  # fmt: skip
+            "rom_vs_fom": rom,
+            "ngspice_vs_rom": gates.harmonic_ngspice,
+            "ngspice_vs_fom": rom,
+        }
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
@@ -195,10 +200,12 @@ def body_of(part: Part, scene: Scene) -> Part:
     found = [p for p in scene.parts.values() if p.type.reduced]
     if len(found) != 1:
         raise UsageError(
-            f"{part.name} needs to know which body it loads", where=f"{part.name}.of",
+            f"{part.name} needs to know which body it loads",
+            where=f"{part.name}.of",
             got=", ".join(p.name for p in found) or "no body",
-            expected="the name of a body", hint="add [kick]; an empty table takes the defaults",
-        )  # fmt: skip
+            expected="the name of a body",
+            hint="add [kick]; an empty table takes the defaults",
+        )
     return found[0]
 
 

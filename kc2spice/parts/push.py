@@ -49,14 +49,17 @@ class Push(PartType):
         ball = sphere(part, scene)
         if scene.only("contact") is None:
             yield UsageError(
-                f"{part.name} needs this part", where="contact",
+                f"{part.name} needs this part",
+                where="contact",
                 hint="add [contact]; an empty table takes the defaults",
-            )  # fmt: skip
+            )
         if part.keys.depth >= ball.keys.radius:
             yield UsageError(
-                "deeper than the sphere's radius", where=f"{part.name}.depth",
-                got=f"{part.keys.depth:g} m", expected=f"less than {ball.keys.radius:g} m",
-            )  # fmt: skip
+                "deeper than the sphere's radius",
+                where=f"{part.name}.depth",
+                got=f"{part.keys.depth:g} m",
+                expected=f"less than {ball.keys.radius:g} m",
+            )
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return (f"V{part.name} {build.net(part, 'bottom')} 0 0",)
@@ -108,8 +111,13 @@ class Push(PartType):
             "ngspice_vs_rom": gates.imprint_ngspice,
             "ngspice_vs_fom": max(gates.imprint_ngspice, hats),
         }
-        yield Gate("static force", f"{contact.name}.force", limits,
-                   "largest" if hats else "relative", leads=True)  # fmt: skip
+        yield Gate(
+            "static force",
+            f"{contact.name}.force",
+            limits,
+            "largest" if hats else "relative",
+            leads=True,
+        )
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name

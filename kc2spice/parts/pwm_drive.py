@@ -111,10 +111,20 @@ def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm"
         positive("edge", drive.edge, "s", "of the switched voltage"),
     )
     return rendered_driver(
-        header, "pwm", name, "H-bridge for the coils", params, ("drive", "ret"),
-        sense=SENSE, inductance=load.inductance, resistance=resistance, bandwidth=drive.bandwidth,
-        carrier=CARRIER, r2=r2, c1=load.inductance / resistance / r2,
-    )  # fmt: skip
+        header,
+        "pwm",
+        name,
+        "H-bridge for the coils",
+        params,
+        ("drive", "ret"),
+        sense=SENSE,
+        inductance=load.inductance,
+        resistance=resistance,
+        bandwidth=drive.bandwidth,
+        carrier=CARRIER,
+        r2=r2,
+        c1=load.inductance / resistance / r2,
+    )
 
 
 register(PwmDrive())

@@ -292,9 +292,13 @@ class _Function:
 
 
 def coil_subcircuit(
-    header: Header, table: EMTable, *, points: int = POINTS, name: str = "coil",
+    header: Header,
+    table: EMTable,
+    *,
+    points: int = POINTS,
+    name: str = "coil",
     rating: str = UNRATED,
-) -> Subcircuit:  # fmt: skip
+) -> Subcircuit:
     """Two coils ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt`` and the sphere's force.
 
     The state of coil k is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor;
@@ -309,10 +313,13 @@ def coil_subcircuit(
     functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS]
     usual = inverse.mean(axis=0)
     functions += [
-        _Function(f"g{k}{l}", f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
-                  *smooth((inverse - usual)[:, k - 1, l - 1]))
+        _Function(
+            f"g{k}{l}",
+            f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
+            *smooth((inverse - usual)[:, k - 1, l - 1]),
+        )
         for k, l in ((1, 1), (1, 2), (2, 2))
-    ]  # fmt: skip
+    ]
     text = render(
         "coil.j2",
         header=part_header(
@@ -353,9 +360,11 @@ class RingMagnetCoils(PartType):
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
         if len(driver) != 1 or kind not in {*known, *known.values()}:
             raise UsageError(
-                "needs one driver", where=f"{part.name}.driver", got=", ".join(driver),
+                "needs one driver",
+                where=f"{part.name}.driver",
+                got=", ".join(driver),
                 expected="one of " + ", ".join(known),
-            )  # fmt: skip
+            )
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
         file = {}
         if kind in ("user", "netlist"):
@@ -369,9 +378,11 @@ class RingMagnetCoils(PartType):
         coils: tuple[Terminal, ...]
         if real(part, scene):
             coils = (
-                Terminal("lp", "V", "A"), Terminal("ln", "V", "A", f"{part.name}.un"),
-                Terminal("up", "V", "A"), Terminal("un", "V", "A"),
-            )  # fmt: skip
+                Terminal("lp", "V", "A"),
+                Terminal("ln", "V", "A", f"{part.name}.un"),
+                Terminal("up", "V", "A"),
+                Terminal("un", "V", "A"),
+            )
         else:
             rest = None if _driven(part, scene) else "gnd"
             coils = (Terminal("drive", "V", "A", rest), Terminal("ret", "V", "A", rest))
@@ -409,13 +420,21 @@ class RingMagnetCoils(PartType):
         keys = part.keys
         coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
         rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
-            ("magnet", keys.ring, magnet), ("coil", keys.lower, coils), ("coil", keys.upper, coils),
-        )  # fmt: skip
+            ("magnet", keys.ring, magnet),
+            ("coil", keys.lower, coils),
+            ("coil", keys.upper, coils),
+        )
         for kind, ring, text in rows:
             for side in (-1, 1):
                 label = f"{part.name}: {text}" if side > 0 else ""
-                yield Shape(side * (ring.inner + ring.outer) / 2, ring.y + keys.shift,
-                            ring.outer - ring.inner, ring.height, kind, label)  # fmt: skip
+                yield Shape(
+                    side * (ring.inner + ring.outer) / 2,
+                    ring.y + keys.shift,
+                    ring.outer - ring.inner,
+                    ring.height,
+                    kind,
+                    label,
+                )
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         apart = {"remanence", "shift", "points", "driver", "of", "rated_rise"}
@@ -444,10 +463,12 @@ class RingMagnetCoils(PartType):
                 return catch_table(unit, radius, lambda done, total: share(done / total))
 
         table, _ = cached(
-            "catch", {**key, "catch": {**key["catch"], "positions": count}}, build,
+            "catch",
+            {**key, "catch": {**key["catch"], "positions": count}},
+            build,
             classes=(EMTable,),
             sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__),
-        )  # fmt: skip
+        )
         return mounted(table, keys.remanence, keys.shift)
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -456,8 +477,10 @@ class RingMagnetCoils(PartType):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         table, name = build.model(part), build.libraries[part.name]
         told: dict[str, Any] = {
-            "points": part.keys.points, "name": name, "rating": _rating(part.keys)
-        }  # fmt: skip
+            "points": part.keys.points,
+            "name": name,
+            "rating": _rating(part.keys),
+        }
         if real(part, build.scene):
             return (coil_subcircuit(header, table, **told),)
         for other in build.scene.parts.values():
@@ -497,8 +520,13 @@ class RingMagnetCoils(PartType):
         prefix, offset = label(part), spheres.offset(part, "y", scene)
         currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
         if real(part, scene):
-            law = laws.CoilForce(n, force_table(table), np.asarray(table.resistance),
-                                 np.asarray(table.inductance[0]), offset)  # fmt: skip
+            law = laws.CoilForce(
+                n,
+                force_table(table),
+                np.asarray(table.resistance),
+                np.asarray(table.inductance[0]),
+                offset,
+            )
             ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
             results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
@@ -534,14 +562,20 @@ class RingMagnetCoils(PartType):
         yield Check(
             f"field of {part.name} between its positions",
             interpolation_error(build.model(part), largest_current(part, build.scene)),
-            COARSE, "of the largest force", f"too few heights: raise {part.name}.positions",
+            COARSE,
+            "of the largest force",
+            f"too few heights: raise {part.name}.positions",
             build.scene.checks.range,
-        )  # fmt: skip
+        )
         advice = "the sphere left the field table: widen {0}.y_min and {0}.y_max, or kick it less"
         yield Check(
-            "table_left", beyond(build.model(part), y), 0.0, "m", advice.format(part.name),
+            "table_left",
+            beyond(build.model(part), y),
+            0.0,
+            "m",
+            advice.format(part.name),
             build.scene.checks.range,
-        )  # fmt: skip
+        )
 
     def facts(self, part: Part, build: Build) -> Mapping[str, float]:
         table = build.model(part)
@@ -619,12 +653,13 @@ def force_map(part: Part, build: Build) -> Figure:
     fine = np.linspace(table.y[0], table.y[-1], 401)
     curves = tuple(
         Curve(
-            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}", 1e3 * fine,
+            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}",
+            1e3 * fine,
             1e3 * force(table, fine, lower, upper),
         )
         for lower in (-limit, 0.0, limit)
         for upper in (-limit, 0.0, limit)
-    )  # fmt: skip
+    )
     panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
@@ -643,14 +678,15 @@ def coil_impedance(part: Part, build: Build) -> Figure:
     size = tuple(Curve(name, 1e-3 * f, np.abs(v)) for name, v in z.items())
     phase = tuple(Curve(name, 1e-3 * f, np.angle(v, deg=True)) for name, v in z.items())
     return Figure(
-        f"{part.name}_impedance", f"Impedance of {part.name}",
+        f"{part.name}_impedance",
+        f"Impedance of {part.name}",
         f"Magnitude and phase of the coils of {part.name}, the sphere held in the middle of their "
         "field, capacitance of the windings left out.",
         (
             Panel("", "|Z| in Ω", size, log_x=True, log_y=True),
             Panel("frequency in kHz", "phase in °", phase, log_x=True),
         ),
-    )  # fmt: skip
+    )
 
 
 def force_table(table: EMTable) -> laws.ForceTable:
@@ -748,9 +784,11 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
     if keys.y_min >= keys.y_max:
         got = f"{keys.y_min:g} … {keys.y_max:g} m"
         yield UsageError(
-            "empty range of positions", where=f"{part.name}.y_min", got=got,
+            "empty range of positions",
+            where=f"{part.name}.y_min",
+            got=got,
             expected="y_min < y_max",
-        )  # fmt: skip
+        )
     bodies: dict[str, Ring] = {name: getattr(keys, name) for name in ("ring", "lower", "upper")}
     for name, body in bodies.items():
         yield from _body(f"{part.name}.{name}", body, keys, radius, sphere)
@@ -762,33 +800,43 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
     resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
     if resting and not keys.y_min < radius < keys.y_max:
         yield UsageError(
-            "outside the force table", where=f"{sphere}.radius", got=f"rest height {radius:g} m",
+            "outside the force table",
+            where=f"{sphere}.radius",
+            got=f"rest height {radius:g} m",
             expected=f"between {keys.y_min:g} and {keys.y_max:g} m",
             hint=f"{part.name}.y_min and {part.name}.y_max set the table's range",
-        )  # fmt: skip
+        )
 
 
 def _body(key: str, body: Ring, catch: Catch, radius: float, sphere: str) -> Iterator[UsageError]:
     if body.inner >= body.outer:
         yield UsageError(
-            "no material left", where=f"{key}.inner", got=f"{body.inner:g} m",
+            "no material left",
+            where=f"{key}.inner",
+            got=f"{body.inner:g} m",
             expected=f"less than outer, {body.outer:g}",
-        )  # fmt: skip
+        )
     if body.inner <= radius:
         yield UsageError(
-            "the sphere does not fit through", where=f"{key}.inner", got=f"{body.inner:g} m",
+            "the sphere does not fit through",
+            where=f"{key}.inner",
+            got=f"{body.inner:g} m",
             expected=f"more than {sphere}.radius, {radius:g} m",
-        )  # fmt: skip
+        )
     if body.height >= catch.air_height:
         yield UsageError(
-            "reaches beyond the modelled air", where=f"{key}.height", got=f"{body.height:g} m",
+            "reaches beyond the modelled air",
+            where=f"{key}.height",
+            got=f"{body.height:g} m",
             expected=f"less than {key.partition('.')[0]}.air_height, {catch.air_height:g} m",
-        )  # fmt: skip
+        )
     if body.outer >= catch.air_radius:
         yield UsageError(
-            "reaches beyond the modelled air", where=f"{key}.outer", got=f"{body.outer:g} m",
+            "reaches beyond the modelled air",
+            where=f"{key}.outer",
+            got=f"{body.outer:g} m",
             expected=f"less than {key.partition('.')[0]}.air_radius, {catch.air_radius:g} m",
-        )  # fmt: skip
+        )
 
 
 def mounted(table: EMTable, factor: float, shift: float) -> EMTable:

@@ -23,8 +23,11 @@ class SensorKeys(Section):
 
     bandwidth: Frequency = Field(1e6, gt=0)
     offset: Length = 0.0
-    noise: Length = Field(0.0, ge=0, description="rms of each sample, of which there are two a "
-                          "period of the bandwidth")  # fmt: skip
+    noise: Length = Field(
+        0.0,
+        ge=0,
+        description="rms of each sample, of which there are two a period of the bandwidth",
+    )
 
 
 class Sensor(PartType):
@@ -53,9 +56,11 @@ dc = "1 um"
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         if part.keys.noise and scene.analysis.type != "transient":
             yield UsageError(
-                "noise is drawn in time", where=f"{part.name}.noise", got=scene.analysis.type,
+                "noise is drawn in time",
+                where=f"{part.name}.noise",
+                got=scene.analysis.type,
                 expected="a transient, or no noise",
-            )  # fmt: skip
+            )
 
     def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
         keys, name = part.keys, build.libraries[part.name]

@@ -174,8 +174,13 @@ class Source(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""
-        sets = {"voltage": "v", "current": "i", "force": "force", "displacement": "x",
-                "acceleration": "a"}[part.keys.kind]  # fmt: skip
+        sets = {
+            "voltage": "v",
+            "current": "i",
+            "force": "force",
+            "displacement": "x",
+            "acceleration": "a",
+        }[part.keys.kind]
         found = waves.data.get(f"{part.name}.{sets}")
         if found is None or "time" not in waves:
             return
@@ -183,10 +188,13 @@ class Source(PartType):
         wanted = wave(waves["time"])
         swing = float(np.ptp(wanted)) or float(np.abs(wanted).max()) or 1.0
         yield Check(
-            f"{part.name} drives as defined", float(np.abs(found - wanted).max()) / swing,
-            DEVIATION, "of its swing", "the netlist's source is not the scene's: please report it",
+            f"{part.name} drives as defined",
+            float(np.abs(found - wanted).max()) / swing,
+            DEVIATION,
+            "of its swing",
+            "the netlist's source is not the scene's: please report it",
             wiring=True,
-        )  # fmt: skip
+        )
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
@@ -217,9 +225,10 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[TimeScale]:
     if wave.kind == "sine":
         f = wave.frequency
         yield TimeScale(
-            f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz", 1 / (PER_PERIOD * f),
+            f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz",
+            1 / (PER_PERIOD * f),
             HARMONICS * f,
-        )  # fmt: skip
+        )
     elif wave.kind == "linear":
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]

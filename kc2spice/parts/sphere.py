@@ -54,9 +54,10 @@ class SphereKeys(Section):
         None, description="for contacts that need its modulus, steel where it is elastic"
     )
     elastic: bool | dict[str, Any] | None = Field(
-        None, description="dents and modes under contact.shape = pressure: true, or a table of "
+        None,
+        description="dents and modes under contact.shape = pressure: true, or a table of "
         "damping, mesh, rom; rigid if absent",
-    )  # fmt: skip
+    )
     velocity: Velocity = Field(0.0, description="at t = 0; not zero: no operating point is sought")
     height: Length = Field(0.0, description="of the lowest point at t = 0, with a velocity")
 
@@ -101,10 +102,12 @@ class Sphere(PartType):
         bodies = [other.name for other in others if other.type.reduced]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
-                "nothing touches the sphere", where="contact", got="no part of type contact",
+                "nothing touches the sphere",
+                where="contact",
+                got="no part of type contact",
                 expected=f"one between {part.name} and {', '.join(bodies)}",
                 hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
-            )  # fmt: skip
+            )
 
     def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
@@ -114,8 +117,14 @@ class Sphere(PartType):
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
-        return Surface(("bottom",), ("v",), ("bottom",), (0.0,), radius=part.keys.radius,
-                       elastic=_carried(part))  # fmt: skip
+        return Surface(
+            ("bottom",),
+            ("v",),
+            ("bottom",),
+            (0.0,),
+            radius=part.keys.radius,
+            elastic=_carried(part),
+        )
 
     def indentation_modulus(self, part: Part) -> float | None:
         rigid = part.keys.material is None and part.keys.elastic is None
@@ -153,10 +162,15 @@ class Sphere(PartType):
         keys = part.keys
         return (
             sphere_subcircuit(
-                header, keys.mass, keys.radius, build.scene.gravity, velocity=velocity,
-                height=height, name=build.libraries[part.name],
+                header,
+                keys.mass,
+                keys.radius,
+                build.scene.gravity,
+                velocity=velocity,
+                height=height,
+                name=build.libraries[part.name],
             ),
-        )  # fmt: skip
+        )
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if _moved(part, build.scene):
@@ -190,11 +204,12 @@ class Sphere(PartType):
             for goal, band, label in other.type.goals(other, build.scene, part)
         ]
         panel = Panel(
-            "time in ms", "height of the centre in mm",
+            "time in ms",
+            "height of the centre in mm",
             (Curve(part.name, 1e3 * waves["time"], 1e3 * y),),
             levels=tuple((goal, label) for goal, _, label in goals),
             bands=tuple((goal - band, goal + band, "") for goal, band, _ in goals),
-        )  # fmt: skip
+        )
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
@@ -306,8 +321,9 @@ def integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
     own = made_of(part).indentation_modulus
-    bodies = (other.type.indentation_modulus(other) for other in scene.parts.values()
-              if other is not part)  # fmt: skip
+    bodies = (
+        other.type.indentation_modulus(other) for other in scene.parts.values() if other is not part
+    )
     found = [modulus / own for modulus in bodies if modulus is not None]
     return f"the dent would be {100 * max(found):.0f} % softer" if found else "not estimated"
 

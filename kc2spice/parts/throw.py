@@ -42,9 +42,11 @@ class Throw(PartType):
         sphere(part, scene)
         if part.keys.velocity >= 0:
             yield UsageError(
-                "the sphere never arrives", where=f"{part.name}.velocity",
-                got=f"{part.keys.velocity:g} m/s", expected="negative (downwards)",
-            )  # fmt: skip
+                "the sphere never arrives",
+                where=f"{part.name}.velocity",
+                got=f"{part.keys.velocity:g} m/s",
+                expected="negative (downwards)",
+            )
 
     def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
         return {sphere(part, scene).name: (part.keys.velocity, part.keys.gap)}
@@ -87,11 +89,13 @@ class Throw(PartType):
         contact = build.scene.only("contact")
         hats = unresolved(contact, build.scene) if contact else 0.0
         full = dict.fromkeys(("rom_vs_fom", "ngspice_vs_fom"), max(gates.position, hats))
-        yield Gate("position over travel", f"{ball}.y", every(gates.position) | full, "travel",
-                   leads=True)  # fmt: skip
+        yield Gate(
+            "position over travel", f"{ball}.y", every(gates.position) | full, "travel", leads=True
+        )
         yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
-        yield Gate("separation time", "separation_time_s", every(gates.separation_time),
-                   "absolute", "s")  # fmt: skip
+        yield Gate(
+            "separation time", "separation_time_s", every(gates.separation_time), "absolute", "s"
+        )
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """None of its own: the sphere starts as it says."""

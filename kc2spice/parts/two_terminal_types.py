@@ -151,9 +151,11 @@ class LinearElement(DeclaredPart):
         n, kind = part.name, self.branch.kind
         order, admittance = self.linear
         law = laws.TwoTerminal(
-            n, order, self._number(part, admittance),
+            n,
+            order,
+            self._number(part, admittance),
             "displacement" if kind == "displacement" else "electrical",
-        )  # fmt: skip
+        )
         results = {f"{n}.{self.branch.through}": laws.reading(f"{n}.a.through")}
         if kind != "displacement":
             results[f"{n}.v"] = laws.difference(f"{n}.a", f"{n}.b")

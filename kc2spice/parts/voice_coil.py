@@ -25,21 +25,28 @@ class VoiceCoilKeys(Section):
     damping: MechanicalDamping = Field(0.0, ge=0, description="of the suspension")
 
 
-register(DeclaredPart(Declaration(
-    "voice_coil", "voice coil on a suspension that depends on the stroke", VoiceCoilKeys,
-    (current("i", "plus", "minus"), displacement("x", "a", "b")),
-    energy="integral(x/(cms + cms1*x + cms2*x^2), x)",
-    coenergy="0.5*inductance*i^2 + i*(bl*x + bl1*x^2/2 + bl2*x^3/3)",
-    content="0.5*resistance*i^2 + 0.5*damping*x_rate^2",
-    limits={"the compliance": "cms + cms1*x + cms2*x^2"},
-    neglected=(
-        ("inductance that depends on the stroke", "its slope gives a force of i^2",
-         "not estimated"),
-        ("heating of the coil", "its resistance is constant", "0.4 % a kelvin, of copper"),
-        ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
-    ),
-    rating="not known; i^2 resistance is the power that heats the coil",
-    example="""
+register(
+    DeclaredPart(
+        Declaration(
+            "voice_coil",
+            "voice coil on a suspension that depends on the stroke",
+            VoiceCoilKeys,
+            (current("i", "plus", "minus"), displacement("x", "a", "b")),
+            energy="integral(x/(cms + cms1*x + cms2*x^2), x)",
+            coenergy="0.5*inductance*i^2 + i*(bl*x + bl1*x^2/2 + bl2*x^3/3)",
+            content="0.5*resistance*i^2 + 0.5*damping*x_rate^2",
+            limits={"the compliance": "cms + cms1*x + cms2*x^2"},
+            neglected=(
+                (
+                    "inductance that depends on the stroke",
+                    "its slope gives a force of i^2",
+                    "not estimated",
+                ),
+                ("heating of the coil", "its resistance is constant", "0.4 % a kelvin, of copper"),
+                ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
+            ),
+            rating="not known; i^2 resistance is the power that heats the coil",
+            example="""
 [voice_coil]
 part = "voice_coil"
 resistance = "6 Ohm"
@@ -61,4 +68,6 @@ mass = "10 g"
 part = "source"
 sine = { amplitude = "1 V", frequency = "50 Hz" }
 """,
-)))  # fmt: skip
+        )
+    )
+)

@@ -103,18 +103,22 @@ class Declaration:
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
                 raise UsageError(
-                    "a name that nothing gives a value", where=f"{self.name}: {what}",
-                    got=", ".join(unknown), expected=", ".join(sorted(known)),
-                )  # fmt: skip
+                    "a name that nothing gives a value",
+                    where=f"{self.name}: {what}",
+                    got=", ".join(unknown),
+                    expected=", ".join(sorted(known)),
+                )
         allowed = {"energy": "displacement", "coenergy": "displacement voltage current"}
         for what, kinds in allowed.items():
             coordinates = {b.name for b in self.branches if b.kind in kinds.split()}
             strange = names(getattr(self, f"_{what}")) - coordinates - set(self.parameters)
             if strange:
                 raise UsageError(
-                    f"the {what} does not depend on this", where=self.name,
-                    got=", ".join(sorted(strange)), expected=", ".join(sorted(coordinates)),
-                )  # fmt: skip
+                    f"the {what} does not depend on this",
+                    where=self.name,
+                    got=", ".join(sorted(strange)),
+                    expected=", ".join(sorted(coordinates)),
+                )
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from (("energy", self._energy), ("coenergy", self._coenergy))

@@ -65,14 +65,18 @@ def expression(text: str, where: str = "expression") -> Tree:
                 continue
             case Call(name, _):
                 raise UsageError(
-                    "no such function in physics", where=where, got=name,
+                    "no such function in physics",
+                    where=where,
+                    got=name,
                     expected=f"max(0, …), integral(…, x), {', '.join(_CHAIN)}",
-                )  # fmt: skip
+                )
             case Choice() | Probe():
                 raise UsageError(
-                    "physics has names and functions alone", where=where, got=text,
+                    "physics has names and functions alone",
+                    where=where,
+                    got=text,
                     hint="max(0, …) is one-sided",
-                )  # fmt: skip
+                )
     return tidy(tree)
 
 
@@ -86,9 +90,10 @@ def text(tree: Tree) -> str:
     for node in walk(tree):
         if isinstance(node, Call) and node.function == "integral":
             raise UsageError(
-                "a netlist has no integrals", got=Writer().write(node),
+                "a netlist has no integrals",
+                got=Writer().write(node),
                 hint="write its closed form",
-            )  # fmt: skip
+            )
     return Writer().write(tree)
 
 

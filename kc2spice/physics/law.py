@@ -54,9 +54,7 @@ class DeclaredLaw(Device):
     @property
     def charged(self) -> tuple[int, ...]:
         """Flows that are the rates of charges besides."""
-        return tuple(
-            k for k, b in enumerate(self.declaration.branches) if b.kind == "voltage"
-        )  # fmt: skip
+        return tuple(k for k, b in enumerate(self.declaration.branches) if b.kind == "voltage")
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -154,9 +152,11 @@ class DeclaredLaw(Device):
         for what, value in zip(self.declaration.bounds, found, strict=True):
             if value <= 0.0:
                 raise SimulationError(
-                    f"{what} is exceeded", where=f"{self.name} at t = {t:.6e} s",
-                    got=f"{self.declaration.limits[what]} = {value:g}", expected="above zero",
-                )  # fmt: skip
+                    f"{what} is exceeded",
+                    where=f"{self.name} at t = {t:.6e} s",
+                    got=f"{self.declaration.limits[what]} = {value:g}",
+                    expected="above zero",
+                )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
         """Energy stored [J]."""

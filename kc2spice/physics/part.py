@@ -37,9 +37,11 @@ class DeclaredPart(PartType):
         self.declaration = declaration
         # Names of a type are constants of its class elsewhere; here of its one instance.
         vars(self).update(
-            name=declaration.name, title=declaration.title, schema=declaration.keys,
+            name=declaration.name,
+            title=declaration.title,
+            schema=declaration.keys,
             example=declaration.example,
-        )  # fmt: skip
+        )
 
     # --- pins and netlist -------------------------------------------------------------------
 
@@ -84,9 +86,14 @@ class DeclaredPart(PartType):
 
         d, name, params = self.declaration, build.libraries[part.name], self._parameters(part)
         head = part_header(
-            header, f"{name}: {d.title}", self._pins, params, rating=d.rating,
-            validity=d.validity, sign=_SIGN,
-        )  # fmt: skip
+            header,
+            f"{name}: {d.title}",
+            self._pins,
+            params,
+            rating=d.rating,
+            validity=d.validity,
+            sign=_SIGN,
+        )
         pins = " ".join(pin.name for pin in self._pins)
         cards = f".subckt {name} {pins} {parameter_list(params)}\n{body(d)}.ends {name}\n"
         return (Subcircuit(name, self._pins, params, head + cards),)
@@ -153,9 +160,12 @@ class DeclaredPart(PartType):
             if names(tree) - set(d.parameters) <= set(known):
                 value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
                 yield Check(
-                    f"{what} of {part.name}", -value, 0.0, "over the limit",
+                    f"{what} of {part.name}",
+                    -value,
+                    0.0,
+                    "over the limit",
                     f"{d.limits[what]} must stay above zero",
-                )  # fmt: skip
+                )
 
     def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
         """What the pins bring in against what is stored and lost, by the declared physics."""
@@ -209,8 +219,11 @@ def energies(
         brought = brought + _integral(through, over)
     missing = brought - heat - (stored - stored[0])
     turned = float(np.abs(np.diff(brought)).sum() + np.abs(heat[-1]))
-    entries = {"brought in by pins": float(brought[-1]), "heat": float(heat[-1]),
-               "stored": float(stored[-1] - stored[0])}  # fmt: skip
+    entries = {
+        "brought in by pins": float(brought[-1]),
+        "heat": float(heat[-1]),
+        "stored": float(stored[-1] - stored[0]),
+    }
     return Balance(entries, float(np.abs(missing).max()), turned, _UNEXPLAINED)
 
 

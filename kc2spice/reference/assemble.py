@@ -209,8 +209,9 @@ class _Assembly:
         own = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
         self.nq = at + len(own)
         self.sizes = np.full(self.nq, MICRO)
-        self.place: dict[str, np.ndarray] = {n: np.eye(1, self.nq, at + k)[0]
-                                             for k, n in enumerate(own)}  # fmt: skip
+        self.place: dict[str, np.ndarray] = {
+            n: np.eye(1, self.nq, at + k)[0] for k, n in enumerate(own)
+        }
         at = 2 * self.nq
         self.node = {n: at + k for k, n in enumerate(_of(used, self.kinds, "electrical"))}
         at += len(self.node)
@@ -325,8 +326,11 @@ class _Assembly:
         u, sing, vt = np.linalg.svd(G[:, mixed])
         rank = int((sing > 1e-11 * sing[0]).sum())
         if rank < len(chosen) and np.any(np.abs(u[:, rank:].T @ drive) > 1e-9):
-            names = [self.sources[self.constraints[k][1]].name for k in chosen
-                     if self.constraints[k][1] >= 0]  # fmt: skip
+            names = [
+                self.sources[self.constraints[k][1]].name
+                for k in chosen
+                if self.constraints[k][1] >= 0
+            ]
             raise UsageError(
                 "ideal sources prescribe the same quantity",
                 got=", ".join(names),
@@ -419,11 +423,19 @@ class _Assembly:
         G = np.array([f for f, _ in self.constraints])
         G = G.reshape(len(self.constraints), n)
         return System(
-            M=M * level[:, None], A=A * level[:, None], Gs=W.T @ self.M @ Ts,
-            Gd=W.T @ self.M @ Td, Bs=W.T @ (self.A @ Ts + self.S), Bd=W.T @ self.A @ Td,
-            const=W.T @ self.const, differential=differential,
+            M=M * level[:, None],
+            A=A * level[:, None],
+            Gs=W.T @ self.M @ Ts,
+            Gd=W.T @ self.M @ Td,
+            Bs=W.T @ (self.A @ Ts + self.S),
+            Bd=W.T @ self.A @ Td,
+            const=W.T @ self.const,
+            differential=differential,
             velocity=np.isin(np.arange(size), np.arange(p, p + d)),
-            sources=self.sources, devices=tuple(devices), across=across, rates=rates,
+            sources=self.sources,
+            devices=tuple(devices),
+            across=across,
+            rates=rates,
             through={k: (reduced(a), reduced(b)) for k, (a, b) in self.flows.items()},
             terms=tuple(Term(o, k, reduced(r), g, x) for o, k, r, g, x in self.terms),
             supplies=tuple(
@@ -431,12 +443,11 @@ class _Assembly:
                 for o, k, m, r, b in self.supplies
             ),
             held=tuple(
-                Held(o, reduced(r), x, None if v is None else reduced(v), y,
-                     W.T @ r)
+                Held(o, reduced(r), x, None if v is None else reduced(v), y, W.T @ r)
                 for o, r, x, v, y in self.held
             ),
             raw=(self.M, self.A, self.S, self.const, G, T, Ts, Td),
-        )  # fmt: skip
+        )
 
 
 def _of(nets: list[str], kinds: dict[str, str], kind: str) -> list[str]:
@@ -547,8 +558,9 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     _quadratic(law, into, "drag", motion, drag)
     if volts:
         keys = list(volts)
-        _quadratic(law, into, "energy", np.array([volts[k] for k in keys]),
-                   0.5 * D[np.ix_(keys, keys)])  # fmt: skip
+        _quadratic(
+            law, into, "energy", np.array([volts[k] for k in keys]), 0.5 * D[np.ix_(keys, keys)]
+        )
 
 
 def _quadratic(

@@ -237,9 +237,15 @@ def transient(
 
     z, modes = equilibrium(system) if start is None else (start, None)
     own = [d.law.corners(stop) for d in system.devices]
-    corners = np.unique(np.concatenate([
-        [0.0, stop], *(p.wave.corners(stop) for p in system.sources), *own,
-    ]))  # fmt: skip
+    corners = np.unique(
+        np.concatenate(
+            [
+                [0.0, stop],
+                *(p.wave.corners(stop) for p in system.sources),
+                *own,
+            ]
+        )
+    )
     stretches: list[Stretch] = []
     events: list[Event] = []
     if modes is None:
@@ -388,9 +394,13 @@ def _locate(
     low = t0 + 1e-12 * step.length
     roots = []
     for k in fell:
-        root = brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if (
-            value(low, k) > 0.0 > value(t1, k)
-        ) else t1 if value(low, k) > 0.0 else low  # fmt: skip
+        root = (
+            brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15)
+            if (value(low, k) > 0.0 > value(t1, k))
+            else t1
+            if value(low, k) > 0.0
+            else low
+        )
         roots.append(root)
     first = int(np.argmin(roots))
     h, guard = roots[first] - t0, int(fell[first])
@@ -412,8 +422,13 @@ def _short(solver: Radau, step: Step, h: float) -> Step:
     found = solver.take(h)
     if found is not None:
         return found
-    return Step(step.start, h, step.first, step.at(step.start + h * NODES) - step.first[:, None],
-                step.differential)  # fmt: skip
+    return Step(
+        step.start,
+        h,
+        step.first,
+        step.at(step.start + h * NODES) - step.first[:, None],
+        step.differential,
+    )
 
 
 def _supplied(
@@ -456,9 +471,7 @@ def _balance(result: Result) -> Balance:
     system = result.system
     supplied: dict[str, float] = {}
     lost: dict[str, float] = {}
-    losing = [
-        k for k, d in enumerate(system.devices) if type(d.law).loss is not Device.loss
-    ]  # fmt: skip
+    losing = [k for k, d in enumerate(system.devices) if type(d.law).loss is not Device.loss]
     for part in result.stretches:
         piece, step = part.piece, part.steps[0]
         t = np.concatenate([s.start + s.length * NODES for s in part.steps])
@@ -497,10 +510,12 @@ def _balance(result: Result) -> Balance:
     before = _energies(begin.piece, begin.steps[0].start, begin.steps[0].first)
     after = _energies(end.piece, end.end, end.steps[-1].last)
     names = dict.fromkeys((*supplied, *lost, *before))
-    return Balance({
-        n: Share(supplied.get(n, 0.0), lost.get(n, 0.0), before.get(n, 0.0), after.get(n, 0.0))
-        for n in names
-    })  # fmt: skip
+    return Balance(
+        {
+            n: Share(supplied.get(n, 0.0), lost.get(n, 0.0), before.get(n, 0.0), after.get(n, 0.0))
+            for n in names
+        }
+    )
 
 
 def _energies(piece: Piece, t: float, z: np.ndarray) -> dict[str, float]:

@@ -37,9 +37,11 @@ class Linear:
     """
 
     def __init__(
-        self, system: System, at: complex = 0.0,
+        self,
+        system: System,
+        at: complex = 0.0,
         point: tuple[np.ndarray, list[Any]] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.system = system
         self.z0, self.held = point or equilibrium(system)
         self.rows = Piece(system, self.held, 0.0).rows
@@ -150,9 +152,10 @@ class Linear:
 
         # of e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         drive = (
-            coupled(self.Bs) + rates[:, None] * coupled(self.Bd - self.Gs)
+            coupled(self.Bs)
+            + rates[:, None] * coupled(self.Bd - self.Gs)
             - rates[:, None] ** 2 * coupled(self.Gd)
-        )  # fmt: skip
+        )
         s0, _ = self.system.inputs(0.0, 0.0)
         forces = self.Bs @ s0 + self.system.const
         rest = np.linalg.lstsq(self.J, -forces, rcond=1e-14)[0]
@@ -199,8 +202,10 @@ def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> di
     names = [p.name for p in system.sources]
     if source is not None and source not in names:
         raise UsageError("no such source", got=source, expected=", ".join(names))
-    amplitude = np.array([complex(p.ac) if source is None else float(p.name == source)
-                          for p in system.sources], dtype=complex)  # fmt: skip
+    amplitude = np.array(
+        [complex(p.ac) if source is None else float(p.name == source) for p in system.sources],
+        dtype=complex,
+    )
     linear = Linear(system)
     frequencies = np.asarray(frequencies, dtype=float)
     rates = 2j * np.pi * frequencies

@@ -197,8 +197,17 @@ def _decomposed(piece: Piece, where: np.ndarray, others: np.ndarray) -> Modes | 
         watched.append(np.abs(form).max(axis=1, initial=0.0) > 0.0)
     guards = np.vstack(rows) if rows else np.zeros((0, where.size))
     part = Piece(_restricted(system, others), piece.modes, piece.within)
-    return Modes(where, others, rates, shapes, np.linalg.inv(shapes), rest, guards,
-                 np.concatenate(watched) if watched else np.zeros(0, dtype=bool), part)  # fmt: skip
+    return Modes(
+        where,
+        others,
+        rates,
+        shapes,
+        np.linalg.inv(shapes),
+        rest,
+        guards,
+        np.concatenate(watched) if watched else np.zeros(0, dtype=bool),
+        part,
+    )
 
 
 def _restricted(system: System, keep: np.ndarray) -> System:
@@ -216,10 +225,18 @@ def _restricted(system: System, keep: np.ndarray) -> System:
         for device in system.devices
     )
     return replace(
-        system, M=system.M[square], A=system.A[square], Gs=system.Gs[keep], Gd=system.Gd[keep],
-        Bs=system.Bs[keep], Bd=system.Bd[keep], const=system.const[keep],
-        differential=system.differential[keep], velocity=system.velocity[keep], devices=devices,
-    )  # fmt: skip
+        system,
+        M=system.M[square],
+        A=system.A[square],
+        Gs=system.Gs[keep],
+        Gd=system.Gd[keep],
+        Bs=system.Bs[keep],
+        Bd=system.Bd[keep],
+        const=system.const[keep],
+        differential=system.differential[keep],
+        velocity=system.velocity[keep],
+        devices=devices,
+    )
 
 
 def flown_loss(

@@ -84,8 +84,11 @@ class Step:
         """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
         x = (np.atleast_1d(t) - self.start) / self.length
         cubic = self.increments @ _CUBIC.T @ (_POWERS[:, None] * x ** (_POWERS - 1)[:, None])
-        square = self.increments @ _SQUARE.T @ (np.array([0, 1, 2])[:, None]
-                                                * x ** np.array([0, 0, 1])[:, None])  # fmt: skip
+        square = (
+            self.increments
+            @ _SQUARE.T
+            @ (np.array([0, 1, 2])[:, None] * x ** np.array([0, 0, 1])[:, None])
+        )
         return np.where(self.differential[:, None], cubic, square) / self.length
 
 
@@ -110,8 +113,11 @@ class Radau:
         active = self.problem.differential
         scale = self.rtol * (1.0 + np.abs(self.z))
         speed = _norm((np.linalg.lstsq(self.M, f, rcond=None)[0] / scale)[active])
-        return min(end - self.t, 0.5 * (0.01 / speed) ** 0.25 if speed > 1e-300 else end - self.t,
-                   max(1e-12, 0.01 * self.rtol**-0.75 / max(speed, 1e-300)))  # fmt: skip
+        return min(
+            end - self.t,
+            0.5 * (0.01 / speed) ** 0.25 if speed > 1e-300 else end - self.t,
+            max(1e-12, 0.01 * self.rtol**-0.75 / max(speed, 1e-300)),
+        )
 
     def _rate(self) -> np.ndarray:
         f = self.problem.flow(np.array([self.t]), self.z[:, None])[:, 0]

@@ -134,10 +134,14 @@ def ported(system: System) -> tuple[PortBody, ...]:
 
 
 def steps(
-    system: System, bodies: Iterable[Body], first: float, step: float, count: int,
+    system: System,
+    bodies: Iterable[Body],
+    first: float,
+    step: float,
+    count: int,
     given: Callable[[System, np.ndarray], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Steps:  # fmt: skip
+) -> Steps:
     """``count`` steps from ``first`` [s] on.
 
     The laws begin in equilibrium, the bodies in that of t = 0, until ``first``; ``given`` turns the
@@ -183,8 +187,10 @@ class _March:
     def __init__(self, system: System, own: dict[int, Body], rest: list[Any], step: float) -> None:
         self.system, self.own, self.rest, self.h = system, own, list(rest), step
         self.s = 1.0 / (GAMMA * step)
-        self.corners = [d.law.corners(np.inf) if k not in own else np.empty(0)
-                        for k, d in enumerate(system.devices)]  # fmt: skip
+        self.corners = [
+            d.law.corners(np.inf) if k not in own else np.empty(0)
+            for k, d in enumerate(system.devices)
+        ]
         self.affine = all(d.law.affine or k in own for k, d in enumerate(system.devices))
 
     def step(self, t: float, z: np.ndarray, modes: list[Any]) -> np.ndarray:

@@ -104,7 +104,12 @@ def _figure(record: Mapping[str, Any]) -> Figure:
         marks.append((unsure, "uncertainty of the reference"))
     ends = [*curves[0].x, *(place for place, _ in marks)]
     panel = Panel(
-        "largest relative error", "CPU time of the simulator in s", tuple(curves),
-        marks=tuple(marks), span=(0.5 * min(ends), 2.0 * max(ends)), log_x=True, log_y=True,
-    )  # fmt: skip
+        "largest relative error",
+        "CPU time of the simulator in s",
+        tuple(curves),
+        marks=tuple(marks),
+        span=(0.5 * min(ends), 2.0 * max(ends)),
+        log_x=True,
+        log_y=True,
+    )
     return Figure("bench", "Error against time", "Lower left is better.", (panel,))

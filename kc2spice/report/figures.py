@@ -39,9 +39,11 @@ def require_matplotlib() -> None:
     """
     if find_spec("matplotlib") is None:
         raise MissingToolError(
-            "matplotlib is not installed", where="Python", expected="matplotlib, for PNG files",
+            "matplotlib is not installed",
+            where="Python",
+            expected="matplotlib, for PNG files",
             hint="pip install matplotlib, or leave out --png: report.html needs none",
-        )  # fmt: skip
+        )
 
 
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[str]:
@@ -102,8 +104,15 @@ def _fill(axes: Any, panel: Panel) -> None:
             line = "-" if curve.style == "o-" else "none"
             axes.plot(curve.x, curve.y, ls=line, color=colour, label=name, **marks)
         elif curve.style == "-" and k > 0:  # told apart in print
-            axes.plot(curve.x, curve.y, color=colour, label=name, mfc="white",
-                      markevery=(0.03 * k, 0.15), **marks)  # fmt: skip
+            axes.plot(
+                curve.x,
+                curve.y,
+                color=colour,
+                label=name,
+                mfc="white",
+                markevery=(0.03 * k, 0.15),
+                **marks,
+            )
         else:
             dashes: Any = (0, (1, 3)) if curve.style == "reference" else curve.style
             axes.plot(curve.x, curve.y, color=colour, ls=dashes, label=name)

@@ -48,9 +48,12 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
     )
     environment.filters["figure"] = figure_html
     text = environment.get_template("report.html.j2").render(
-        title=title, lead=lead, sections=sections, footer=f"kc2spice {__version__}",
+        title=title,
+        lead=lead,
+        sections=sections,
+        footer=f"kc2spice {__version__}",
         plots=any(section.figures for section in sections),
-    )  # fmt: skip
+    )
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -72,9 +72,11 @@ def sheet(
         layout.execute(figure)
         figure.set_layout_engine("none")
         figure.savefig(
-            path, format="png", metadata={"Software": "kc2spice"},
+            path,
+            format="png",
+            metadata={"Software": "kc2spice"},
             pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
-        )  # fmt: skip
+        )
 
 
 def open_sheet(size: tuple[float, float]) -> Any:
@@ -115,14 +117,21 @@ def plain_log(axis: Any) -> None:
 def legend_beside(axes: Any, title: str = "") -> None:
     """Legend to the right of the axes, where it covers no data."""
     axes.legend(
-        loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, title=title or None,
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        borderaxespad=0.0,
+        title=title or None,
         alignment="left",
-    )  # fmt: skip
+    )
 
 
 def legend_above(axes: Any, columns: int = 4) -> None:
     """Legend in one line above the axes."""
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
-        handlelength=1.6, columnspacing=1.4,
-    )  # fmt: skip
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        borderaxespad=0.2,
+        handlelength=1.6,
+        columnspacing=1.4,
+    )

@@ -41,13 +41,19 @@ def probe_figures(
         size = "magnitude" if complex_ else "value"
         panels.append(
             Panel(
-                label, f"{size} in {unit}" if unit else size, curves,
+                label,
+                f"{size} in {unit}" if unit else size,
+                curves,
                 levels=tuple((p.level, n) for n, p in own.items() if p.level is not None),
-                marks=tuple((factor * _place(p, x, shown[p.of]), n) for n, p in own.items()
-                            if p.take in ("argmax", "value")),
-                log_x=log, log_y=complex_ and all((v != 0).all() for v in shown.values()),
+                marks=tuple(
+                    (factor * _place(p, x, shown[p.of]), n)
+                    for n, p in own.items()
+                    if p.take in ("argmax", "value")
+                ),
+                log_x=log,
+                log_y=complex_ and all((v != 0).all() for v in shown.values()),
             )
-        )  # fmt: skip
+        )
     if panels:
         caption = "What the scene's probes look at, over the whole run."
         yield Figure("probes", "Probed results", caption, tuple(panels))

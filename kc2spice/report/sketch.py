@@ -16,9 +16,11 @@ TRACK, BOX = 24.0, 74.0  # between two nets; height of a part
 ORANGE = "#B86E00"
 _FILLS = {"ceramic": "#F3D9A4", "metal": "#D9D9D9", "magnet": "#B8C9E6", "coil": "#E3B7A0"}
 _COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
-_SVG = ('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w:.0f} {h:.0f}" role="img" '
-        'style="max-width:{w:.0f}px;width:100%" font-family="system-ui, \'DejaVu Sans\', '
-        'sans-serif" font-size="11">{body}</svg>')  # fmt: skip
+_SVG = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w:.0f} {h:.0f}" role="img" '
+    'style="max-width:{w:.0f}px;width:100%" font-family="system-ui, \'DejaVu Sans\', '
+    'sans-serif" font-size="11">{body}</svg>'
+)
 
 
 # --- devices ------------------------------------------------------------------------------------
@@ -42,13 +44,17 @@ def devices(scene: Scene) -> str:
     for shape in named:
         x, y = place(shape.x + shape.width / 2 * (0.7 if shape.round else 0.9), shape.y)
         line = max(line + 16, y)
-        items += [_line(x, y, width + 26, line, GREY, 'stroke-width="0.7"'),
-                  _text(width + 30, line + 4, shape.label)]  # fmt: skip
+        items += [
+            _line(x, y, width + 26, line, GREY, 'stroke-width="0.7"'),
+            _text(width + 30, line + 4, shape.label),
+        ]
     longest = max((len(s.label) for s in named), default=0)
     bar = _round(0.25 * (right - left))
     low = max(height, line) + 34
-    items += [_line(10, low, 10 + scale * bar, low, BLACK, 'stroke-width="2"'),
-              _text(10, low - 5, f"{1e3 * bar:g} mm")]  # fmt: skip
+    items += [
+        _line(10, low, 10 + scale * bar, low, BLACK, 'stroke-width="2"'),
+        _text(10, low - 5, f"{1e3 * bar:g} mm"),
+    ]
     return _SVG.format(w=width + 50 + LETTER * longest, h=low + 10, body="".join(items))
 
 
@@ -138,8 +144,10 @@ def _net(
     if net == "0":  # the sign of ground under the box
         for x, _ in ends:
             items.append(_line(x, top + BOX, x, top + BOX + 8, GREY))
-            items += [_line(x - s, top + BOX + y, x + s, top + BOX + y, GREY)
-                      for s, y in ((8, 8), (5, 11), (2, 14))]  # fmt: skip
+            items += [
+                _line(x - s, top + BOX + y, x + s, top + BOX + y, GREY)
+                for s, y in ((8, 8), (5, 11), (2, 14))
+            ]
     elif level is None:
         items += [_line(x, top, x, top - 8, colour) for x, _ in ends]
     else:

@@ -37,9 +37,11 @@ def comparison(
         unit = units.get(wave, "")
         panels.append(Panel(label, f"{wave} in {unit}" if unit else wave, tuple(curves)))
     yield Figure(
-        f"{name}_solutions", f"{title}: solutions over each other",
-        f"Reference (dotted): {first}.", tuple(panels),
-    )  # fmt: skip
+        f"{name}_solutions",
+        f"{title}: solutions over each other",
+        f"Reference (dotted): {first}.",
+        tuple(panels),
+    )
     errors = [
         Curve(f"{n}, {wave}", factor * x, np.maximum(y, FLOOR))
         for n, w in others
@@ -48,9 +50,11 @@ def comparison(
     ]
     panel = Panel(label, f"difference to {first} / largest value", tuple(errors), log_y=True)
     yield Figure(
-        f"{name}_differences", f"{title}: differences",
-        f"Differences to {first}, each over the wave's largest value.", (panel,),
-    )  # fmt: skip
+        f"{name}_differences",
+        f"{title}: differences",
+        f"Differences to {first}, each over the wave's largest value.",
+        (panel,),
+    )
 
 
 def responses(name: str, curves: Solutions) -> Iterator[Figure]:
@@ -62,21 +66,32 @@ def responses(name: str, curves: Solutions) -> Iterator[Figure]:
     panels = []
     for pair in pairs:
         lines = [
-            Curve(label, waves["frequency"].real / 1e3, np.abs(waves[pair]),
-                  "o" if waves["frequency"].size < 60 and len(curves) > 1 else "-")
+            Curve(
+                label,
+                waves["frequency"].real / 1e3,
+                np.abs(waves[pair]),
+                "o" if waves["frequency"].size < 60 and len(curves) > 1 else "-",
+            )
             for label, waves in curves.items()
             if pair in waves
-        ]  # fmt: skip
+        ]
         panels.append(
-            Panel("frequency in kHz", f"|{pair}|", tuple(lines), log_y=True,
-                  span=(0.0, float(last["frequency"].real[-1]) / 1e3))
-        )  # fmt: skip
+            Panel(
+                "frequency in kHz",
+                f"|{pair}|",
+                tuple(lines),
+                log_y=True,
+                span=(0.0, float(last["frequency"].real[-1]) / 1e3),
+            )
+        )
     if panels:
         yield Figure(
-            f"{name}_response", f"{name}: response of the emitted subcircuit",
+            f"{name}_response",
+            f"{name}: response of the emitted subcircuit",
             "Each port's answer to a unit load on itself; points are direct solutions of the full "
-            "model.", tuple(panels),
-        )  # fmt: skip
+            "model.",
+            tuple(panels),
+        )
 
 
 def _chosen(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:

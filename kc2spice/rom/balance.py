@@ -78,8 +78,9 @@ def _balanced(model: Pencil, reached: np.ndarray, seen: np.ndarray) -> Pencil:
     kept = int((size > RANK * size[0]).sum())
     T = reached @ Vt[:kept].T / np.sqrt(size[:kept])
     W = seen @ U[:, :kept] / np.sqrt(size[:kept])
-    return Pencil((W.T @ model.coefficients[0] @ T, np.eye(kept)), W.T @ model.B, model.C @ T,
-                  model.D)  # fmt: skip
+    return Pencil(
+        (W.T @ model.coefficients[0] @ T, np.eye(kept)), W.T @ model.B, model.C @ T, model.D
+    )
 
 
 def _root(gramian: np.ndarray) -> np.ndarray:

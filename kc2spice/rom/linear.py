@@ -62,9 +62,11 @@ class Port:
     def __post_init__(self) -> None:
         if self.kind not in (*CONSERVATIVE, "input", "output"):
             raise UsageError(
-                "unknown kind of port", where=self.name, got=self.kind,
+                "unknown kind of port",
+                where=self.name,
+                got=self.kind,
                 expected=", ".join((*CONSERVATIVE, "input", "output")),
-            )  # fmt: skip
+            )
         across, flow = UNITS.get(self.kind, ("-", "-"))
         object.__setattr__(self, "across", self.across or across)
         object.__setattr__(self, "flow", self.flow or flow)
@@ -168,10 +170,12 @@ class LinearModel:
         if first == (self.K is not None) or first == (self.M is not None):
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
             raise UsageError(
-                "is not a complete model", where=self.name, got=got,
+                "is not a complete model",
+                where=self.name,
+                got=got,
                 expected="M, K, B and as needed E, C, D; E, K, B and as needed C, D; or A, B "
                 "and as needed C, D, E",
-            )  # fmt: skip
+            )
         for letter in "MEKA":
             put(self, letter, _square(getattr(self, letter), letter, self.name))
         put(self, "rayleigh", _rayleigh(self.rayleigh, self.name))
@@ -196,12 +200,14 @@ class LinearModel:
             matrix = getattr(self, letter)
             if matrix is not None and (matrix.shape != shape or 0 in shape):
                 raise UsageError(
-                    f"matrix {letter} does not fit", where=self.name,
+                    f"matrix {letter} does not fit",
+                    where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
                     expected=" x ".join(map(str, shape)) + ", at least one row and column",
                     hint="damping is E; D goes from inputs to outputs without any state"
-                    if letter == "D" and matrix.shape == (n, n) else None,
-                )  # fmt: skip
+                    if letter == "D" and matrix.shape == (n, n)
+                    else None,
+                )
         put(self, "ports", _ports(tuple(self.ports), m, p, self.name))
 
     @property
@@ -291,8 +297,9 @@ class LinearModel:
         known = [p.name for p in self.ports]
         for name in names:
             if name not in known:
-                raise UsageError("no such port", where=self.name, got=name,
-                                 expected=", ".join(known))  # fmt: skip
+                raise UsageError(
+                    "no such port", where=self.name, got=name, expected=", ".join(known)
+                )
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)
@@ -391,18 +398,27 @@ def with_potentials(
     is_electrode = np.array([p.kind == "electrical" for p in ports])
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
-            "ports do not fit", where=name, got=[p.name for p in ports],
+            "ports do not fit",
+            where=name,
+            got=[p.name for p in ports],
             expected=f"{electrodes} electrical and {B.shape[1]} others",
-        )  # fmt: skip
+        )
     count = len(ports)
     drive, D = np.empty((len(B), count)), np.zeros((count, count))
     drive[:, is_electrode], drive[:, ~is_electrode] = b, B
     D[np.ix_(is_electrode, is_electrode)] = 0.5 * (C0 + C0.T)
     rayleigh = (alpha, beta) if E is None else None
     return LinearModel(
-        M=M, E=E, K=K, B=drive, D=D, ports=tuple(ports), rayleigh=rayleigh, facts=facts or {},
+        M=M,
+        E=E,
+        K=K,
+        B=drive,
+        D=D,
+        ports=tuple(ports),
+        rayleigh=rayleigh,
+        facts=facts or {},
         name=name,
-    )  # fmt: skip
+    )
 
 
 def negated(matrix: Matrix) -> Matrix:
@@ -429,10 +445,12 @@ def _rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
         alpha, beta = (float(value) for value in pair)
     except (TypeError, ValueError):
         raise UsageError(
-            "not the pair of Rayleigh's damping", where=f"{where}: rayleigh", got=repr(pair),
+            "not the pair of Rayleigh's damping",
+            where=f"{where}: rayleigh",
+            got=repr(pair),
             expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
             hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
-        ) from None  # fmt: skip
+        ) from None
     return alpha, beta
 
 
@@ -440,9 +458,11 @@ def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, .
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
-            "not a port", where=f"{where}: ports", got=repr(strange),
+            "not a port",
+            where=f"{where}: ports",
+            got=repr(strange),
             expected='kc2spice.Port(NAME, KIND), such as Port("tip", "mechanical")',
-        )  # fmt: skip
+        )
     if not ports:
         names = [(f"u{i + 1}", "input") for i in range(m)]
         names += [(f"y{i + 1}", "output") for i in range(p)]
@@ -452,10 +472,11 @@ def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, .
     low = [port.name.lower() for port in ports]
     if (columns, rows) != (m, p) or len(set(low)) < len(low):
         raise UsageError(
-            "ports do not fit", where=where,
+            "ports do not fit",
+            where=where,
             got=", ".join(f"{port.name} ({port.kind})" for port in ports),
             expected=f"{m} columns of B and {p} rows of C, each name once",
-        )  # fmt: skip
+        )
     return ports
 
 
@@ -479,9 +500,11 @@ def _array(values: Matrix, letter: str, where: str) -> np.ndarray:
     _finite(plain, letter, where)
     if plain.ndim != 2:
         raise UsageError(
-            f"matrix {letter} has {plain.ndim} dimensions", where=where, expected="2 dimensions",
+            f"matrix {letter} has {plain.ndim} dimensions",
+            where=where,
+            expected="2 dimensions",
             hint="rayleigh = (alpha, beta) damps by two numbers" if letter == "E" else None,
-        )  # fmt: skip
+        )
     return np.ascontiguousarray(plain, dtype=float)
 
 
@@ -490,7 +513,8 @@ def _finite(matrix: Matrix, letter: str, where: str) -> None:
     data = matrix if dense else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
         raise UsageError(
-            f"matrix {letter} cannot be used", where=where,
+            f"matrix {letter} cannot be used",
+            where=where,
             got="complex numbers" if data.dtype.kind == "c" else f"{data.dtype}, NaN or infinity",
             expected="real, finite numbers",
-        )  # fmt: skip
+        )

@@ -56,8 +56,10 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
             more = dict(above_band(model.ports, exact, light, band))
             above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
-            return replace(found, certificate=replace(certificate, error_estimate=error,
-                                                      method=method, above=above))  # fmt: skip
+            return replace(
+                found,
+                certificate=replace(certificate, error_estimate=error, method=method, above=above),
+            )
     return model
 
 
@@ -80,8 +82,9 @@ def _relaxing(model: Resonators, count: int) -> Resonators:
         if port.kind == "electrical" and own <= 0:
             raise UsageError(
                 "an electrode without capacitance of its own on a body with a massless contact",
-                where=port.name, hint='set contact.inertia = "lumped"',
-            )  # fmt: skip
+                where=port.name,
+                hint='set contact.inertia = "lumped"',
+            )
     order = np.argsort(model.omega)
     low, high = order[:-count], order[-count:]
     omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
@@ -94,6 +97,11 @@ def _relaxing(model: Resonators, count: int) -> Resonators:
         damp, gain = pace[0] * omega**2, omega[:, None] * size[kept, None] * shapes[kept]
         gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(
-        np.r_[model.omega[low], omega], np.r_[model.damp[low], damp],
-        np.vstack([model.gain[low], gain]), model.D, model.ports, None, omega.size,
-    )  # fmt: skip
+        np.r_[model.omega[low], omega],
+        np.r_[model.damp[low], damp],
+        np.vstack([model.gain[low], gain]),
+        model.D,
+        model.ports,
+        None,
+        omega.size,
+    )

@@ -52,9 +52,14 @@ class Resonators:
     def linear(self) -> LinearModel:
         """The same model as matrices; :func:`resonators` takes it back to the bit."""
         return LinearModel(
-            M=np.diag(self.inertia), E=np.diag(self.damp), K=np.diag(self.omega**2), B=self.gain,
-            D=self.D, ports=self.ports, certificate=self.certificate,
-        )  # fmt: skip
+            M=np.diag(self.inertia),
+            E=np.diag(self.damp),
+            K=np.diag(self.omega**2),
+            B=self.gain,
+            D=self.D,
+            ports=self.ports,
+            certificate=self.certificate,
+        )
 
 
 def resonators(rom: LinearModel) -> Resonators:
@@ -74,9 +79,14 @@ def resonators(rom: LinearModel) -> Resonators:
     diagonal = np.array_equal(M, form) and all(np.array_equal(P, P * one) for P in (E, K))
     if diagonal and (np.diag(K) > 0).all():
         return Resonators(
-            np.sqrt(np.diag(K)), np.diag(E).copy(), rom.B, rom.D, rom.ports, rom.certificate,
+            np.sqrt(np.diag(K)),
+            np.diag(E).copy(),
+            rom.B,
+            rom.D,
+            rom.ports,
+            rom.certificate,
             massless,
-        )  # fmt: skip
+        )
     try:
         mu, phi = scipy.linalg.eigh(M, K)
     except np.linalg.LinAlgError:
@@ -90,9 +100,10 @@ def resonators(rom: LinearModel) -> Resonators:
     coupling = np.abs(damping - np.diag(damp)) / scale
     if coupling.max(initial=0.0) > COUPLING_LIMIT:
         raise _unfit(
-            "damping couples the modes", "damping proportional to mass and stiffness",
+            "damping couples the modes",
+            "damping proportional to mass and stiffness",
             f"relative coupling {coupling.max():.1e}",
-        )  # fmt: skip
+        )
     gain = phi.T @ rom.B
     # A mode has no sign of its own; this one makes the same model the same netlist everywhere.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]

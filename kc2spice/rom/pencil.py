@@ -24,7 +24,7 @@ from kc2spice.rom.operators import (
     scaled,
     symmetric,
     two_sided,
-)  # fmt: skip
+)
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10

@@ -95,9 +95,11 @@ def reduce(
         raise UsageError("give either a tolerance or an order", where="reduction")
     if tolerance is not None and not LOWEST <= tolerance < 1:
         raise UsageError(
-            "not a tolerance that can be certified", where="tolerance", got=tolerance,
+            "not a tolerance that can be certified",
+            where="tolerance",
+            got=tolerance,
             expected=f"between {LOWEST:g} and 1; less is out of reach of double precision",
-        )  # fmt: skip
+        )
     if order is not None and order < 1:
         raise UsageError("not an order", where="order", got=order, expected="1 or more")
     if norm not in get_args(Norm):
@@ -127,23 +129,29 @@ def reduce(
     method = certificate.method
     if not full.stable or full.proof != FORM:
         method += f"; stability of the full model from {full.proof}"
-    known = replace(certificate, method=method, stable=stable,
-                    passive=certificate.passive and full.passive)  # fmt: skip
+    known = replace(
+        certificate, method=method, stable=stable, passive=certificate.passive and full.passive
+    )
     return replace(found, certificate=known)
 
 
 def _reduced(
-    model: LinearModel, pencil: Pencil, band: tuple[float, float], tolerance: float | None,
-    order: int | None, norm: Norm,
-) -> LinearModel:  # fmt: skip
+    model: LinearModel,
+    pencil: Pencil,
+    band: tuple[float, float],
+    tolerance: float | None,
+    order: int | None,
+    norm: Norm,
+) -> LinearModel:
     if order is not None and is_definite(pencil):
         return _krylov(model, pencil, band, order, norm)
     target = FIXED_ORDER_TARGET if tolerance is None else max(MARGIN * tolerance, 0.1 * LOWEST)
     limit = np.inf if tolerance is None else 0.5 * tolerance
     space = subspace(pencil, band, target, limit)
     sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
-    found = [replace(ordered(model, space, band, two_sided, tolerance), norm=norm)
-             for two_sided in sides]  # fmt: skip
+    found = [
+        replace(ordered(model, space, band, two_sided, tolerance), norm=norm) for two_sided in sides
+    ]
     if order is None:
         assert tolerance is not None
         within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
@@ -169,9 +177,11 @@ def _reduced(
         return result
     if order > max(each.size for each in found):
         raise UsageError(
-            "no model of this order", where="--order", got=order,
+            "no model of this order",
+            where="--order",
+            got=order,
             expected=f"1 to {max(each.size for each in found)}",
-        )  # fmt: skip
+        )
     return min((each for each in found if order <= each.size), key=lambda r: r.error(order)).model(
         order
     )
@@ -312,11 +322,12 @@ class Reduction:
         high = next((order for order in fewer if good(order)), None)
         if high is None:
             raise SimulationError(
-                "the tolerance is out of reach", where="reduction",
+                "the tolerance is out of reach",
+                where="reduction",
                 got=f"estimate {min(map(self.error, fewer)):.1e} with up to {self.size} states",
                 expected=f"at most {tolerance:g}",
                 hint="ask for a larger tolerance or a narrower band",
-            )  # fmt: skip
+            )
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (low, middle) if good(middle) else (middle, high)
@@ -336,9 +347,15 @@ class Reduction:
 
 
 def _certified(
-    model: LinearModel, reduced: Pencil, larger: Response, band: tuple[float, float], error: float,
-    method: str, found: Structure, norm: Norm,
-) -> LinearModel:  # fmt: skip
+    model: LinearModel,
+    reduced: Pencil,
+    larger: Response,
+    band: tuple[float, float],
+    error: float,
+    method: str,
+    found: Structure,
+    norm: Norm,
+) -> LinearModel:
     above = above_band(model.ports, larger, Response(reduced), band)
     ratio = larger.within(band)[1].min(initial=1.0)
     if ratio < SHARPEST:
@@ -348,13 +365,26 @@ def _certified(
         band, max(error, rounding), method, found.stable, found.passive, above, norm
     )
     rest, *others = reduced.coefficients
-    letters = {"A": -rest, "E": others[0]} if reduced.degree == 1 else {
-        "K": rest, "E": others[0], "M": others[1],
-    }  # fmt: skip
+    letters = (
+        {"A": -rest, "E": others[0]}
+        if reduced.degree == 1
+        else {
+            "K": rest,
+            "E": others[0],
+            "M": others[1],
+        }
+    )
     result = LinearModel(
-        **letters, B=reduced.B, C=reduced.C, D=reduced.D, ports=model.ports,
-        certificate=certificate, facts=model.facts, name=model.name, band=band,
-    )  # fmt: skip
+        **letters,
+        B=reduced.B,
+        C=reduced.C,
+        D=reduced.D,
+        ports=model.ports,
+        certificate=certificate,
+        facts=model.facts,
+        name=model.name,
+        band=band,
+    )
     result.state_space()  # refuses what no netlist can hold before it is certified
     return result
 
@@ -389,9 +419,12 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
 
 
 def ordered(
-    model: LinearModel, space: Subspace, band: tuple[float, float], two_sided: bool,
+    model: LinearModel,
+    space: Subspace,
+    band: tuple[float, float],
+    two_sided: bool,
     tolerance: float | None,
-) -> Reduction:  # fmt: skip
+) -> Reduction:
     """Order the directions of the subspace by what they contribute to the response."""
     whole = space.response
     basis = _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
@@ -434,9 +467,12 @@ def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
 
 
 def _snapshots(
-    response: Response, band: tuple[float, float], static: bool, conservative: bool,
+    response: Response,
+    band: tuple[float, float],
+    static: bool,
+    conservative: bool,
     tolerance: float | None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [Hz] and their weights: the band, its resonances and, where contact may act, a
     tail above the band; a basis fitted to the band alone is erratic there."""
     frequency = grid(band, FIT, static)

@@ -121,10 +121,12 @@ def sampled(
             break
     if not max(recent) <= limit:
         raise SimulationError(
-            "the model cannot be told from rounding", where="reduction",
+            "the model cannot be told from rounding",
+            where="reduction",
             got=f"relative error {max(recent):.1e} with {model.size} states",
-            expected=f"at most {limit:.1e}", hint="ask for a looser tolerance or a narrower band",
-        )  # fmt: skip
+            expected=f"at most {limit:.1e}",
+            hint="ask for a looser tolerance or a narrower band",
+        )
     return model, max(recent), len(samples.frequency)
 
 

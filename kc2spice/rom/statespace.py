@@ -44,9 +44,10 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     q = len(M)
     if _singular(M, M):
         raise UsageError(
-            "the mass matrix is singular and not symmetric", where="state space",
+            "the mass matrix is singular and not symmetric",
+            where="state space",
             expected="a regular or a symmetric positive semi-definite M",
-        )  # fmt: skip
+        )
     inner = scipy.linalg.solve(M, np.hstack([K, E, B]))
     zero = np.zeros((q, q))
     A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
@@ -55,9 +56,14 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
 
 
 def _modal(
-    M: np.ndarray, E: np.ndarray, K: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
+    M: np.ndarray,
+    E: np.ndarray,
+    K: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    D: np.ndarray,
     omega: float,
-) -> ABCD:  # fmt: skip
+) -> ABCD:
     """States ``w z`` and ``z'`` of mass-normalised coordinates; modes of a symmetric K."""
     T, stiffness = _mass_normal(M, K, omega)
     K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T
@@ -95,9 +101,14 @@ def _mass_normal(
 
 
 def _massless(
-    M: np.ndarray, E: np.ndarray, K: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
+    M: np.ndarray,
+    E: np.ndarray,
+    K: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    D: np.ndarray,
     omega: float,
-) -> ABCD:  # fmt: skip
+) -> ABCD:
     """Coordinates without mass: damped ones are first order, the others are eliminated."""
     mass, V = scipy.linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
@@ -121,16 +132,20 @@ def _massless(
     h = heavy.shape[1]
     K, E, B, C, m = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T, mass[~none]
     # x = [heavy * omega; heavy'; light]
-    left = np.block([
-        [np.eye(h), np.zeros((h, len(T.T)))],
-        [np.zeros((h, h)), np.diag(m), E[:h, h:]],
-        [np.zeros((len(K) - h, 2 * h)), E[h:, h:]],
-    ])  # fmt: skip
-    right = np.block([
-        [np.zeros((h, h)), omega * np.eye(h), np.zeros((h, len(K) - h))],
-        [-K[:h, :h] / omega, -E[:h, :h], -K[:h, h:]],
-        [-K[h:, :h] / omega, -E[h:, :h], -K[h:, h:]],
-    ])  # fmt: skip
+    left = np.block(
+        [
+            [np.eye(h), np.zeros((h, len(T.T)))],
+            [np.zeros((h, h)), np.diag(m), E[:h, h:]],
+            [np.zeros((len(K) - h, 2 * h)), E[h:, h:]],
+        ]
+    )
+    right = np.block(
+        [
+            [np.zeros((h, h)), omega * np.eye(h), np.zeros((h, len(K) - h))],
+            [-K[:h, :h] / omega, -E[:h, :h], -K[:h, h:]],
+            [-K[h:, :h] / omega, -E[h:, :h], -K[h:, h:]],
+        ]
+    )
     drive = np.vstack([np.zeros((h, B.shape[1])), B])
     read = np.hstack([C[:, :h] / omega, np.zeros((len(C), h)), C[:, h:]])
     return _first_order(left, right, drive, read, D)

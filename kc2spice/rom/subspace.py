@@ -38,7 +38,7 @@ from kc2spice.rom.response import (
     grid,
     relative_size,
     telling,
-)  # fmt: skip
+)
 from kc2spice.rom.sampled import sampled, uncertainty
 from kc2spice.rom.structure import dissipative
 
@@ -163,8 +163,9 @@ def _told(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     if size[worst] > tolerance:
         warnings.warn(
             f"{text}: so far the last digits of the given matrices move it; they are reduced as "
-            "they are given", stacklevel=2,
-        )  # fmt: skip
+            "they are given",
+            stacklevel=2,
+        )
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
 
 
@@ -190,10 +191,12 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     error = _solution_error(response, band, static)
     if error > limit:
         raise SimulationError(
-            "the full model itself is not that accurate", where="reduction",
-            got=f"two direct solutions differ by {error:.1e}", expected=f"at most {limit:.1e}",
-            hint="ask for a looser tolerance; other units or fewer elements may condition it better"
-        )  # fmt: skip
+            "the full model itself is not that accurate",
+            where="reduction",
+            got=f"two direct solutions differ by {error:.1e}",
+            expected=f"at most {limit:.1e}",
+            hint="ask for a looser tolerance; other units or fewer elements may help",
+        )
     proof = f"being all of the full model, solved to {error:.0e}"
     if T is not None:
         proof += _own_uncertainty(given, T, response, band, 2 * limit)
@@ -528,9 +531,7 @@ class _Sketch:
 
     def residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Largest relative residual of all right-hand sides at each ``s``."""
-        product = sum(
-            s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images)
-        )  # fmt: skip
+        product = sum(s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images))
         size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny
         return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
 

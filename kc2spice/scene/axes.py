@@ -147,8 +147,11 @@ def _alone(part: Part, scene: Scene) -> bool:
 def _axis(name: str, value: float, declared: FieldInfo) -> Axis:
     notch = _notch(declared)
     assert notch is not None
-    bounds: dict[type, float] = {type(m): getattr(m, type(m).__name__.lower())
-              for m in declared.metadata if isinstance(m, (Ge, Le, Lt))}  # fmt: skip
+    bounds: dict[type, float] = {
+        type(m): getattr(m, type(m).__name__.lower())
+        for m in declared.metadata
+        if isinstance(m, (Ge, Le, Lt))
+    }
     low, high = bounds.get(Ge, 0.0), bounds.get(Le, bounds.get(Lt, float("inf")) / 2)
     if notch.factor < 1 and notch.finest:
         low = min(notch.finest, value)

@@ -16,9 +16,12 @@ def problems(scene: Scene) -> Iterator[UsageError]:
     """Every violated condition, with the dotted key in ``where``."""
     if not scene.parts:
         yield UsageError(
-            "a scene without parts", where="name", got=scene.name, expected="at least one table "
-            "with part = TYPE", hint="kc2spice scenes lists scenes to start from",
-        )  # fmt: skip
+            "a scene without parts",
+            where="name",
+            got=scene.name,
+            expected="at least one table with part = TYPE",
+            hint="kc2spice scenes lists scenes to start from",
+        )
         return
     for part in scene.parts.values():
         yield from part.type.problems(part, scene)
@@ -39,9 +42,11 @@ def _settings(scene: Scene) -> Iterator[UsageError]:
         yield UsageError("empty band", where="rom.band", got=got, expected="0 <= low < high")
     if scene.include and not any(part.type.uses_netlists(part) for part in scene.parts.values()):
         yield UsageError(
-            "nothing uses these netlists", where="include", got=", ".join(scene.include),
+            "nothing uses these netlists",
+            where="include",
+            got=", ".join(scene.include),
             expected="a part that names a subcircuit out of them",
-        )  # fmt: skip
+        )
 
 
 def _analysis(scene: Scene) -> Iterator[UsageError]:
@@ -57,17 +62,20 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
     points = 0.0 if step is None else scene.stop / step
     if points > MOST_POINTS:
         yield UsageError(
-            "more time points than a run may have", where="solver.max_step",
+            "more time points than a run may have",
+            where="solver.max_step",
             got=f"{scene.stop:g} s in steps of {solver.max_step:g} s: {points:.2g} points",
             expected=f"at most {MOST_POINTS:g}",
             hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
-        )  # fmt: skip
+        )
     if chosen.type != "dc" and chosen.sweep is not None:
         yield UsageError(
-            "only dc sweeps a key", where="analysis.sweep", got=f"{chosen.type} and a sweep",
+            "only dc sweeps a key",
+            where="analysis.sweep",
+            got=f"{chosen.type} and a sweep",
             expected='type = "dc", or no sweep',
             hint="kc2spice sweep SCENE --set KEY=FROM:TO:POINTS runs an analysis at each value",
-        )  # fmt: skip
+        )
     if chosen.type == "ac" and not chosen.start < (chosen.stop or 0.0):
         yield UsageError(
             "empty frequency range",
@@ -77,31 +85,41 @@ def _analysis(scene: Scene) -> Iterator[UsageError]:
         )
     if chosen.type == "ac" and chosen.scale == "log" and chosen.start <= 0:
         yield UsageError(
-            "a logarithmic range cannot begin at zero", where="analysis.start",
-            got=f"{chosen.start:g} Hz", expected='above 0, or scale = "linear"',
-        )  # fmt: skip
+            "a logarithmic range cannot begin at zero",
+            where="analysis.start",
+            got=f"{chosen.start:g} Hz",
+            expected='above 0, or scale = "linear"',
+        )
     if chosen.type == "dc":
         name, _, _ = (chosen.sweep or "").partition(".")
         if name not in scene.parts:
             yield UsageError(
-                "dc sweeps a key of a part", where="analysis.sweep", got=repr(chosen.sweep),
+                "dc sweeps a key of a part",
+                where="analysis.sweep",
+                got=repr(chosen.sweep),
                 expected="PART.KEY with a part of the scene: " + ", ".join(scene.parts),
-            )  # fmt: skip
+            )
     for name, probe in scene.probes.items():
         if (probe.take == "value") != (probe.at is not None):
             yield UsageError(
-                "at goes with a value", where=f"probes.{name}", got=f"take = {probe.take!r}",
+                "at goes with a value",
+                where=f"probes.{name}",
+                got=f"take = {probe.take!r}",
                 expected='take = "value" and at, or neither',
-            )  # fmt: skip
+            )
         ends = {"ac": (chosen.start, chosen.stop or 0.0), "transient": (0.0, scene.stop)}
         first, last = ends.get(chosen.type, (-inf, inf))
         if probe.at is not None and not first <= probe.at <= last:
             yield UsageError(
-                "outside the analysis", where=f"probes.{name}.at", got=f"{probe.at:g}",
+                "outside the analysis",
+                where=f"probes.{name}.at",
+                got=f"{probe.at:g}",
                 expected=f"{first:g} … {last:g} {'Hz' if chosen.type == 'ac' else 's'}",
-            )  # fmt: skip
+            )
         if (probe.take == "crossing") != (probe.level is not None):
             yield UsageError(
-                "level goes with crossing", where=f"probes.{name}", got=f"take = {probe.take!r}",
+                "level goes with crossing",
+                where=f"probes.{name}",
+                got=f"take = {probe.take!r}",
                 expected='take = "crossing" and a level, or neither',
-            )  # fmt: skip
+            )

@@ -99,8 +99,9 @@ def _target(target: str, terminals: Mapping[Pin, Terminal], where: str, scene: S
     else:
         expected = "gnd or PART.PIN with a part of the scene: " + ", ".join(scene.parts)
     near = did_you_mean(pin, pins) if pins else did_you_mean(name, scene.parts)
-    raise UsageError("no such pin to join", where=where, got=repr(target), expected=expected,
-                     hint=near)  # fmt: skip
+    raise UsageError(
+        "no such pin to join", where=where, got=repr(target), expected=expected, hint=near
+    )
 
 
 def _same_kind(a: Pin, b: Pin, terminals: Mapping[Pin, Terminal], where: str) -> None:
@@ -136,9 +137,11 @@ def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
         first = seen.setdefault((name, pin.lower()), pin)
         if first != pin:
             raise UsageError(
-                "two pins whose names differ in case only", where=name, got=f"{first} and {pin}",
+                "two pins whose names differ in case only",
+                where=name,
+                got=f"{first} and {pin}",
                 expected="names that differ: netlists do not tell case apart",
-            )  # fmt: skip
+            )
 
 
 def _names(union: _Union, terminals: Mapping[Pin, Terminal]) -> dict[Pin, str]:
@@ -253,11 +256,12 @@ def _across_nothing(scene: Scene, terminals: Mapping[Pin, Terminal]) -> None:
         net = scene.nets[name, first]
         if a.kind == b.kind and net == scene.nets[name, second]:
             raise UsageError(
-                "both ends are on one net", where=f"{name}.pins.{first}",
+                "both ends are on one net",
+                where=f"{name}.pins.{first}",
                 got=f"{name}.{first} and {name}.{second} on {'gnd' if net == '0' else net}",
                 expected="two nets",
                 hint=f'join one of them elsewhere: pins = {{ {first} = "part.pin" }}',
-            )  # fmt: skip
+            )
 
 
 def _source_loops(scene: Scene) -> None:

@@ -110,9 +110,11 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         for name, table in part.type.expand(part, data).items():
             if name.lower() in map(str.lower, parts):
                 raise UsageError(
-                    "this name is taken", where=source.where((name,)), got=name,
+                    "this name is taken",
+                    where=source.where((name,)),
+                    got=name,
                     expected=f"another name: {part.name} brings a part of this one along",
-                )  # fmt: skip
+                )
             own, at = dict(table), tuple(table.get("at", (name,)))
             own.pop("at", None)
             parts[name] = _part(name, own, _type(name, own, source), source, at)
@@ -149,17 +151,20 @@ def _driven(scene: Scene, source: _Source) -> Scene:
     if scene.analysis.type != "ac" or any(p.type.excites(p, scene) for p in parts.values()):
         return scene
     bodies = (part for part in parts.values() if part.type.reduced)
-    electrical = ([f"{part.name}.{pin.name}" for pin in part.type.every_pin(part, scene)
-                   if pin.unit == "V"] for part in bodies)  # fmt: skip
+    electrical = (
+        [f"{part.name}.{pin.name}" for pin in part.type.every_pin(part, scene) if pin.unit == "V"]
+        for part in bodies
+    )
     ports = [found[0] for found in electrical if found]
     free = [port for port in ports if not _joined(port, scene)]
     if len(ports) != 1 or not free:
         raise UsageError(
-            "nothing drives this analysis", where="analysis.type",
+            "nothing drives this analysis",
+            where="analysis.type",
             got="ac, and no source with an ac value",
-            expected='a source with ac = "1 V"' + (f' at {", ".join(ports)}' if ports else ""),
+            expected='a source with ac = "1 V"' + (f" at {', '.join(ports)}" if ports else ""),
             hint="a body whose electrical port nothing is joined to is driven by 1 V",
-        )  # fmt: skip
+        )
     body = free[0].partition(".")[0]
     name = allocated([(body, f"{body}_drive")], {each.lower() for each in parts})[body]
     table = {"part": "source", "ac": "1 V", "pins": {"out": free[0]}}
@@ -181,26 +186,34 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
             continue
         if not isinstance(table, Mapping) and name in SHORT:
             raise UsageError(
-                "not a table", where=source.where((name,)), got=_shown(table),
+                "not a table",
+                where=source.where((name,)),
+                got=_shown(table),
                 expected=f"a table, [{name}]",
-            )  # fmt: skip
+            )
         if not isinstance(table, Mapping):
             near = did_you_mean(name, Frame.model_fields)
             near = near or did_you_mean(name, [key.name for key in scene_keys()])
             raise UsageError(
-                "unknown key", where=source.where((name,)), hint=near,
+                "unknown key",
+                where=source.where((name,)),
+                hint=near,
                 expected=", ".join(Frame.model_fields) + ", or a table with part = TYPE",
-            )  # fmt: skip
+            )
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
-                "not a name for a part", where=source.where((name,)), got=repr(_short(name)),
+                "not a name for a part",
+                where=source.where((name,)),
+                got=repr(_short(name)),
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
-            )  # fmt: skip
+            )
         if name.lower() in taken:
             raise UsageError(
-                "two parts whose names differ in case only", where=source.where((name,)),
-                got=f"{taken[name.lower()]} and {name}", expected="netlists do not tell case apart",
-            )  # fmt: skip
+                "two parts whose names differ in case only",
+                where=source.where((name,)),
+                got=f"{taken[name.lower()]} and {name}",
+                expected="netlists do not tell case apart",
+            )
         taken[name.lower()] = name
         yield name, table
 
@@ -218,10 +231,12 @@ def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
     found = part_type(chosen) if isinstance(chosen, str) else None
     if found is None:
         raise UsageError(
-            "unknown part type", where=source.where((name, "part")), got=_shown(chosen),
+            "unknown part type",
+            where=source.where((name, "part")),
+            got=_shown(chosen),
             expected="one of " + ", ".join(type_names()),
             hint=did_you_mean(str(chosen), type_names()),
-        )  # fmt: skip
+        )
     return found
 
 
@@ -236,9 +251,11 @@ def _part(
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise UsageError(
-            "pins is no table of names", where=source.where((name, "pins")), got=_short(repr(pins)),
+            "pins is no table of names",
+            where=source.where((name, "pins")),
+            got=_short(repr(pins)),
             expected='pins = { PIN = "part.pin" } or "gnd"',
-        )  # fmt: skip
+        )
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
     keys = _completed(keys, kind.schema)
     try:

@@ -221,14 +221,17 @@ class Scene:
         found = self.of(kind)
         if not found:
             raise UsageError(
-                f"{part.name} needs this part", where=table,
+                f"{part.name} needs this part",
+                where=table,
                 hint=f"add [{table}]; an empty table takes the defaults",
-            )  # fmt: skip
+            )
         if len(found) > 1:
             raise UsageError(
-                f"{part.name} needs to know which {kind} is meant", where=f"{part.name}.{key}",
-                got=", ".join(each.name for each in found), expected=f"{key or 'one'} = NAME",
-            )  # fmt: skip
+                f"{part.name} needs to know which {kind} is meant",
+                where=f"{part.name}.{key}",
+                got=", ".join(each.name for each in found),
+                expected=f"{key or 'one'} = NAME",
+            )
         return found[0]
 
     def named(self, part: str, pin: str) -> bool:

@@ -43,10 +43,15 @@ def part_docs() -> Iterator[PartDoc]:
             scene_name, part, scene = shown[name]
             pins = kind.every_pin(part, scene)
         yield PartDoc(
-            name, kind.title, " ".join((kind.schema.__doc__ or "").split()), pins,
-            tuple(model_keys(kind.schema)), kind.example.strip(), scene_name,
+            name,
+            kind.title,
+            " ".join((kind.schema.__doc__ or "").split()),
+            pins,
+            tuple(model_keys(kind.schema)),
+            kind.example.strip(),
+            scene_name,
             (SHORT[name],) if name in SHORT else (),
-        )  # fmt: skip
+        )
 
 
 def _pins(scene: Scene, kind: PartType) -> tuple[Terminal, ...]:

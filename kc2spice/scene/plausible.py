@@ -50,9 +50,12 @@ def within(
     """The error for a value outside ``low`` to ``high``, with the physical reason; else nothing."""
     if not low <= value <= high:
         yield UsageError(
-            f"hardly exists: {why}", where=where, got=f"{value:.4g} {unit}",
-            expected=f"{low:g} to {high:g} {unit}", hint=_meant(value, unit, low, high),
-        )  # fmt: skip
+            f"hardly exists: {why}",
+            where=where,
+            got=f"{value:.4g} {unit}",
+            expected=f"{low:g} to {high:g} {unit}",
+            hint=_meant(value, unit, low, high),
+        )
 
 
 def _meant(value: float, unit: str, low: float, high: float) -> str | None:
@@ -90,14 +93,22 @@ def layers(
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
     for k, (width, thickness, ceramic) in enumerate(rows):
         yield from within(
-            f"{where}.{k}.thickness", thickness, "m", 0.0, FLAT * width,
+            f"{where}.{k}.thickness",
+            thickness,
+            "m",
+            0.0,
+            FLAT * width,
             f"no layer is more than {FLAT:g} times as thick as it is wide",
-        )  # fmt: skip
+        )
         if plate and ceramic and metal:
             yield from within(
-                f"{where}.{k}.diameter", width, "m", 0.0, OVERHANG * metal,
+                f"{where}.{k}.diameter",
+                width,
+                "m",
+                0.0,
+                OVERHANG * metal,
                 "ceramic that is wider than its plate breaks off",
-            )  # fmt: skip
+            )
 
 
 def drives(scene: Scene) -> Iterator[UsageError]:
@@ -113,9 +124,12 @@ def drives(scene: Scene) -> Iterator[UsageError]:
             told = f"{peak:.4g} V at {body.name}, whose ceramic stands {limit:.4g} V"
             if peak > BREAKDOWN * limit:
                 yield UsageError(
-                    "the ceramic depolarises or breaks down", where=name, got=told,
-                    expected=f"at most {limit:.4g} V", hint=_volts(peak, limit),
-                )  # fmt: skip
+                    "the ceramic depolarises or breaks down",
+                    where=name,
+                    got=told,
+                    expected=f"at most {limit:.4g} V",
+                    hint=_volts(peak, limit),
+                )
             elif peak > limit:
                 warnings.warn(f"{name}: {told}: it may depolarise", stacklevel=2)
             elif 0.0 < peak < WHISPER * limit:
@@ -154,8 +168,9 @@ def built(build: Build) -> Iterator[UsageError]:
         for rule in RULES:
             for fact in rule.keys:
                 if fact in facts:
-                    yield from within(part.name, facts[fact], rule.unit, rule.low, rule.high,
-                                      rule.why)  # fmt: skip
+                    yield from within(
+                        part.name, facts[fact], rule.unit, rule.low, rule.high, rule.why
+                    )
 
 
 def judged(found: Iterable[UsageError], action: str) -> Iterator[UsageError]:

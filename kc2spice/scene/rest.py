@@ -36,9 +36,10 @@ def free(build: Build) -> tuple[Free, ...]:
     """
     scene = build.scene
     pairs = [
-        pair for part in scene.parts.values()
+        pair
+        for part in scene.parts.values()
         for pair in _named(part, part.type.holds(part, scene, build.model(part)), scene)
-    ]  # fmt: skip
+    ]
     found = _groups(_moving(scene), pairs)
     return tuple(_free(group, scene) for group in found if "0" not in group)
 
@@ -46,9 +47,10 @@ def free(build: Build) -> tuple[Free, ...]:
 def rigid(scene: Scene) -> list[frozenset[str]]:
     """Nets whose displacements ideal sources tie to each other; alone where nothing does."""
     pairs = [
-        pair for part in scene.parts.values()
+        pair
+        for part in scene.parts.values()
         for pair in _named(part, part.type.prescribes(part), scene)
-    ]  # fmt: skip
+    ]
     return _groups(_moving(scene), pairs)
 
 
@@ -60,23 +62,29 @@ def without_equilibrium(build: Build) -> Iterator[UsageError]:
         by = ", ".join(group.pushed)
         if kind in ("op", "dc"):
             yield UsageError(
-                f"nothing holds {named}: it has no operating point", where=named,
+                f"nothing holds {named}: it has no operating point",
+                where=named,
                 got=f"analysis {kind}" + (f", pushed by {by}" if by else ""),
                 expected=HELD,
                 hint='analysis.type = "transient" lets it move',
-            )  # fmt: skip
+            )
         elif by and kind == "ac":
             yield UsageError(
                 f"nothing holds {named} against a constant force: there is no point at rest to "
-                "linearise about", where=named, got=f"pushed by {by}",
-                expected=f"no constant force, or {HELD}", hint="ac = … without dc; weight = false",
-            )  # fmt: skip
+                "linearise about",
+                where=named,
+                got=f"pushed by {by}",
+                expected=f"no constant force, or {HELD}",
+                hint="ac = … without dc; weight = false",
+            )
         elif by and group.bodies:
             yield UsageError(
                 f"nothing holds {named} against a constant force at t = 0: a transient cannot "
-                "begin at rest", where=named, got=f"pushed by {by}",
+                "begin at rest",
+                where=named,
+                got=f"pushed by {by}",
                 expected="a force that is zero at t = 0, such as a pulse, or a support",
-            )  # fmt: skip
+            )
 
 
 def _moving(scene: Scene) -> dict[str, str]:
@@ -109,16 +117,20 @@ def _groups(nets: Mapping[str, str], pairs: list[tuple[str, str]]) -> list[froze
 
 def _free(group: frozenset[str], scene: Scene) -> Free:
     ends = {
-        (part.name, pin.name) for part in scene.parts.values()
-        for pin in part.type.pins(part, scene) if pin.moving
-    }  # fmt: skip
-    names = dict.fromkeys(n for (n, pin), net in scene.nets.items()
-                          if net in group and (n, pin) in ends)  # fmt: skip
+        (part.name, pin.name)
+        for part in scene.parts.values()
+        for pin in part.type.pins(part, scene)
+        if pin.moving
+    }
+    names = dict.fromkeys(
+        n for (n, pin), net in scene.nets.items() if net in group and (n, pin) in ends
+    )
     parts = {name: scene.parts[name] for name in names}
     pushed = tuple(
-        name for name, part in parts.items()
+        name
+        for name, part in parts.items()
         if any(scene.nets[name, pin] in group for pin in part.type.pushes(part, scene))
-    )  # fmt: skip
+    )
     bodies = tuple(name for name, part in parts.items() if part.type.reduced)
     nets = tuple(n for n, unit in _moving(scene).items() if n in group and unit == "um")
     heavy = tuple(name for name, part in parts.items() if part.type.heavy)

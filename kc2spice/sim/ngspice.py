@@ -80,16 +80,21 @@ def _version(path: str) -> str:
     """
     try:
         done = subprocess.run(
-            [path, "--version"], capture_output=True, check=False, timeout=ANSWERS,
+            [path, "--version"],
+            capture_output=True,
+            check=False,
+            timeout=ANSWERS,
             stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         hangs = isinstance(error, subprocess.TimeoutExpired)
         reason = f"no answer within {ANSWERS:g} s" if hangs else str(error)
         raise MissingToolError(
-            "this ngspice does not run", where=path, got=reason,
+            "this ngspice does not run",
+            where=path,
+            got=reason,
             hint="install it again; kc2spice doctor checks it",
-        ) from None  # fmt: skip
+        ) from None
     return done.stdout.decode(errors="replace")
 
 
@@ -175,9 +180,11 @@ def run_deck(
         free = shutil.disk_usage(directory).free
         if free < SPARE:
             raise SimulationError(
-                "the disk is full", where=str(directory), got=f"{free} bytes left",
+                "the disk is full",
+                where=str(directory),
+                got=f"{free} bytes left",
                 hint="make room, or set TMPDIR or --out to another disk",
-            ) from error  # fmt: skip
+            ) from error
         raise
     finally:
         unfinished.unlink(missing_ok=True)
@@ -193,11 +200,13 @@ def _fits(deck: Deck) -> None:
     size = 8.0 * (1 + len(deck.saved)) * deck.stop / step
     if size > LARGEST_RAW:
         raise UsageError(
-            "the run would write more than its limit", where=deck.main,
+            "the run would write more than its limit",
+            where=deck.main,
             got=f"about {size:.2g} bytes: {1 + len(deck.saved)} vectors at {deck.stop / step:.2g} "
-            "points", expected=f"at most {LARGEST_RAW:.2g}",
+            "points",
+            expected=f"at most {LARGEST_RAW:.2g}",
             hint="raise solver.max_step, end earlier, or save fewer vectors",
-        )  # fmt: skip
+        )
 
 
 def _execute(
@@ -248,11 +257,12 @@ def _execute(
                 size = raw.stat().st_size if raw.exists() else 0
                 if size > LARGEST_RAW:
                     raise SimulationError(
-                        "the raw file grows beyond its limit", where=str(main.parent),
+                        "the raw file grows beyond its limit",
+                        where=str(main.parent),
                         got=f"{size} bytes at {last_scale_value(raw)} s of {stop} s",
                         expected=f"at most {LARGEST_RAW} bytes",
                         hint="raise solver.max_step or reltol, end earlier, save fewer vectors",
-                    )  # fmt: skip
+                    )
                 if progress is not None and stop:
                     progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
         finally:
@@ -273,9 +283,11 @@ def _still_alive(pid: int, alive: tuple[float, int | None], main: Path) -> tuple
         return now, spent
     if now - alive[0] > STALLED:
         raise SimulationError(
-            "ngspice hangs", where=str(main.parent), got=f"no processor time for {STALLED:g} s",
+            "ngspice hangs",
+            where=str(main.parent),
+            got=f"no processor time for {STALLED:g} s",
             hint="does it run by itself? kc2spice doctor checks it",
-        )  # fmt: skip
+        )
     return alive
 
 

@@ -149,9 +149,15 @@ def _attempt(
     if failure is None:
         return Attempt(retry.name, str(settings), None, None, None, None, wall, points)
     return Attempt(
-        retry.name, str(settings), failure.cause, failure.node, failure.time, failure.part, wall,
+        retry.name,
+        str(settings),
+        failure.cause,
+        failure.node,
+        failure.time,
+        failure.part,
+        wall,
         points,
-    )  # fmt: skip
+    )
 
 
 def _farther(a: Failure | None, b: Failure) -> Failure:

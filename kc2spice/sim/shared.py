@@ -34,16 +34,23 @@ class _Complex(ctypes.Structure):
 
 class _Vector(ctypes.Structure):  # vector_info
     _fields_ = (
-        ("name", c_char_p), ("type", c_int), ("flags", c_short),
-        ("real", POINTER(c_double)), ("complex", POINTER(_Complex)), ("length", c_int),
-    )  # fmt: skip
+        ("name", c_char_p),
+        ("type", c_int),
+        ("flags", c_short),
+        ("real", POINTER(c_double)),
+        ("complex", POINTER(_Complex)),
+        ("length", c_int),
+    )
 
 
 class _Value(ctypes.Structure):  # vecvalues
     _fields_ = (
-        ("name", c_char_p), ("real", c_double), ("imag", c_double),
-        ("is_scale", c_bool), ("is_complex", c_bool),
-    )  # fmt: skip
+        ("name", c_char_p),
+        ("real", c_double),
+        ("imag", c_double),
+        ("is_scale", c_bool),
+        ("is_complex", c_bool),
+    )
 
 
 class _Values(ctypes.Structure):  # vecvaluesall
@@ -87,9 +94,13 @@ class Library:
         self._library.ngGet_Vec_Info.restype = POINTER(_Vector)
         # ngspice keeps these pointers: they live as long as this object does.
         self._kept = (
-            _SEND_CHAR(self._on_text), _EXIT(self._on_exit), _SEND_DATA(self._on_point),
-            _SEND_INIT(lambda *_: 0), _SOURCE(self._on_source), _SYNC(self._on_step),
-        )  # fmt: skip
+            _SEND_CHAR(self._on_text),
+            _EXIT(self._on_exit),
+            _SEND_DATA(self._on_point),
+            _SEND_INIT(lambda *_: 0),
+            _SOURCE(self._on_source),
+            _SYNC(self._on_step),
+        )
         text, leave, point, begin, source, step = self._kept
         with _no_start_up_files(self._library):
             self._library.ngSpice_Init(text, None, leave, point, begin, None, None)

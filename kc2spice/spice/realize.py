@@ -147,8 +147,12 @@ def _terminals(ports: Sequence[Port], D: np.ndarray, where: str) -> list[_Termin
     for port in ports:
         pins = tuple(checked_name(pin) for pin in port.terminals)
         if len(pins) != (2 if port.kind == "electrical" else 1):
-            raise UsageError("wrong number of pins", where=where, got=port.name,
-                             expected="two of an electrical port, else one")  # fmt: skip
+            raise UsageError(
+                "wrong number of pins",
+                where=where,
+                got=port.name,
+                expected="two of an electrical port, else one",
+            )
         into = None if port.kind == "output" else column
         out = None if port.kind == "input" else row
         column += into is not None
@@ -171,7 +175,7 @@ def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin,
             for port, terminal in zip(ports, terminals, strict=True)
             if port.kind in kinds
             for pin in terminal.pins
-        ]  # fmt: skip
+        ]
 
     # electrical ports against one cathode share its pin
     electrical, signals = list(dict.fromkeys(of(("electrical",)))), of(("input", "output"))
@@ -223,8 +227,9 @@ def _direct(
         if row.any() and not terminal.clamped:
             raise UsageError(
                 "an electrode without capacitance of its own shares charge with other ports",
-                where=terminal.label, expected="a positive semi-definite D",
-            )  # fmt: skip
+                where=terminal.label,
+                expected="a positive semi-definite D",
+            )
     return _through(terminal, all_terminals, row, base)
 
 
@@ -247,9 +252,13 @@ class _Mode:
 
 
 def _resonators(
-    model: Resonators, name: str, header: Header, told: tuple[str, str], mass: float | None,
+    model: Resonators,
+    name: str,
+    header: Header,
+    told: tuple[str, str],
+    mass: float | None,
     watch: Watch,
-) -> Subcircuit:  # fmt: skip
+) -> Subcircuit:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
@@ -307,25 +316,48 @@ def _resonators(
 
 
 def _mode(
-    j: int, omega: float, damp: float, gain: np.ndarray, scale: float, farad: float,
-    terminals: list[_Terminal], base: str,
-) -> _Mode:  # fmt: skip
+    j: int,
+    omega: float,
+    damp: float,
+    gain: np.ndarray,
+    scale: float,
+    farad: float,
+    terminals: list[_Terminal],
+    base: str,
+) -> _Mode:
     drive = farad * scale * gain / (omega * MICRO)  # A into p per newton or volt
     return _Mode(
-        j + 1, omega / (2 * np.pi), damp / (2 * omega), farad, farad * omega, farad * damp, False,
+        j + 1,
+        omega / (2 * np.pi),
+        damp / (2 * omega),
+        farad,
+        farad * omega,
+        farad * damp,
+        False,
         *_coupled(j + 1, drive, gain / scale, terminals, base),
-    )  # fmt: skip
+    )
 
 
 def _relaxing(
-    j: int, omega: float, damp: float, gain: np.ndarray, scale: float,
-    terminals: list[_Terminal], base: str,
-) -> _Mode:  # fmt: skip
+    j: int,
+    omega: float,
+    damp: float,
+    gain: np.ndarray,
+    scale: float,
+    terminals: list[_Terminal],
+    base: str,
+) -> _Mode:
     drive = SIEMENS * scale * gain / (omega**2 * MICRO)  # A into q per newton or volt
     return _Mode(
-        j + 1, omega / (2 * np.pi), damp / omega**2, SIEMENS * damp / omega**2, SIEMENS, 0.0, True,
+        j + 1,
+        omega / (2 * np.pi),
+        damp / omega**2,
+        SIEMENS * damp / omega**2,
+        SIEMENS,
+        0.0,
+        True,
         *_coupled(j + 1, drive, gain / scale, terminals, base),
-    )  # fmt: skip
+    )
 
 
 def _coupled(
@@ -347,9 +379,14 @@ def _coupled(
 
 
 def _wired(
-    t: _Terminal, k: int, terminals: list[_Terminal], D: np.ndarray,
-    modal: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], mass: float | None, base: str,
-) -> _Terminal:  # fmt: skip
+    t: _Terminal,
+    k: int,
+    terminals: list[_Terminal],
+    D: np.ndarray,
+    modal: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    mass: float | None,
+    base: str,
+) -> _Terminal:
     """The terminal with its cards; z_j is ``q_j MICRO / s_j``."""
     omega, damp, gain, scale = modal
     through = _direct(t, terminals, D, base) if t.kind != "acceleration" else ()
@@ -386,9 +423,12 @@ def _audible(model: Resonators) -> Resonators:
         return model
     massless = int(np.count_nonzero(kept & (model.inertia == 0.0)))
     return replace(
-        model, omega=model.omega[kept], damp=model.damp[kept], gain=model.gain[kept],
+        model,
+        omega=model.omega[kept],
+        damp=model.damp[kept],
+        gain=model.gain[kept],
         massless=massless,
-    )  # fmt: skip
+    )
 
 
 def _farad(omega: np.ndarray, watch: Watch) -> np.ndarray:
@@ -397,19 +437,30 @@ def _farad(omega: np.ndarray, watch: Watch) -> np.ndarray:
 
 
 def _head(
-    header: Header, name: str, told: tuple[str, str], pins: tuple[Pin, ...],
-    params: tuple[Param, ...], order: int, certificate: object,
-) -> str:  # fmt: skip
+    header: Header,
+    name: str,
+    told: tuple[str, str],
+    pins: tuple[Pin, ...],
+    params: tuple[Param, ...],
+    order: int,
+    certificate: object,
+) -> str:
     title, rating = told
     band, rom = "", ""
     if certificate is not None:
         band = f" up to {certificate.band_hz[1]:g} Hz"  # type: ignore[attr-defined]
         rom = rom_line(order, certificate)  # type: ignore[arg-type]
     return part_header(
-        header, f"{name}: {title}", pins, params, rom=rom, sign=OUTWARDS, rating=rating,
+        header,
+        f"{name}: {title}",
+        pins,
+        params,
+        rom=rom,
+        sign=OUTWARDS,
+        rating=rating,
         validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
         "built-in materials); no hysteresis, depolarisation or heating",
-    )  # fmt: skip
+    )
 
 
 # ------------------------------------------------------------------------------------- blocks
@@ -495,8 +546,9 @@ def _block_port(
             return replace(t, sums=sums)
         through = -(rate @ model.B)  # F = m a - y'', y'' = C A^2 z + C A B u
         through[t.column] = 0.0 if mass is None else mass + through[t.column]
-        return replace(t, sums=_nonzero(-(rate @ A), base),
-                       through=_through(t, terminals, through, base))  # fmt: skip
+        return replace(
+            t, sums=_nonzero(-(rate @ A), base), through=_through(t, terminals, through, base)
+        )
     return replace(
         t, sums=_nonzero(row / _unit(t.kind), base), through=_direct(t, terminals, model.D, base)
     )

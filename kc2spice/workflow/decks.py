@@ -54,10 +54,13 @@ def make_deck(build: Build) -> Deck:
         known = {*results, *watts}
         if "." in probe.of and probe.of not in known:  # without a dot: time, frequency
             raise UsageError(
-                "no such vector", where=f"probes.{name}.of", got=repr(probe.of),
+                "no such vector",
+                where=f"probes.{name}.of",
+                got=repr(probe.of),
                 expected="PART.current, PART.PIN.current or PART.power of a part with electrical "
-                "pins, or one of " + ", ".join(results), hint=did_you_mean(probe.of, known),
-            )  # fmt: skip
+                "pins, or one of " + ", ".join(results),
+                hint=did_you_mean(probe.of, known),
+            )
     told = "".join(f"\n{line}" for line in _reductions(parts))
     return Deck(
         name=scene.name,
@@ -105,27 +108,37 @@ def edited_deck(build: Build, path: Path) -> Deck:
     analyses = [s for s in cards if s.keyword in ANALYSES]
     if [s.keyword for s in analyses] != [f".{own.command.kind}"]:
         raise UsageError(
-            "not the scene's analysis", where=str(path),
-            got=" and ".join(s.text for s in analyses) or "none", expected=own.command.card,
+            "not the scene's analysis",
+            where=str(path),
+            got=" and ".join(s.text for s in analyses) or "none",
+            expected=own.command.card,
             hint="one analysis of the same kind; its numbers are free",
-        )  # fmt: skip
+        )
     saved = {_plain(w) for s in cards if s.keyword == ".save" for w in s.words[1:]}
     missing = [v for v in own.saved if _plain(v) not in saved]
     if saved and "all" not in saved and missing:
         raise UsageError(
-            "the scene's metrics need vectors that this deck does not save", where=str(path),
-            got=", ".join(missing), expected=".save " + " ".join(missing),
+            "the scene's metrics need vectors that this deck does not save",
+            where=str(path),
+            got=", ".join(missing),
+            expected=".save " + " ".join(missing),
             hint="add this line; a node that was renamed needs its old name",
-        )  # fmt: skip
+        )
     _require_results(own, text, path)
     _tell_options(own, cards, path)
     (analysis,) = analyses
     words = tuple(analysis.words[1:])
     stop = None if own.stop is None else _seconds(words, analysis.where)
     return replace(
-        own, text=text, parts=(), blocks=(), options=(), initial={}, stop=stop,
+        own,
+        text=text,
+        parts=(),
+        blocks=(),
+        options=(),
+        initial={},
+        stop=stop,
         command=Command(own.command.kind, words),
-    )  # fmt: skip
+    )
 
 
 def edits(build: Build, deck: Deck) -> frozenset[str]:
@@ -146,8 +159,11 @@ def edits(build: Build, deck: Deck) -> frozenset[str]:
         if a is None or b is None or (ends and a.ends != b.ends):
             return False
         return (a.model, a.values, a.settings, a.expression) == (
-            b.model, b.values, b.settings, b.expression,
-        )  # fmt: skip
+            b.model,
+            b.values,
+            b.settings,
+            b.expression,
+        )
 
     keys = own.keys() | now.keys()
     return frozenset(
@@ -179,10 +195,12 @@ def _require_results(own: Deck, text: str, path: Path) -> None:
     if len(hints) < len(missing):
         hints.append("nodes and devices that were renamed need their old names")
     raise UsageError(
-        "the scene's results are read from what this deck does not have", where=str(path),
-        got=", ".join(missing), expected="nodes and devices of these names",
+        "the scene's results are read from what this deck does not have",
+        where=str(path),
+        got=", ".join(missing),
+        expected="nodes and devices of these names",
         hint="; ".join(hints),
-    )  # fmt: skip
+    )
 
 
 def _tell_options(own: Deck, cards: Iterable[Statement], path: Path) -> None:
@@ -277,9 +295,12 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 yield found
             elif same.text != found.text:
                 raise UsageError(
-                    "two different libraries have one name", where=part.name, got=found.filename,
-                    expected="names that differ", hint="rename the part or the included file",
-                )  # fmt: skip
+                    "two different libraries have one name",
+                    where=part.name,
+                    got=found.filename,
+                    expected="names that differ",
+                    hint="rename the part or the included file",
+                )
 
 
 def replacements(build: Build) -> dict[str, tuple[str, ...]]:
@@ -375,10 +396,12 @@ def _command(build: Build) -> Command:
     found = part.type.dc(part, key, build)
     if found is None:
         raise UsageError(
-            "cannot be swept by dc", where="analysis.sweep", got=str(chosen.sweep),
+            "cannot be swept by dc",
+            where="analysis.sweep",
+            got=str(chosen.sweep),
             expected="the dc value of a source, such as push.dc",
             hint="kc2spice sweep varies any key, one run each",
-        )  # fmt: skip
+        )
     source, scale = found
     return dc(source, scale * first, scale * last, chosen.points)
 

@@ -47,8 +47,10 @@ def export(
     if dialect not in known:
         raise UsageError(
             "unknown dialect" if count is None else "no array of copies in this dialect",
-            where="--dialect", got=dialect, expected=", ".join(known),
-        )  # fmt: skip
+            where="--dialect",
+            got=dialect,
+            expected=", ".join(known),
+        )
     clock = Clock(progress)
     with staged(out) as work:
         build = build_models(composed(replace(scene, exported=True)), clock, trust=trust)
@@ -76,9 +78,11 @@ def _spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
                 old, new = (_cards(text, name) for text in (_text(library), files[name]))
                 if old != new:
                     raise UsageError(
-                        f"this deck there includes another {name}", where=str(deck),
-                        got=f"{name} with other cards", hint="choose another --out",
-                    )  # fmt: skip
+                        f"this deck there includes another {name}",
+                        where=str(deck),
+                        got=f"{name} with other cards",
+                        hint="choose another --out",
+                    )
 
 
 def _text(path: Path) -> str:

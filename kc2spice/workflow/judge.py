@@ -38,9 +38,14 @@ def _balanced(balances: dict[str, Balance], build: Build) -> Iterator[Check]:
     for name, found in balances.items():
         slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
         yield Check(
-            f"energy of {name}", found.share, slack * found.limit, "of what was turned over",
-            found.advice, scene.checks.energy, coarse=True,
-        )  # fmt: skip
+            f"energy of {name}",
+            found.share,
+            slack * found.limit,
+            "of what was turned over",
+            found.advice,
+            scene.checks.energy,
+            coarse=True,
+        )
 
 
 def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
@@ -68,9 +73,11 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     """
     if probe.of not in waves:
         raise UsageError(
-            "no such vector", where=f"probes.{name}.of", got=repr(probe.of),
+            "no such vector",
+            where=f"probes.{name}.of",
+            got=repr(probe.of),
             expected="one of " + ", ".join(list(waves.data)[1:]),
-        )  # fmt: skip
+        )
     scale, values = next(iter(waves.data.values())), np.abs(waves[probe.of])
     if not np.iscomplexobj(waves[probe.of]):
         values = waves[probe.of]
@@ -137,8 +144,10 @@ def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> fl
         scale, values = scale[::-1], values[::-1]
     if not scale[0] <= place <= scale[-1]:
         raise UsageError(
-            "outside the analysis", where=f"probes.{name}.at", got=f"{place:g}",
+            "outside the analysis",
+            where=f"probes.{name}.at",
+            got=f"{place:g}",
             expected=f"{scale[0]:g} … {scale[-1]:g}",
-        )  # fmt: skip
+        )
     found = np.interp(place, scale, values)
     return float(np.abs(found)) if np.iscomplexobj(found) else float(found)

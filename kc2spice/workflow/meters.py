@@ -38,8 +38,9 @@ def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Pairs]:
     found: dict[str, Pairs] = {}
     for part in _asked(build, "power"):
         n = part.name
-        pairs = tuple((f"{n}.{pin}.potential", f"{n}.{pin}.current")
-                      for pin in electrical(part, build.scene))  # fmt: skip
+        pairs = tuple(
+            (f"{n}.{pin}.potential", f"{n}.{pin}.current") for pin in electrical(part, build.scene)
+        )
         if not pairs or not all(i in known for _, i in pairs):
             pairs = ((f"{n}.v", f"{n}.i"),)
         if all(each in known for pair in pairs for each in pair):
@@ -61,6 +62,9 @@ def with_powers(waves: Waveforms, pairs: Mapping[str, Pairs]) -> Waveforms:
 
 
 def _asked(build: Build, what: str) -> list[Part]:
-    names = dict.fromkeys(p.of.partition(".")[0] for p in build.scene.probes.values()
-                          if p.of.partition(".")[2] == what)  # fmt: skip
+    names = dict.fromkeys(
+        p.of.partition(".")[0]
+        for p in build.scene.probes.values()
+        if p.of.partition(".")[2] == what
+    )
     return [build.scene.parts[name] for name in names if name in build.scene.parts]

@@ -93,9 +93,11 @@ def _scene_body(text: str) -> LinearModel | None:
     if not isinstance(part.type, LinearBody):
         bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
         raise UsageError(
-            "has no linear model", where=text, got=f"a part of type {part.type.name}",
+            "has no linear model",
+            where=text,
+            got=f"a part of type {part.type.name}",
             expected=", ".join(bodies) or "a body; this scene has none",
-        )  # fmt: skip
+        )
     full = part.type.full(part, scene, Clock())
     kept = full.select([port.name for port in part.type.kept(part, scene)])
     return replace(kept, name=f"{scene.name}_{part.name}")
@@ -110,10 +112,12 @@ def require_stable(found: dict[str, Any]) -> None:
     """
     if found["stable"] is False:
         raise GateMissedError(
-            "the model is unstable", where=found["model"], got="a pole in the right half plane",
+            "the model is unstable",
+            where=found["model"],
+            got="a pole in the right half plane",
             expected="poles that do not grow",
             hint=f"check signs and halves of the matrices; {found['rom']} was written as it is",
-        )  # fmt: skip
+        )
 
 
 def export_rom(
@@ -174,9 +178,14 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
     what = {"electrical": "1 V", "mechanical": "1 N", "rotational": "1 N m"}
     title = f"{part.name}: response to {what.get(driven.kind, 'one unit')} at {driven.name}"
     return Deck(
-        name=f"{part.name}_response", title=title, parts=(part,), vectors=vectors,
+        name=f"{part.name}_response",
+        title=title,
+        parts=(part,),
+        vectors=vectors,
         notes=f"* Over the band of the certificate, {low:g} to {high:g} Hz.",
-        blocks=(Block("the model", (f"X{part.name} {' '.join(nodes)} {part.name}",)),
-                Block("what drives it, and what holds the other ports", tuple(sources))),
+        blocks=(
+            Block("the model", (f"X{part.name} {' '.join(nodes)} {part.name}",)),
+            Block("what drives it, and what holds the other ports", tuple(sources)),
+        ),
         command=ac(low, high, 400, "log"),
-    )  # fmt: skip
+    )

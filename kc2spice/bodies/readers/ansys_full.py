@@ -15,8 +15,19 @@ from kc2spice.rom.matrix_market import mirrored
 
 # Ansys counts freedoms from 0 in this file: UX UY UZ ROTX ROTY ROTZ AX AY AZ VX VY VZ ... TEMP VOLT
 _KINDS = dict(enumerate(("ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz")))
-_KINDS |= {15: "warp", 16: "conc", 17: "hdsp", 18: "pres", 19: "temp", 20: "volt", 21: "mag",
-           22: "enke", 23: "ends", 24: "emf", 25: "curr"}  # fmt: skip
+_KINDS |= {
+    15: "warp",
+    16: "conc",
+    17: "hdsp",
+    18: "pres",
+    19: "temp",
+    20: "volt",
+    21: "mag",
+    22: "enke",
+    23: "ends",
+    24: "emf",
+    25: "curr",
+}
 
 
 def read_full(path: Path) -> Raw:
@@ -41,9 +52,11 @@ def unpack(path: str) -> dict[str, np.ndarray]:
         from ansys.mapdl.reader.full import FullFile
     except ImportError:
         raise MissingToolError(
-            "ansys-mapdl-reader is not installed", where=path,
-            expected="it to read .full files", hint="pip install 'kc2spice[ansys]'",
-        ) from None  # fmt: skip
+            "ansys-mapdl-reader is not installed",
+            where=path,
+            expected="it to read .full files",
+            hint="pip install 'kc2spice[ansys]'",
+        ) from None
     file = FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)

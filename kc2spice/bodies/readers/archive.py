@@ -54,9 +54,10 @@ def read_archive(path: Path) -> Raw:
         return MAX_DENSE if name in LETTERS else MAX_ENTRIES
 
     arrays = guarded(
-        path, _PLAIN,
+        path,
+        _PLAIN,
         lambda: archive.read_archive(path, wanted, entries=largest, total=MAX_BYTES),
-    )  # fmt: skip
+    )
     return _raw(arrays, path)
 
 

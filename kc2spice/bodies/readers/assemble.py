@@ -41,9 +41,15 @@ def assemble(source: Source) -> LinearModel:
     _effective(source, B[keep], C[:, keep])
     operators = _damped(source, cut)
     return LinearModel(
-        B=B[keep], C=C[:, keep], D=D, ports=ports, facts={"unknowns": len(keep)},
-        name=source.name, band=source.sidecar.band, **operators,
-    )  # fmt: skip
+        B=B[keep],
+        C=C[:, keep],
+        D=D,
+        ports=ports,
+        facts={"unknowns": len(keep)},
+        name=source.name,
+        band=source.sidecar.band,
+        **operators,
+    )
 
 
 def _size(square: dict[str, Matrix]) -> int:
@@ -63,11 +69,13 @@ def _complete(source: Source) -> dict[str, Matrix]:
     missing += [] if ports or "B" in found else ["B or [[ports]]"]
     if missing or (first and {"M", "K"} & set(found)):
         raise UsageError(
-            "is not a complete model", where=source.where, got=got,
+            "is not a complete model",
+            where=source.where,
+            got=got,
             expected="M, K and as needed E; E and K; or A and as needed E; with B, or with "
             "[[ports]] in the TOML file",
             hint=f"missing: {', '.join(missing)}" if missing else "A excludes M and K",
-        )  # fmt: skip
+        )
     n = _size(found)
     shapes = {"B": (n, None), "C": (None, n)}
     for letter, matrix in found.items():
@@ -82,12 +90,13 @@ def _complete(source: Source) -> dict[str, Matrix]:
         )
         if wrong or 0 in matrix.shape:
             raise UsageError(
-                f"matrix {letter} does not fit", where=source.where,
+                f"matrix {letter} does not fit",
+                where=source.where,
                 got=" x ".join(map(str, matrix.shape)),
                 expected=" x ".join("any" if k is None else str(k) for k in shape)
                 + ", at least one row and column",
                 hint=FEEDTHROUGH if letter == "D" and matrix.shape == (n, n) else None,
-            )  # fmt: skip
+            )
     return found
 
 
@@ -97,10 +106,12 @@ def _halves(source: Source, found: dict[str, Matrix]) -> dict[str, Matrix]:
     halves = [k for k in "MEKA" if k in found and half_stored(found[k])]
     if said is None and halves:
         raise UsageError(
-            "only one triangle is stored, but the file says 'general'", where=source.where,
-            got=f"matrix {', '.join(halves)}", expected="the whole matrix",
+            "only one triangle is stored, but the file says 'general'",
+            where=source.where,
+            got=f"matrix {', '.join(halves)}",
+            expected="the whole matrix",
             hint=f"in {source.name}.toml: symmetric = true for halves, false if it is triangular",
-        )  # fmt: skip
+        )
     if not said:
         return found
     found = found | {k: mirrored(found[k]) for k in halves}
@@ -108,9 +119,10 @@ def _halves(source: Source, found: dict[str, Matrix]) -> dict[str, Matrix]:
         matrix = found[letter]
         if abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
             raise UsageError(
-                f"matrix {letter} is not symmetric", where=source.where,
+                f"matrix {letter} is not symmetric",
+                where=source.where,
                 expected=f"what symmetric = true in {source.sidecar.where} says",
-            )  # fmt: skip
+            )
     return found
 
 
@@ -118,8 +130,12 @@ def _not_zero(source: Source, found: dict[str, Matrix]) -> None:
     for letter in set("MKA") & set(found):
         if not found[letter].count_nonzero():
             hint = "leave M out for a first-order model E x' + K x = B u" if letter == "M" else None
-            raise UsageError(f"matrix {letter} is zero", where=source.where, hint=hint,
-                             expected=f"entries in {letter}")  # fmt: skip
+            raise UsageError(
+                f"matrix {letter} is zero",
+                where=source.where,
+                hint=hint,
+                expected=f"entries in {letter}",
+            )
 
 
 def _regular(source: Source, found: dict[str, Matrix]) -> None:
@@ -130,19 +146,21 @@ def _regular(source: Source, found: dict[str, Matrix]) -> None:
         dofs = source.raw.dofs
         row = int(empty[0])
         raise UsageError(
-            "an equation is empty in all matrices", where=source.where,
+            "an equation is empty in all matrices",
+            where=source.where,
             got=f"row {row + 1} of the free ones, {empty.size} such in all",
             expected="no gaps in the numbering",
             hint="fix the freedom in [[fixed]]" if dofs is not None else None,
-        )  # fmt: skip
+        )
 
 
 def _effective(source: Source, B: np.ndarray, C: np.ndarray) -> None:
     if not B.any() or not C.any():
         raise UsageError(
-            "has no effective input or output", where=source.where, expected="B, C not zero, on "
-            "freedoms that are not fixed",
-        )  # fmt: skip
+            "has no effective input or output",
+            where=source.where,
+            expected="B, C not zero, on freedoms that are not fixed",
+        )
 
 
 def _cut(matrix: Matrix, keep: np.ndarray) -> Matrix:
@@ -173,14 +191,17 @@ class _Rows:
         dofs = self.source.raw.dofs
         if dofs is None:
             raise UsageError(
-                "the matrices do not name their rows", where=where,
+                "the matrices do not name their rows",
+                where=where,
                 expected="a column of B, or 'dofs = \"rows.csv\"' with node,dof of each row",
-            )  # fmt: skip
+            )
         if len(dofs) != self.size:
             raise UsageError(
-                "the names of the rows do not fit", where=where, got=f"{len(dofs)} names",
+                "the names of the rows do not fit",
+                where=where,
+                got=f"{len(dofs)} names",
                 expected=f"{self.size}",
-            )  # fmt: skip
+            )
         return dofs
 
     def mesh(self, where: str) -> Mesh:
@@ -205,17 +226,22 @@ class _Rows:
             shown = ", ".join(map(str, nodes[:5]))
             low, high = dofs.node.min(), dofs.node.max()
             raise UsageError(
-                "no such node in the matrices", where=where, got=f"node {shown}",
+                "no such node in the matrices",
+                where=where,
+                got=f"node {shown}",
                 expected=f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}",
-            )  # fmt: skip
+            )
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, found in zip(kinds, rows, strict=True):
             if not len(found):
                 have = ", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here]))
                 raise UsageError(
-                    "no such freedom at these nodes", where=where, got=DOFS[kind], expected=have,
+                    "no such freedom at these nodes",
+                    where=where,
+                    got=DOFS[kind],
+                    expected=have,
                     hint="the tool may have removed it because it is constrained",
-                )  # fmt: skip
+                )
         return rows
 
     def in_si(self, found: dict[str, Matrix]) -> dict[str, Matrix]:
@@ -244,9 +270,11 @@ class _Rows:
             missing = np.setdiff1d(nodes, dofs.node)
             if missing.size:
                 raise UsageError(
-                    "no such node in the matrices", where=where, got=f"node {missing[0]}",
+                    "no such node in the matrices",
+                    where=where,
+                    got=f"node {missing[0]}",
                     expected="nodes that the tool has not constrained itself",
-                )  # fmt: skip
+                )
             if fixed.dof:
                 held += self.find(fixed, fixed.dof, where)
             else:
@@ -275,8 +303,7 @@ class _Rows:
             load[rows] += weight / len(rows)
         lost = np.intersect1d(np.flatnonzero(load), self.held())
         if lost.size == np.count_nonzero(load):
-            raise UsageError("the port is on fixed freedoms", where=where,
-                             expected="a free node")  # fmt: skip
+            raise UsageError("the port is on fixed freedoms", where=where, expected="a free node")
         return load
 
     def _fits(self, entry: PortEntry, kinds: tuple[int, ...]) -> None:
@@ -285,8 +312,9 @@ class _Rows:
             raise UsageError(
                 f"is no freedom of a {entry.kind} port",
                 where=f"{self.source.sidecar.of(entry)}.dof",
-                got=", ".join(DOFS[k] for k in kinds), expected=", ".join(DOFS[k] for k in allowed),
-            )  # fmt: skip
+                got=", ".join(DOFS[k] for k in kinds),
+                expected=", ".join(DOFS[k] for k in allowed),
+            )
 
     def frame(self, entry: PortEntry, M: Matrix) -> np.ndarray:
         """``-M r`` for a frame that accelerates along the port's axis."""
@@ -318,8 +346,11 @@ def _ports(
             outputs.append(_row(source, found, entry, load))
         feed.append(entry)
     if not columns or not outputs:
-        raise UsageError("ports need an input and an output", where=source.sidecar.where,
-                         expected="a conservative port, or 'input' and 'output'")  # fmt: skip
+        raise UsageError(
+            "ports need an input and an output",
+            where=source.sidecar.where,
+            expected="a conservative port, or 'input' and 'output'",
+        )
     D = _feed(found, entries)
     ports = tuple(Port(e.name, e.kind, across=e.unit, pins=e.pins) for e in entries)
     return np.column_stack(columns), np.vstack(outputs), D, ports
@@ -335,8 +366,12 @@ def _load(source: Source, found: dict[str, Matrix], rows: _Rows, entry: PortEntr
         assert place is not None
         if table is None or place > count:
             what = "columns of B" if letter == "B" else "rows of C"
-            raise UsageError("does not exist", where=source.sidecar.of(entry), got=place,
-                             expected=f"1 to {count} ({what})")  # fmt: skip
+            raise UsageError(
+                "does not exist",
+                where=source.sidecar.of(entry),
+                got=place,
+                expected=f"1 to {count} ({what})",
+            )
         return np.asarray(table[:, place - 1] if letter == "B" else table[place - 1])
     if entry.kind == "acceleration":
         if "M" not in found:
@@ -360,8 +395,10 @@ def _row(
         raise UsageError(
             "is not conservative: its row of C is not its column of B",
             where=source.sidecar.of(entry),
-            got=f"column {entry.column}", expected="C = B'", hint="make it an input and an output",
-        )  # fmt: skip
+            got=f"column {entry.column}",
+            expected="C = B'",
+            hint="make it an input and an output",
+        )
     return load
 
 
@@ -415,22 +452,34 @@ def _with_electrodes(source: Source, found: dict[str, Matrix], rows: _Rows) -> L
     c = -(T.T @ KT)
     if found["M"][:, kind == VOLT].count_nonzero() or (np.diag(c) <= 0).any():
         raise UsageError(
-            "potentials are not as expected", where=source.where,
+            "potentials are not as expected",
+            where=source.where,
             got="mass on a potential, or a positive dielectric block",
             expected="K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite",
-        )  # fmt: skip
+        )
     others = [e for e in entries if e.kind != "electrical"]
     B = [_load(source, found, rows, e)[u] for e in others]
     ports = [Port(e.name, e.kind, across=e.unit, pins=e.pins) for e in entries]
     E = _cut(found["E"], u) if "E" in found else None
     alpha, beta = source.sidecar.damping.rayleigh
     if E is not None and (alpha or beta):
-        raise UsageError("damping is given twice", where=source.sidecar.where,
-                         expected="matrix E or 'damping'")  # fmt: skip
+        raise UsageError(
+            "damping is given twice", where=source.sidecar.where, expected="matrix E or 'damping'"
+        )
     model = with_potentials(
-        M=_cut(M, u), K_uu=_cut(K, u), K_up=sparse.csc_array(K[u][:, p]) if len(p) else None,
-        K_pp=-_cut(K, p) if len(p) else None, k_uV=KT[u], k_pV=-KT[p] if len(p) else None,
-        c_VV=c, B=np.column_stack(B) if B else np.zeros((len(u), 0)), ports=ports,
-        alpha=alpha, beta=beta, E=E, facts={"unknowns": len(rest)}, name=source.name,
-    )  # fmt: skip
+        M=_cut(M, u),
+        K_uu=_cut(K, u),
+        K_up=sparse.csc_array(K[u][:, p]) if len(p) else None,
+        K_pp=-_cut(K, p) if len(p) else None,
+        k_uV=KT[u],
+        k_pV=-KT[p] if len(p) else None,
+        c_VV=c,
+        B=np.column_stack(B) if B else np.zeros((len(u), 0)),
+        ports=ports,
+        alpha=alpha,
+        beta=beta,
+        E=E,
+        facts={"unknowns": len(rest)},
+        name=source.name,
+    )
     return replace(model, band=source.sidecar.band)

@@ -39,9 +39,11 @@ def read_calculix(path: Path) -> Raw:
     for suffix, file in files.items():
         if not present(file):
             raise refused(
-                path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side",
+                path,
+                f"no {file.name}",
+                f"{', '.join(SUFFIXES)} side by side",
                 hint=f"{suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE",
-            )  # fmt: skip
+            )
     dofs = guarded(files[".dof"], "lines node.direction", lambda: _dofs(files[".dof"]))
     matrices: dict[str, Matrix] = {}
     for letter, suffix in (("K", ".sti"), ("M", ".mas")):

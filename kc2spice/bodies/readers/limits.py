@@ -66,9 +66,11 @@ def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
         raise
     except NotImplementedError:
         raise UsageError(
-            "is in a format that is not read", where=str(path), expected=expected,
+            "is in a format that is not read",
+            where=str(path),
+            expected=expected,
             hint="in MATLAB: save(..., '-v7')",
-        ) from None  # fmt: skip
+        ) from None
     except Exception as error:  # parsers of hostile bytes raise nearly anything
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise UsageError("cannot be read", where=str(path), got=reason, expected=expected) from None

@@ -57,10 +57,12 @@ class Mesh:
         if distance[best] > (1e-6 * extent if within is None else within):
             x, y, z = self.at[best]
             raise UsageError(
-                "no node is there", where=where, got=list(place),
+                "no node is there",
+                where=where,
+                got=list(place),
                 expected=f"within {distance[best]:.4g} of node {self.node[best]} at "
                 f"[{x:g}, {y:g}, {z:g}]: raise 'within' or correct 'at'",
-            )  # fmt: skip
+            )
         return int(self.node[best])
 
 
@@ -187,8 +189,9 @@ def _blocks(path: Path) -> Found:
                 if row[:1] in ("N", "n", "-") or row.strip() == "-1":
                     break
                 start = heads * wide
-                coordinates = [row[start + k * field_width : start + (k + 1) * field_width]
-                               for k in range(3)]  # fmt: skip
+                coordinates = [
+                    row[start + k * field_width : start + (k + 1) * field_width] for k in range(3)
+                ]
                 nodes[int(row[:wide])] = _point(coordinates)
         elif head.startswith("CMBLOCK"):
             _, name, kind, count, *_ = (word.strip() for word in head.split(","))

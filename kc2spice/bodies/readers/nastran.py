@@ -49,9 +49,11 @@ def choose(names: list[str], wanted: Mapping[str, str], path: Path) -> dict[str,
             continue
         if len(fits) > 1:
             raise refused(
-                path, f"matrices {', '.join(fits)}", f"one that is {letter}",
+                path,
+                f"matrices {', '.join(fits)}",
+                f"one that is {letter}",
                 hint=f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file',
-            )  # fmt: skip
+            )
         chosen[letter] = fits[0]
     if not chosen:
         raise refused(path, f"matrices {', '.join(names)}", "K..., M... and as needed B...")
@@ -175,9 +177,11 @@ def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
         from pyyeti.nastran import op4
     except ImportError:
         raise MissingToolError(
-            "pyyeti is not installed", where=path, expected="it to read OUTPUT4 files",
+            "pyyeti is not installed",
+            where=path,
+            expected="it to read OUTPUT4 files",
             hint="pip install 'kc2spice[nastran]'",
-        ) from None  # fmt: skip
+        ) from None
     names, sizes, _, _ = op4.dir(path, verbose=False)
     chosen = choose(list(names), wanted, Path(path))
     for letter, name in chosen.items():

@@ -126,8 +126,9 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         ]
         if len(fits) > 1:
             got = ", ".join(other.name for other in fits)
-            raise UsageError(f"two files for matrix {letter}", where=str(base), got=got,
-                             expected="one of them")  # fmt: skip
+            raise UsageError(
+                f"two files for matrix {letter}", where=str(base), got=got, expected="one of them"
+            )
         if fits:
             found[letter] = fits[0]
     if found:
@@ -150,16 +151,19 @@ def _read(path: Path, files: dict[str, Path], said: Sidecar) -> Raw:
         return _matrices(files)
     if not present(path) or suffix == ".toml":
         raise UsageError(
-            "no such model", where=str(path),
+            "no such model",
+            where=str(path),
             expected=f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, "
             ".sti or .full; or a TOML file with 'files'",
-        )  # fmt: skip
+        )
     if suffix in READERS:
         return READERS[suffix](path, said)
     raise refused(
-        path, "one file that is not called after its matrix", "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
+        path,
+        "one file that is not called after its matrix",
+        "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
         hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
-    )  # fmt: skip
+    )
 
 
 def _matrices(files: dict[str, Path]) -> Raw:
@@ -194,9 +198,10 @@ def _tables(files: dict[str, Path]) -> dict[str, Path]:
     for letter, path in files.items():
         if letter not in "MEK" or path.suffix.lower() != ".mtx":
             raise refused(
-                path, f"matrix {letter} in an unknown format",
+                path,
+                f"matrix {letter} in an unknown format",
                 "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus",
-            )  # fmt: skip
+            )
     return files
 
 

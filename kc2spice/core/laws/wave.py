@@ -53,9 +53,15 @@ class Line:
 
     @classmethod
     def pulse(
-        cls, high: float, width: float, edge: float, start: float = 0.0, low: float = 0.0,
-        period: float = 0.0, count: int = 1,
-    ) -> Line:  # fmt: skip
+        cls,
+        high: float,
+        width: float,
+        edge: float,
+        start: float = 0.0,
+        low: float = 0.0,
+        period: float = 0.0,
+        count: int = 1,
+    ) -> Line:
         """A trapezium: rises within ``edge``, falls ``width`` after its start within ``edge``."""
         points = ((0.0, low), (edge, high), (width, high), (width + edge, low))
         if width <= edge:

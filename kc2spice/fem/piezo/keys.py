@@ -67,9 +67,14 @@ class Ceramic(Section):
         hint = "is the permittivity at constant stress or strain (permittivity_at)?"
         require_definite(eps, "kick.material.permittivity", hint)
         return Material(
-            "ceramic", self.density, C, e, eps, tensile_strength=self.tensile_strength,
+            "ceramic",
+            self.density,
+            C,
+            e,
+            eps,
+            tensile_strength=self.tensile_strength,
             depoling_field=self.depoling_field,
-        )  # fmt: skip
+        )
 
     def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
@@ -123,11 +128,14 @@ def _from_library(given: object) -> object:
     C, e, eps = named.C, named.e, named.eps_S / EPSILON_0
     c = C[0, 0], C[0, 1], C[0, 2], C[2, 2], C[3, 3], C[5, 5]
     keys = {
-        "density": named.density, "stiffness": tuple(map(float, c)),
+        "density": named.density,
+        "stiffness": tuple(map(float, c)),
         "coupling": (float(e[2, 0]), float(e[2, 2]), float(e[0, 4])),
-        "permittivity": (float(eps[0, 0]), float(eps[2, 2])), "permittivity_at": "strain",
-        "tensile_strength": named.tensile_strength, "depoling_field": named.depoling_field,
-    }  # fmt: skip
+        "permittivity": (float(eps[0, 0]), float(eps[2, 2])),
+        "permittivity_at": "strain",
+        "tensile_strength": named.tensile_strength,
+        "depoling_field": named.depoling_field,
+    }
     found = Ceramic(**keys).tensors()
     same = zip(found, (C, named.e, named.eps_S), strict=True)
     if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):

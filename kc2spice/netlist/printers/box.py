@@ -92,8 +92,9 @@ def _probed(part: Element) -> set[str]:
         return set()
     try:
         leaves = walk(part.law)
-        return {n.lower() for e in leaves if isinstance(e, Probe) and e.kind == "v"
-                for n in e.names}  # fmt: skip
+        return {
+            n.lower() for e in leaves if isinstance(e, Probe) and e.kind == "v" for n in e.names
+        }
     except UsageError:
         return set()  # the linter names it
 
@@ -123,8 +124,9 @@ def _sides(
 
 def _size(sides: dict[str, list[tuple[int, Pin]]]) -> tuple[int, int]:
     """Half width and half height that keep the names of all pins apart."""
-    left, right, below = (max([0, *(len(pin.name) for _, pin in sides[s])])
-                          for s in ("left", "right", "bottom"))  # fmt: skip
+    left, right, below = (
+        max([0, *(len(pin.name) for _, pin in sides[s])]) for s in ("left", "right", "bottom")
+    )
     columns = len(sides["bottom"])
     rows = max(len(sides["left"]), len(sides["right"]))
     # names along the bottom stand upright between those of both sides
@@ -146,7 +148,11 @@ def _around(sides: dict[str, list[tuple[int, Pin]]], width: int, height: int) ->
 def _triangle(numbered: list[tuple[int, Pin]]) -> list[Place]:
     """An operational amplifier, its apex at the right."""
     at = {
-        "inp": ("left", -3, 1, 1.0), "inn": ("left", -3, -1, 1.0), "out": ("right", 3, 0, 1.0),
-        "vcc": ("top", 0, 3, 2.0), "vee": ("bottom", 0, -3, 2.0), "ref": ("bottom", -1, -3, 1.5),
-    }  # fmt: skip
+        "inp": ("left", -3, 1, 1.0),
+        "inn": ("left", -3, -1, 1.0),
+        "out": ("right", 3, 0, 1.0),
+        "vcc": ("top", 0, 3, 2.0),
+        "vee": ("bottom", 0, -3, 2.0),
+        "ref": ("bottom", -1, -3, 1.5),
+    }
     return [Place(number, pin, *at[pin.name]) for number, pin in numbered]

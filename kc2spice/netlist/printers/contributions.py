@@ -143,8 +143,11 @@ class Names(Writer):
             points = [value for value in given if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(given)) or len(at) != len(f) or at != sorted(set(at)):
-                raise UsageError("a table of a module has two rising numbers or more, each with "
-                                 "its value", where=self.where, got=self.part)  # fmt: skip
+                raise UsageError(
+                    "a table of a module has two rising numbers or more, each with its value",
+                    where=self.where,
+                    got=self.part,
+                )
             self.module.functions.append(_table(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.function(function):

@@ -36,8 +36,9 @@ _SEMICONDUCTORS = {
     "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
     "njf": "vto beta lambda rd rs cgs cgd pb is",
 }
-_SEMICONDUCTORS |= {p: _SEMICONDUCTORS[n] for p, n in
-                    (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))}  # fmt: skip
+_SEMICONDUCTORS |= {
+    p: _SEMICONDUCTORS[n] for p, n in (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))
+}
 COMMON = frozenset(
     ("abs", "acos", "acosh", "asin", "asinh", "atan", "atanh", "ceil", "cos", "cosh", "exp",
      "floor", "int", "ln", "log10", "max", "min", "sgn", "sin", "sinh", "sqrt", "tan", "tanh",

@@ -24,8 +24,10 @@ class Word(str):
 Tree = Sequence["Tree | str | float | int"]
 YES, NO = Word("yes"), Word("no")
 HEAD: tuple[Tree, ...] = (
-    ("version", VERSION), ("generator", "kc2spice"), ("generator_version", "8.0"),
-)  # fmt: skip
+    ("version", VERSION),
+    ("generator", "kc2spice"),
+    ("generator_version", "8.0"),
+)
 _LEFT: Tree = ("justify", Word("left"))
 _STROKE: Tree = ("stroke", ("width", 0.254), ("type", Word("default")))
 _FILL: Tree = ("fill", ("type", Word("none")))
@@ -165,15 +167,25 @@ def _two_pole(letter: str, name: str, title: str, drawing: tuple[Tree, ...]) -> 
 
 def _controlled(letter: str, name: str, title: str) -> Symbol:
     box: Tree = (
-        "rectangle", ("start", -2 * GRID, 2 * GRID), ("end", 2 * GRID, -2 * GRID), _STROKE, _PAPER,
-    )  # fmt: skip
-    spots = ((3, 1, "right", "out+"), (3, -1, "right", "out-"),
-             (-3, 1, "left", "in+"), (-3, -1, "left", "in-"))  # fmt: skip
-    pins = tuple(_drawn("passive", k, text, x, y, side, 1.0)
-                 for k, (x, y, side, text) in enumerate(spots, 1))  # fmt: skip
+        "rectangle",
+        ("start", -2 * GRID, 2 * GRID),
+        ("end", 2 * GRID, -2 * GRID),
+        _STROKE,
+        _PAPER,
+    )
+    spots = (
+        (3, 1, "right", "out+"),
+        (3, -1, "right", "out-"),
+        (-3, 1, "left", "in+"),
+        (-3, -1, "left", "in-"),
+    )
+    pins = tuple(
+        _drawn("passive", k, text, x, y, side, 1.0) for k, (x, y, side, text) in enumerate(spots, 1)
+    )
     ends = tuple((x, y, side) for x, y, side, _ in spots)
-    return Symbol(name, _spice(letter, name, title, 4), (box,), pins, ends,
-                  (-2 * GRID, 2 * GRID + 1.3))  # fmt: skip
+    return Symbol(
+        name, _spice(letter, name, title, 4), (box,), pins, ends, (-2 * GRID, 2 * GRID + 1.3)
+    )
 
 
 def _marks() -> dict[str, Symbol]:
@@ -182,16 +194,37 @@ def _marks() -> dict[str, Symbol]:
     spot: Tree = ("circle", ("center", 0.0, 3.3), ("radius", 0.762), _STROKE, _FILL)
     ends = ((0, 0, "top"),)
     return {
-        "GND": Symbol("GND", _fields("#PWR", "GND", "ground, node 0"), (earth,),
-                      (_drawn("power_in", 1, "GND", 0, 0, "top", 0.0),), ends, (0.0, -4.0),
-                      power=True, named_pins=False),
-        "PWR_FLAG": Symbol("PWR_FLAG", _fields("#FLG", "PWR_FLAG", "tells that ground is driven"),
-                           (flag,), (_drawn("power_out", 1, "pwr", 0, 0, "bottom", 0.0),),
-                           ((0, 0, "bottom"),), (0.0, 3.0), power=True, named_pins=False),
-        "PROBE": Symbol("PROBE", _fields("TP", "PROBE", "a net to be plotted"), (spot,),
-                        (_drawn("passive", 1, "net", 0, 0, "bottom", 1.0),), ((0, 0, "bottom"),),
-                        (1.5, 2.4), simulated=False, named_pins=False),
-    }  # fmt: skip
+        "GND": Symbol(
+            "GND",
+            _fields("#PWR", "GND", "ground, node 0"),
+            (earth,),
+            (_drawn("power_in", 1, "GND", 0, 0, "top", 0.0),),
+            ends,
+            (0.0, -4.0),
+            power=True,
+            named_pins=False,
+        ),
+        "PWR_FLAG": Symbol(
+            "PWR_FLAG",
+            _fields("#FLG", "PWR_FLAG", "tells that ground is driven"),
+            (flag,),
+            (_drawn("power_out", 1, "pwr", 0, 0, "bottom", 0.0),),
+            ((0, 0, "bottom"),),
+            (0.0, 3.0),
+            power=True,
+            named_pins=False,
+        ),
+        "PROBE": Symbol(
+            "PROBE",
+            _fields("TP", "PROBE", "a net to be plotted"),
+            (spot,),
+            (_drawn("passive", 1, "net", 0, 0, "bottom", 1.0),),
+            ((0, 0, "bottom"),),
+            (1.5, 2.4),
+            simulated=False,
+            named_pins=False,
+        ),
+    }
 
 
 def _spice(letter: str, name: str, title: str, pins: int) -> dict[str, str]:
@@ -206,8 +239,13 @@ def spice(letter: str, value: str) -> str:
 
 
 def _fields(reference: str, value: str, description: str) -> dict[str, str]:
-    return {"Reference": reference, "Value": value, "Footprint": "", "Datasheet": "",
-            "Description": description}  # fmt: skip
+    return {
+        "Reference": reference,
+        "Value": value,
+        "Footprint": "",
+        "Datasheet": "",
+        "Description": description,
+    }
 
 
 def _line(*points: tuple[float, float]) -> Tree:

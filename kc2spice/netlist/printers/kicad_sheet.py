@@ -150,8 +150,10 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     words = (*map(_reference, element.sources), *element.values, given, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
-        "Reference": name, "Value": _shown(value), "Sim.Params": spice(letter, value),
-    }  # fmt: skip
+        "Reference": name,
+        "Value": _shown(value),
+        "Sim.Params": spice(letter, value),
+    }
     return _placed(symbol, fields, nets)
 
 
@@ -208,9 +210,10 @@ def _sheet(
     sheet = _uuid(name, "sheet")
     counted = [
         replace(item, fields=item.fields | {"Reference": f"TP{k}"})
-        if item.symbol.name == "PROBE" else item
+        if item.symbol.name == "PROBE"
+        else item
         for k, item in enumerate(items, 1)
-    ]  # fmt: skip
+    ]
     for width in _ENOUGH:
         puts = list(_rows(counted, width))
         bottom = max(put.y + put.item.reach[3] for put in puts) + 3
@@ -222,18 +225,20 @@ def _sheet(
     marks = list(_marks(puts, plain))
     texts = [_text(line, MARGIN, bottom + k, name) for k, line in enumerate(commands)]
     used = {put.item.symbol.name: put.item.symbol for put in [*puts, *marks]}
-    return write((
-        "kicad_sch",
-        *HEAD,
-        ("uuid", sheet),
-        ("paper", paper),
-        ("title_block", ("title", name), ("comment", 1, shorten(title, _COMMENT))),
-        ("lib_symbols", *(s.definition(f"{LIBRARY}:{s.name}") for s in used.values())),
-        *(_label(*label, name) for put in puts for label in _labels(put)),
-        *texts,
-        *(_symbol(put, name, sheet) for put in [*puts, *marks]),
-        ("sheet_instances", ("path", "/", ("page", "1"))),
-    ))  # fmt: skip
+    return write(
+        (
+            "kicad_sch",
+            *HEAD,
+            ("uuid", sheet),
+            ("paper", paper),
+            ("title_block", ("title", name), ("comment", 1, shorten(title, _COMMENT))),
+            ("lib_symbols", *(s.definition(f"{LIBRARY}:{s.name}") for s in used.values())),
+            *(_label(*label, name) for put in puts for label in _labels(put)),
+            *texts,
+            *(_symbol(put, name, sheet) for put in [*puts, *marks]),
+            ("sheet_instances", ("path", "/", ("page", "1"))),
+        )
+    )
 
 
 def _ends(put: _Put) -> Iterator[tuple[int, int, str, str]]:
@@ -341,10 +346,13 @@ def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]
     gain = kind == "AC"
     traces = [
-        {"color": colour, "signal": f"V({name})" + (" (gain)" if gain else ""),
-         "trace_type": 521 if gain else 257}
+        {
+            "color": colour,
+            "signal": f"V({name})" + (" (gain)" if gain else ""),
+            "trace_type": 521 if gain else 257,
+        }
         for name, colour in zip(names, _COLOURS, strict=False)
-    ]  # fmt: skip
+    ]
     tab = {
         "analysis": kind,
         "commands": [analysis, ".kicad adjustpaths", ".save all"],
@@ -354,8 +362,12 @@ def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
         "showGrid": True,
         "traces": traces,
     }
-    content = {"last_sch_text_sim_command": analysis, "tabs": [tab], "user_defined_signals": [],
-               "version": 6}  # fmt: skip
+    content = {
+        "last_sch_text_sim_command": analysis,
+        "tabs": [tab],
+        "user_defined_signals": [],
+        "version": 6,
+    }
     return json.dumps(content, indent=2) + "\n"
 
 

@@ -83,8 +83,12 @@ def _head(part: Subcircuit) -> tuple[str, ...]:
 
 def _used_params(scope: Scope) -> set[str]:
     """Words of the expressions of a scope."""
-    texts = [value for card in scope.commands if isinstance(card, Parameters)
-             for value in card.values.values()]  # fmt: skip
+    texts = [
+        value
+        for card in scope.commands
+        if isinstance(card, Parameters)
+        for value in card.values.values()
+    ]
     for part in scope.elements:
         texts += [*part.values, *part.parameters.values()]
     trees = [parse(text) for text in texts if text.startswith("{")]

@@ -102,9 +102,12 @@ def chosen(run: Run, wanted: Sequence[str]) -> tuple[str, ...]:
         hits = [known for known in run.values if known == name or known.startswith(f"{name}.")]
         if not hits:
             raise UsageError(
-                "this scene has no such metric", where="--metric", got=name,
-                expected=", ".join(run.values), hint=did_you_mean(name, run.values),
-            )  # fmt: skip
+                "this scene has no such metric",
+                where="--metric",
+                got=name,
+                expected=", ".join(run.values),
+                hint=did_you_mean(name, run.values),
+            )
         found += hits
     if wanted:
         return tuple(dict.fromkeys(found))

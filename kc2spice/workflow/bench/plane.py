@@ -233,11 +233,12 @@ def search(
     plane.names = tuple(n for n, by in plane.check.items() if by <= UNSTEADY or steady)
     if not plane.names:
         raise SimulationError(
-            "no metric converges", where=f"bench {scene.name}",
+            "no metric converges",
+            where=f"bench {scene.name}",
             got=", ".join(f"{n} changes by {v:.1e}" for n, v in plane.check.items()) or None,
             expected=f"at most {UNSTEADY:g} between the two finest settings",
             hint="name a steadier one with --metric",
-        )  # fmt: skip
+        )
     _search(plane, progress)
     return plane
 
@@ -247,15 +248,20 @@ def measure(plane: Plane, repeats: int, progress: Progress = silent) -> dict[str
     _time(plane, repeats, progress)
     simulator, scene = find_ngspice(), plane.scene
     record = {
-        "scene": scene.name, "simulator": f"{simulator.name} {simulator.version}",
-        "limit": plane.limit, "repeats": repeats, "metrics": plane.names,
+        "scene": scene.name,
+        "simulator": f"{simulator.name} {simulator.version}",
+        "limit": plane.limit,
+        "repeats": repeats,
+        "metrics": plane.names,
         "left_out": {n: plane.check.get(n) for n in plane.wanted if n not in plane.names},
         **_choice(plane),
         "reference": {
-            "label": label(finest := reference_settings(plane.found)[0]), "settings": finest,
-            "time_s": plane.exact.cpu_s, "error": plane.floor,
+            "label": label(finest := reference_settings(plane.found)[0]),
+            "settings": finest,
+            "time_s": plane.exact.cpu_s,
+            "error": plane.floor,
         },
-    }  # fmt: skip
+    }
     return dict(plain(record))
 
 
@@ -266,9 +272,10 @@ def _present(names: Sequence[str], exact: Run, *others: Run) -> list[str]:
         return name in run.values and bool(np.isfinite(run.values[name].astype(float)).all())
 
     return [
-        name for name in names
+        name
+        for name in names
         if all(finite(name, run) for run in (exact, *others)) and exact.values[name].any()
-    ]  # fmt: skip
+    ]
 
 
 def _estimate(own: Run, found: Sequence[Line]) -> str:
@@ -289,8 +296,11 @@ def _search(plane: Plane, progress: Progress) -> None:
     for done, place in enumerate(first):
         progress("settings", done / len(first), f"{done} of {len(first)}")
         if plane.visit(place) is None and place == own:
-            raise SimulationError("the scene as it is gives another result than its reference",
-                                  where="bench", got=plane.failed[place]["why"])  # fmt: skip
+            raise SimulationError(
+                "the scene as it is gives another result than its reference",
+                where="bench",
+                got=plane.failed[place]["why"],
+            )
     plane.measure_alone()
     for wanted in sorted({plane.limit, plane.own.guarded}):
         _walk(plane, wanted, progress)
@@ -353,11 +363,16 @@ def _choice(plane: Plane) -> dict[str, Any]:
         for p in points
     ]
     return {
-        "points": rows, "failed": list(plane.failed.values()),
-        "recommended": None if best is None else {
-            "label": label(best.values), "settings": best.values, "error": best.error,
+        "points": rows,
+        "failed": list(plane.failed.values()),
+        "recommended": None
+        if best is None
+        else {
+            "label": label(best.values),
+            "settings": best.values,
+            "error": best.error,
             "bound": best.bound,
             "time_s": best.time,
             "set": [word for each in overrides(best.values) for word in ("--set", each)],
         },
-    }  # fmt: skip
+    }

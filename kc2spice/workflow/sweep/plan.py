@@ -215,8 +215,9 @@ class Plan:
             else:
                 words = [repr(value) for value in column]
                 steps |= {words.index(word): None for word in dict.fromkeys(words)}
-        return [self.at([step if b == block else 0 for b in range(len(self.blocks))])
-                for step in steps]  # fmt: skip
+        return [
+            self.at([step if b == block else 0 for b in range(len(self.blocks))]) for step in steps
+        ]
 
     def distinct(self, keys: Sequence[str]) -> int:
         """How many combinations of values the given keys take in all points."""

@@ -124,9 +124,10 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
             raise UsageError(f"cannot be read: {error.strerror}", where=name) from None
     if sum(map(len, found.values())) > MAX_FILES:
         raise UsageError(
-            "the files of this scene are too long to travel with a sweep", where=scene.name,
+            "the files of this scene are too long to travel with a sweep",
+            where=scene.name,
             expected=f"at most {MAX_FILES} bytes",
-        )  # fmt: skip
+        )
     return found
 
 
@@ -184,8 +185,11 @@ def toml(value: Any) -> str:
 
 def parameters(values: Mapping[str, Any]) -> Parameters:
     """``("PART.NAME", value)`` of a point's subcircuit parameters."""
-    pairs = ((key.removeprefix(PARAMETER), value) for key, value in values.items() if
-             key.startswith(PARAMETER))  # fmt: skip
+    pairs = (
+        (key.removeprefix(PARAMETER), value)
+        for key, value in values.items()
+        if key.startswith(PARAMETER)
+    )
     return tuple((key, float(value)) for key, value in pairs)
 
 

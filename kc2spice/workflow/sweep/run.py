@@ -90,9 +90,14 @@ class Sweep:
         """Hash of everything that decides the numbers."""
         files = {n: hashlib.sha256(data).hexdigest() for n, data in scene_files(self.scene).items()}
         context = [
-            __version__, scene_hash(self.scene), files, self.job.parameters, self.plan.keys,
-            self.scene.checks.model_dump(), self.scene.solver.retries,
-        ]  # fmt: skip
+            __version__,
+            scene_hash(self.scene),
+            files,
+            self.job.parameters,
+            self.plan.keys,
+            self.scene.checks.model_dump(),
+            self.scene.solver.retries,
+        ]
         digest = hashlib.sha256(json.dumps(context, sort_keys=True).encode())
         for block in self.plan.blocks:
             digest.update(repr(list(block.items())).encode())
@@ -112,9 +117,15 @@ class Sweep:
 
 
 def make_sweep(
-    scene: Source, sets: Sequence[str], *, zipped: bool = False, latin: bool = False,
-    seed: int = 0, metrics: Sequence[str] = (), timeout: float | None = None,
-) -> Sweep:  # fmt: skip
+    scene: Source,
+    sets: Sequence[str],
+    *,
+    zipped: bool = False,
+    latin: bool = False,
+    seed: int = 0,
+    metrics: Sequence[str] = (),
+    timeout: float | None = None,
+) -> Sweep:
     """Check ``KEY=RANGE`` texts as far as that goes without building a model.
 
     Raises
@@ -138,8 +149,10 @@ def make_sweep(
     keys = keys_of(first)
     plan = make_plan(
         [parse(name, value, keys) for name, value in ranges],
-        zipped=zipped, latin=latin, seed=seed,
-    )  # fmt: skip
+        zipped=zipped,
+        latin=latin,
+        seed=seed,
+    )
     units = {key: find_key(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
     return planned(job, plan, units, tuple(dict.fromkeys(metrics)))
@@ -279,9 +292,14 @@ def _check_parameters(found: Sweep) -> None:
 
 
 def sweep(
-    found: Sweep, out: Path, workers: Workers, progress: Progress = silent, *,
-    table_format: str = "csv", retry_failed: bool = False,
-) -> dict[str, Any]:  # fmt: skip
+    found: Sweep,
+    out: Path,
+    workers: Workers,
+    progress: Progress = silent,
+    *,
+    table_format: str = "csv",
+    retry_failed: bool = False,
+) -> dict[str, Any]:
     """Run all points that ``out`` does not hold yet; return the contract's summary.
 
     Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear

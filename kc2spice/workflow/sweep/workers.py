@@ -34,8 +34,13 @@ T = TypeVar("T")
 Call = tuple[T, Callable[..., Any], tuple[Any, ...]]  # name, function, arguments
 PATIENCE = 60.0  # s that a lost scheduler may take to come back
 # Losses of workers and schedulers, told by name so that Dask need not be imported.
-_LOST = {"KilledWorker", "FutureCancelledError", "FuturesCancelledError", "CommClosedError",
-         "FutureLostError"}  # fmt: skip
+_LOST = {
+    "KilledWorker",
+    "FutureCancelledError",
+    "FuturesCancelledError",
+    "CommClosedError",
+    "FutureLostError",
+}
 
 
 class WorkerDied:
@@ -176,10 +181,12 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
                 client.wait_for_workers(1, timeout=limit)
             except (OSError, TimeoutError, ValueError) as error:
                 raise MissingToolError(
-                    "no Dask scheduler with workers answers", where="--dask", got=address,
+                    "no Dask scheduler with workers answers",
+                    where="--dask",
+                    got=address,
                     expected="an address such as tcp://host:8786, or local",
                     hint=f"{type(error).__name__}: {error}".splitlines()[0][:200],
-                ) from None  # fmt: skip
+                ) from None
             yield client.get_executor(pure=False, retries=0), sum(client.nthreads().values())
 
     return opened

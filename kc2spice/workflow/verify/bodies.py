@@ -152,9 +152,13 @@ def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> 
 
 
 def electrical_checks(
-    name: str, rom: LinearModel, found: np.ndarray, exact: np.ndarray, gate: float,
+    name: str,
+    rom: LinearModel,
+    found: np.ndarray,
+    exact: np.ndarray,
+    gate: float,
     leak: np.ndarray,
-) -> list[Limit]:  # fmt: skip
+) -> list[Limit]:
     """Capacitance, and charge for each force, at each electrical port: each by its own size."""
     checks: list[Limit] = []
     ports = [port for port in rom.ports if port.kind == "electrical"]
@@ -222,9 +226,11 @@ def _deck(
     own = next((each for each in libraries if shape.fullmatch(each.name)), None)
     if own is None:
         raise UsageError(
-            "the deck has no subcircuit of this part", where=part.name, got=wanted,
+            "the deck has no subcircuit of this part",
+            where=part.name,
+            got=wanted,
             expected=", ".join(each.name for each in libraries) or "a library",
-        )  # fmt: skip
+        )
     rom: LinearModel = build.model(part)
     blocks: list[Block] = []
     vectors: dict[str, tuple[str, float]] = {}
@@ -234,10 +240,13 @@ def _deck(
         blocks.append(Block(f"load on {load.name}", tuple(cards)))
         vectors |= found
     return Deck(
-        name=f"{part.name}_response", title=f"frequency response of {part.name}",
-        parts=(own,), blocks=tuple(blocks), vectors=vectors,
+        name=f"{part.name}_response",
+        title=f"frequency response of {part.name}",
+        parts=(own,),
+        blocks=tuple(blocks),
+        vectors=vectors,
         command=ac(band[1] / POINTS, band[1], POINTS, "linear"),
-    )  # fmt: skip
+    )
 
 
 def _copy(
@@ -275,9 +284,10 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
     """The full model's response, kept for scenes that share the body."""
     key = part.type.model_key(part, build.scene) or {}
     depends = {
-        "body": {k: v for k, v in key.items() if k != "rom"}, "frequency": at.tolist(),
+        "body": {k: v for k, v in key.items() if k != "rom"},
+        "frequency": at.tolist(),
         "ports": list(full.inputs + full.outputs),
-    }  # fmt: skip
+    }
 
     def solve() -> dict[str, np.ndarray]:
         response = full.transfer(at)

@@ -100,9 +100,12 @@ def _loaded(build: Build, found: Mapping[str, Equations]) -> set[str]:
         for pin, target in equations.pins:
             nets.setdefault(build.scene.nets[name, pin], []).append((name, target))
     return {
-        name for net in nets.values() if any(kinds[target] != "signal" for _, target in net)
-        for name, target in net if kinds[target] == "signal" and _holds(laws, target)
-    }  # fmt: skip
+        name
+        for net in nets.values()
+        if any(kinds[target] != "signal" for _, target in net)
+        for name, target in net
+        if kinds[target] == "signal" and _holds(laws, target)
+    }
 
 
 def _kinds(laws: Iterable[Law]) -> dict[str, str]:
@@ -128,8 +131,11 @@ def taken_nets(build: Build) -> dict[str, str] | None:
     for name, equations in found.items():
         for pin, target in equations.pins:
             net = build.scene.nets[name, pin]
-            others = {part for part, end in build.scene.joined(name, pin)
-                      if not _listens(build, part, end)}  # fmt: skip
+            others = {
+                part
+                for part, end in build.scene.joined(name, pin)
+                if not _listens(build, part, end)
+            }
             joined = next((pins for pins in joins.values() if target in pins), (target,))
             if others & missing and not any(_holds(laws, each) for each in joined):
                 met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]

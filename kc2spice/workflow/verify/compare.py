@@ -139,9 +139,13 @@ def _aligned(
 
 
 def _at(
-    at: np.ndarray, t: np.ndarray, values: np.ndarray, waves: Waveforms, unique: np.ndarray,
+    at: np.ndarray,
+    t: np.ndarray,
+    values: np.ndarray,
+    waves: Waveforms,
+    unique: np.ndarray,
     name: str,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Values at ``at``; a height with its velocity by cubics, all others by straight lines."""
     stem, _, last = name.rpartition(".")
     if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
@@ -166,8 +170,10 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
         if size <= _resting(name, exact):
             continue
         error = np.abs(a - b)
-        power = (np.trapezoid(np.abs(x) ** 2, at) if at.size > 1 else np.abs(x).max() ** 2
-                 for x in (error, b))  # fmt: skip
+        power = (
+            np.trapezoid(np.abs(x) ** 2, at) if at.size > 1 else np.abs(x).max() ** 2
+            for x in (error, b)
+        )
         rms = math.sqrt(float(np.divide(*power)))
         found.append(OutputError(pair, name, float(error.max()) / size, rms))
     return found

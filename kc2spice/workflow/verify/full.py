@@ -76,9 +76,14 @@ def _sparse(model: LinearModel) -> LinearModel:
 
 
 def full_solution(
-    build: Build, full: Build, ours: Waveforms, exact: Reference, taken: Mapping[str, str],
-    clock: Any, whole: bool,
-) -> FullSolution | None:  # fmt: skip
+    build: Build,
+    full: Build,
+    ours: Waveforms,
+    exact: Reference,
+    taken: Mapping[str, str],
+    clock: Any,
+    whole: bool,
+) -> FullSolution | None:
     """The scene with its full models; None where no circuit has one.
 
     ``ours`` are ngspice's waves, which give ``taken`` nets, and ``exact`` the solution with the
@@ -102,9 +107,12 @@ def full_solution(
     end = min(each.end for each in found)
     waves, coarse = (_added(exact, found, end, twice) for twice in (False, True))
     return FullSolution(
-        waves, coarse, min(each.begin for each in found), end,
+        waves,
+        coarse,
+        min(each.begin for each in found),
+        end,
         tuple(each.note for each in found),
-    )  # fmt: skip
+    )
 
 
 def _added(exact: Reference, found: list[_Followed], end: float, twice: bool) -> Waveforms:
@@ -259,10 +267,17 @@ def _followed(
     )
     with clock.stage("full model", said) as share:
         fine, coarse = (
-            _difference(systems, begin, factor * step, count // factor, given,
-                        factors if factor == 1 else None, share)
+            _difference(
+                systems,
+                begin,
+                factor * step,
+                count // factor,
+                given,
+                factors if factor == 1 else None,
+                share,
+            )
             for factor in (1, 2)
-        )  # fmt: skip
+        )
     end = begin + count * step
     run = next(run for own, run in exact.runs if _names(own) == _names(circuit))
     note = (
@@ -291,10 +306,14 @@ def _with_models(circuit: Circuit, models: Mapping[str, LinearModel]) -> Circuit
 
 
 def _difference(
-    systems: tuple[System, System], begin: float, step: float, count: int,
-    given: Callable[[System, np.ndarray], np.ndarray] | None, factors: list[Body] | None,
+    systems: tuple[System, System],
+    begin: float,
+    step: float,
+    count: int,
+    given: Callable[[System, np.ndarray], np.ndarray] | None,
+    factors: list[Body] | None,
     progress: Callable[[float], None],
-) -> Difference:  # fmt: skip
+) -> Difference:
     first, second = (
         steps(system, own or seconds(system, step)[1], begin, step, count, given, progress)
         for system, own in zip(systems, (factors, None), strict=True)
@@ -331,15 +350,20 @@ def _still_until(
     at = first - 1
 
     def given(system: System, z: np.ndarray) -> np.ndarray:
-        return _state(system, z, {name: float(waves[name][at]) for name in _readable(system)},
-                      float(time[at]))  # fmt: skip
+        return _state(
+            system, z, {name: float(waves[name][at]) for name in _readable(system)}, float(time[at])
+        )
 
     return float(time[at]), given
 
 
 def _readable(system: System) -> list[str]:
-    own = [f"{d.law.name}.{s}" for d in system.devices if not isinstance(d.law, PortBody)
-           for s in d.law.states]  # fmt: skip
+    own = [
+        f"{d.law.name}.{s}"
+        for d in system.devices
+        if not isinstance(d.law, PortBody)
+        for s in d.law.states
+    ]
     return [*system.across, *(f"{name}.rate" for name in system.rates), *own]
 
 

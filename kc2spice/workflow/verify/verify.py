@@ -154,19 +154,22 @@ class _Verification:
         self.taken = given or {}
         if missing and given is None:
             self.notes.append(
-                "left out, for they have no law: " + ", ".join(missing)
+                "left out, for they have no law: "
+                + ", ".join(missing)
                 + "; the scene as a whole is not compared, its bodies are"
-            )  # fmt: skip
+            )
             waves = self._ngspice(deck)
             self._own_checks(waves)
             self.metrics |= solution(waves, self.build).metrics
         else:
             if missing:
                 self.notes.append(
-                    "left out, for they have no law: " + ", ".join(missing)
+                    "left out, for they have no law: "
+                    + ", ".join(missing)
                     + "; the others are given what ngspice has on the nets where they meet them: "
-                    * bool(self.taken) + ", ".join(self.taken)
-                )  # fmt: skip
+                    * bool(self.taken)
+                    + ", ".join(self.taken)
+                )
             vectors = taken_vectors(self.taken)
             self._full(*self._compared(deck.saving(vectors) if vectors else deck))
         self._summary(bodies)
@@ -189,9 +192,14 @@ class _Verification:
         if shipped is None:
             return own
         return replace(
-            own, name=shipped.name, text=shipped.text, more=shipped.more, parts=(), blocks=(),
+            own,
+            name=shipped.name,
+            text=shipped.text,
+            more=shipped.more,
+            parts=(),
+            blocks=(),
             options=(),
-        )  # fmt: skip
+        )
 
     def _ngspice(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
@@ -205,9 +213,14 @@ class _Verification:
         for part in self.build.scene.parts.values():
             if part.type.reduced:
                 body = verify_body(
-                    part, self.build, libraries, self.clock, self.work / part.name, self.whole,
+                    part,
+                    self.build,
+                    libraries,
+                    self.clock,
+                    self.work / part.name,
+                    self.whole,
                     gate,
-                )  # fmt: skip
+                )
                 self.checks += body.checks
                 self.notes += body.notes
                 self.figures += responses(body.name, body.curves)
@@ -225,8 +238,9 @@ class _Verification:
         self._own_checks(waves)
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
-            self.checks.append(Limit("energy of the reference integration",
-                                     reference.imbalance, limit))  # fmt: skip
+            self.checks.append(
+                Limit("energy of the reference integration", reference.imbalance, limit)
+            )
         curves = {"laws": reference.results, "netlist, ngspice": waves}
         self.figures += comparison("scene", build.scene.name, curves, deck.units)
         self.metrics |= ours.metrics
