@@ -47,8 +47,9 @@ def study(monkeypatch):
         return [out / "kick.lib"]
 
     fake.run, fake.export = run, export
-    monkeypatch.setitem(sys.modules, "kc2spice.workflow.run", fake)
-    monkeypatch.setattr("kc2spice.workflow.run", fake, raising=False)
+    for module in ("run", "export"):
+        monkeypatch.setitem(sys.modules, f"kc2spice.workflow.{module}", fake)
+        monkeypatch.setattr(f"kc2spice.workflow.{module}", fake, raising=False)
     return fake
 
 

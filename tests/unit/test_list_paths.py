@@ -39,7 +39,7 @@ def test_entries_are_swept_and_drawn():
     assert layers(scene)[0].thickness == 3e-4
     assert layers(scene)[1].thickness == values["beam.layers[1].thickness"]
     assert layers(scene)[2].material == "PZT-5H"
-    assert found.models.runs["fe"] == {"beam": 24}
+    assert found.runs == {"netlists": 24, "ngspice": 24}
 
 
 @pytest.mark.parametrize(
