@@ -24,9 +24,3 @@ def model() -> Resonators:
 def loop(model: Resonators) -> Build:
     """The whole loop around the made-up chip and field."""
     return device.built(load_scene("kick_and_catch"), model, device.magnets())
-
-
-@pytest.fixture(scope="session")
-def bounce(model: Resonators) -> Build:
-    """The same chip with an open anode, and a sphere that is thrown at it."""
-    return device.built(load_scene("impact"), model)

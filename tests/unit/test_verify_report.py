@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import Gate, Limit
+from kc2spice.scene.gates import Gate
 from kc2spice.workflow.verify.compare import (
     Solution,
     gate_limits,
@@ -54,13 +54,6 @@ def response(low: float, high: float) -> Waveforms:
     return Waveforms({"frequency": f, "a>a": 1.0 / f, "a>b": (1.0 + error) / f}, {})
 
 
-@pytest.mark.parametrize(("share", "value"), [(1.0, 1e-3), (0.2, 1e-6)])
-def test_a_share_of_the_scale_is_its_lowest(share: float, value: float) -> None:
-    ours, exact = Solution(response(1e-6, 1e-3), {}), Solution(response(0.0, 0.0), {})
-    gate = Gate("response", "*>*", {}, "spectral", share=share)
-    assert measured(gate, ours, exact) == pytest.approx(value, rel=1e-6)
-
-
 @pytest.mark.parametrize("wrong", ["catch.force.0", "catch.force.1", "catch.force.2"])
 def test_a_gate_of_several_waves_looks_at_each(wrong: str) -> None:
     waves = {f"catch.force.{k}": np.linspace(0.0, k + 1.0, 5) for k in range(3)}
@@ -76,17 +69,6 @@ def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
     ours = Waveforms(exact.data | {wrong: exact[wrong] * 1.01}, {})
     gate = Gate("response", "*>*", {}, "spectral")
     assert measured(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
-
-
-def test_a_gate_of_what_a_solution_does_not_have_is_absent() -> None:
-    waves = {"a>b": np.ones(4), "ab": np.ones(4)}
-    gates = [Gate(of, of, {"rom_vs_fom": 1.0}) for of in ("none", "b*", "c>*")]
-    ours, exact = (Solution(Waveforms(waves, {}), {}) for _ in range(2))
-    assert gate_limits(gates, "rom_vs_fom", ours, exact) == ([], None)
-    (limit,), _ = gate_limits([Gate("g", "a*", {"rom_vs_fom": 1.0})], "rom_vs_fom", ours, exact)
-    assert limit == Limit("g, ROM to full model", 0.0, 1.0, "1")
-    one = Solution(Waveforms({"ab": np.ones(4)}, {}), {})
-    assert gate_limits([Gate("g", "a>b", {"x": 1.0})], "x", one, exact) == ([], None)
 
 
 def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
