@@ -50,7 +50,8 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
         return
     assert theirs["time"][-1] == pytest.approx(ours["time"][-1])
     strokes = [n for n in nodes if re.search(r"_(ring0|centre|middle|tip)\)", n)]
-    strokes = strokes or [n for n in nodes if n.endswith("_y)")]  # rigid spheres alone
+    # rigid spheres alone, or a mass
+    strokes = strokes or [n for n in nodes if n.endswith(("_y)", "_a)"))]
     assert strokes
     for node in strokes:
         assert np.abs(theirs[node]).max() == pytest.approx(np.abs(ours[node]).max(), rel=1e-3)

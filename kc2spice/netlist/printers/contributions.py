@@ -11,6 +11,7 @@ from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import (
     Binary,
     Name,
+    Probe,
     Tree,
     Writer,
     literal,
@@ -207,8 +208,7 @@ def law(part: Element, names: Names) -> list[str]:
     match part.kind:
         case "v":
             value = names.value(_steady(part))
-            sensed = (s.lower() for other in names.scope.elements for s in other.sources)
-            if part.key in sensed:
+            if part.key in _currents(names.scope):
                 # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
                 value += f" + {number(SERIES)}*I({own})"
             return [f"V({own}) <+ {value};"]
@@ -302,3 +302,11 @@ def _table(name: str, x: list[float], f: list[float]) -> str:
 
     search(0, len(x) - 1, "      ")
     return "\n".join([*lines, "    end", "  endfunction"])
+
+
+def _currents(scope: Scope) -> set[str]:
+    """Sources whose current others read: a compiler joins the nodes of any other one of 0 V."""
+    read = {s.lower() for each in scope.elements for s in each.sources}
+    laws = (each.law for each in scope.elements if each.expression)
+    probes = (tree for law in laws for tree in walk(law) if isinstance(tree, Probe))
+    return read | {probe.names[0].lower() for probe in probes if probe.kind == "i"}

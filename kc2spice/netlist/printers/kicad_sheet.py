@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 from textwrap import shorten
@@ -94,7 +94,7 @@ def project(deck: Deck) -> dict[str, str]:
     title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
     sources = {e.key: _reference(e.name) for e in top.elements}
     commands = [
-        " ".join(sources.get(w.lower(), w) for w in card.text.split())
+        " ".join(_renamed(word, sources) for word in card.text.split())
         for card in top.commands
         if not (isinstance(card, Directive) and card.keyword in _OURS)
     ]
@@ -126,6 +126,16 @@ def _parts(deck: Deck) -> dict[str, Subcircuit]:
 def _reference(name: str) -> str:
     """KiCad counts symbols: a name must end in a number."""
     return name if name[-1].isdigit() else f"{name}1"
+
+
+def _renamed(word: str, references: Mapping[str, str]) -> str:
+    """A word of a command: a source, or what begins with a vector inside of an instance."""
+    if word.lower() in references:
+        return references[word.lower()]
+    head, dot, rest = word.partition(".")
+    opening, bracket, instance = head.rpartition("(")
+    name = references.get(instance.lower(), instance) if dot and bracket else instance
+    return f"{opening}{bracket}{name}{dot}{rest}"
 
 
 def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
