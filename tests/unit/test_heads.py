@@ -26,12 +26,6 @@ def test_a_bound_is_rounded_upwards(error, written):
     assert line.endswith("above the band not certified; a contact or a steep edge excites it\n")
 
 
-def test_what_contact_sees_above_the_band_is_said():
-    above = ((1e6, 0.0123), (2e6, 0.5))
-    line = rom_line(7, Certificate((0.0, 5e5), 1e-4, "residual", True, True, above))
-    assert "certified, compliance off by 0.012 at 1e+06 Hz, 0.5 at 2e+06 Hz; a contact" in line
-
-
 def test_the_head_of_a_library():
     pins = (Pin("a", "um", "N"), Pin("ref", "V", "A"))
     params = (Param("k", 2.0, "N/m", "stiffness\n.control"), positive("c", 1e-9, "F", "size"),
