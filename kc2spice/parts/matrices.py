@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers import extent, read_model
 from kc2spice.bodies.readers.source import source_files
+from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
 from kc2spice.parts._linear_body import BodyKeys, LinearBody, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
+
+THIN = 0.02  # of its width: a line of nodes is drawn so high
 
 
 class MatricesKeys(BodyKeys):
@@ -46,6 +50,15 @@ class Matrices(LinearBody):
 
     def full(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
         return self._model(part, scene)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        """The box of its mesh from the side, where its TOML file names one."""
+        size = extent(self._file(part, scene), self._sidecar(part, scene))
+        if size is None or not size[:2].any():
+            return
+        wide, high = float(size[:2].max()), float(size[2] or size[:2].min())
+        high = max(high, THIN * wide)
+        yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _model(self, part: Part, scene: Scene) -> LinearModel:
         stamps = str(self.full_key(part, scene)["files"])

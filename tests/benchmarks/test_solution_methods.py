@@ -11,7 +11,6 @@ from laboratory.distance import compare
 from laboratory.law import law
 from laboratory.located import located
 from laboratory.lower_bound import LowerBound
-from laboratory.peers import integrate
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +32,6 @@ def test_lower_bound_flies_the_loop_exactly(loop, exact):
     assert error["velocity_relative"] < 1e-5
     assert abs(opens(waves) - opens(exact)) < 1e-11
     assert error["trajectory_m"] < 2e-8
-
-
-def test_peers_converge_to_the_reference(loop, exact):
-    equations, scene = law(loop), loop.scene
-    coarse, fine = (compare(integrate(equations, scene, "Radau", r), exact) for r in (1e-3, 1e-5))
-    assert fine["velocity_relative"] < 1e-4
-    assert fine["trajectory_m"] < coarse["trajectory_m"]
 
 
 def test_ngspice_flies_the_same_loop(loop, exact, tmp_path):

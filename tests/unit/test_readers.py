@@ -7,7 +7,7 @@ import pytest
 from scipy import io as scipy_io
 from scipy import sparse
 
-from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers import extent, read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
 
@@ -257,6 +257,11 @@ def labelled(tmp_path):
         "*NODE\n7, 0, 0, 0\n20, 10., 0, 0\n300, 20, 1.5, 0\n*NSET, NSET=Ends\n7, 300\n"
     )
     return lambda text: read_model(tmp_path / "m.npz", sidecar(tmp_path, text))
+
+
+def test_the_mesh_tells_the_size_that_reports_draw(labelled, tmp_path):
+    labelled('mesh="mesh.inp"\nlength="mm"\n' + TIP)
+    np.testing.assert_allclose(extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
 
 
 def test_port_over_a_node_set_is_the_mean_along_the_axis(labelled):

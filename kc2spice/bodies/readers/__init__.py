@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import assemble
-from kc2spice.bodies.readers.source import open_source
+from kc2spice.bodies.readers.mesh import read_mesh
+from kc2spice.bodies.readers.source import described, open_source
 from kc2spice.rom.linear import LinearModel
 
 FORMATS = """\
@@ -36,3 +39,16 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     """
     found = open_source(Path(path), None if sidecar is None else Path(sidecar))
     return assemble(found)
+
+
+def extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
+    """Size (3,) [m] of the mesh that the TOML file names; None where it names none.
+
+    Raises
+    ------
+    UsageError : a sidecar or a mesh that is wrong.
+    """
+    _, said = described(path, sidecar)
+    if said.mesh is None:
+        return None
+    return np.asarray(_sidecar.LENGTHS[said.length] * np.ptp(read_mesh(said.mesh).at, axis=0))

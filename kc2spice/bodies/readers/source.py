@@ -78,9 +78,7 @@ def open_source(path: Path, sidecar: Path | None) -> Source:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files = _family(path)
-    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
-    given = sidecar is not None or path.suffix == ".toml"
-    said = read_sidecar(sidecar or beside) if given or present(beside) else Sidecar()
+    _, said = described(path, sidecar)
     raw = _read(path, {**files, **said.files}, said)
     if said.dofs is not None:
         raw = Raw(raw.matrices, _rows(said.dofs), raw.held)
@@ -95,12 +93,23 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     UsageError : a sidecar that is wrong.
     """
     base, files = _family(path)
-    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
-    chosen = sidecar or beside
-    said = read_sidecar(chosen) if sidecar is not None or present(beside) else Sidecar()
+    chosen, said = described(path, sidecar)
     named = [path, chosen, *files.values(), *said.files.values(), said.mesh, said.dofs]
     named += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
     return tuple(sorted({item for item in named if item is not None and item.is_file()}))
+
+
+def described(path: Path, sidecar: Path | None) -> tuple[Path, Sidecar]:
+    """The TOML file of the model at ``path``, which need not exist unless given, and what it says.
+
+    Raises
+    ------
+    UsageError : a sidecar that is wrong.
+    """
+    base, _ = _family(path)
+    beside = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
+    chosen, given = sidecar or beside, sidecar is not None or path.suffix == ".toml"
+    return chosen, read_sidecar(chosen) if given or present(beside) else Sidecar()
 
 
 def _family(path: Path) -> tuple[Path, dict[str, Path]]:
