@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.version import __version__
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from kc2spice.scene.parttype import PartType
     from kc2spice.workflow.run import Completed
 
+_SCALES = {"time": "s", "frequency": "Hz"}
 Function = Callable[[float, Mapping[str, float]], float]
 
 
@@ -235,7 +238,7 @@ def run(
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
     """
     from kc2spice.workflow.run import complete
-    from kc2spice.workflow.simulate import forget_failure, kept_on_failure
+    from kc2spice.workflow.simulate import kept_on_failure
 
     if out is not None and not isinstance(out, (str, Path)):
         raise UsageError(
@@ -247,16 +250,14 @@ def run(
         )
     loaded = load_scene(scene, overrides)
     edited = None if deck is None else Path(deck)
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
-        if out is None:
-            return _result(
-                complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
-            )
-        with kept_on_failure(Path(work), Path(out), loaded.name):
-            done = complete(loaded, Path(work), trust=trust, deck=edited, functions=functions)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as name, ExitStack() as kept:
+        work = Path(name)
+        if out is not None:
+            kept.enter_context(kept_on_failure(work, Path(out), loaded.name))
+        done = complete(loaded, work, trust=trust, deck=edited, functions=functions)
     result = _result(done)
-    result.save(out)
-    forget_failure(Path(out))
+    if out is not None:
+        result.save(out)
     return result
 
 
@@ -380,28 +381,18 @@ class Result:
 
         from kc2spice.core.figure import Curve, Figure, Panel
 
-        panels: dict[str, list[Curve]] = {}
+        log, by_unit = self.scale == "frequency", dict[str, list[Curve]]()
         for name in names:
             y = self.waves[name]
             curve = Curve(name, self.waves[self.scale], np.abs(y) if np.iscomplexobj(y) else y)
-            panels.setdefault(self.units.get(name, ""), []).append(curve)
-        unit = {"time": "time in s", "frequency": "frequency in Hz"}.get(self.scale, self.scale)
-        log = self.scale == "frequency"
-        return Figure(
-            self.scene,
-            self.scene,
-            "",
-            tuple(
-                Panel(
-                    unit if k == len(panels) else "",
-                    f"in {u}" if u else "",
-                    tuple(curves),
-                    log_x=log,
-                    log_y=log,
-                )
-                for k, (u, curves) in enumerate(panels.items(), 1)
-            ),
-        )
+            by_unit.setdefault(self.units.get(name, ""), []).append(curve)
+        panels = [
+            Panel("", f"in {unit}" if unit else "", tuple(curves), log_x=log, log_y=log)
+            for unit, curves in by_unit.items()
+        ]
+        unit = _SCALES.get(self.scale, "")
+        panels[-1] = replace(panels[-1], x=f"{self.scale} in {unit}" if unit else self.scale)
+        return Figure(self.scene, self.scene, "", tuple(panels))
 
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
@@ -414,6 +405,7 @@ class Result:
         UsageError : ``out`` cannot be written.
         """
         from kc2spice.core.files import staged
+        from kc2spice.core.waveforms import Waveforms
         from kc2spice.sim.ngspice import write_deck
         from kc2spice.workflow.results import write_record, write_waveforms
 
@@ -424,15 +416,10 @@ class Result:
 
                 write_run_files(self._done, work, png=png)
             else:
-                files = [*self.deck.files, *write_waveforms(self._waveforms, self.units, work)]
+                waves = Waveforms(dict(self.waves), {})
+                files = [*self.deck.files, *write_waveforms(waves, self.units, work)]
                 write_record({**self.record, "files": [*files, "result.json"]}, work)
         return Path(out)
-
-    @property
-    def _waveforms(self) -> Any:
-        from kc2spice.core.waveforms import Waveforms
-
-        return Waveforms(dict(self.waves), {})
 
     def __repr__(self) -> str:
         points = self.waves[self.scale].size
@@ -446,14 +433,15 @@ class Result:
         return "\n".join([head + ">", *lines])
 
     def _repr_html_(self) -> str:
-        from html import escape
+        rows = [(name, _shown(value)) for name, value in self.metrics.items()]
+        return f"<p>{escape(repr(self).splitlines()[0])}</p>{_html(('metric', 'value'), rows)}"
 
-        rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{escape(_shown(value))}</td></tr>"
-            for name, value in self.metrics.items()
-        )
-        head = escape(repr(self).split("\n")[0])
-        return f"<p>{head}</p><table><tr><th>metric</th><th>value</th></tr>{rows}</table>"
+
+def _html(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table for notebooks."""
+    cells = [("th", head), *(("td", row) for row in rows)]
+    lines = ("".join(f"<{tag}>{escape(c)}</{tag}>" for c in row) for tag, row in cells)
+    return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
 
 
 def _shown(value: Any) -> str:
@@ -491,7 +479,7 @@ def _plain_result(deck: Deck, waves: Waveforms) -> Result:
 
 def _units(deck: Deck, waves: Waveforms) -> dict[str, str]:
     scale = next(iter(waves.data))
-    return {scale: {"time": "s", "frequency": "Hz"}.get(scale, ""), **deck.units}
+    return {scale: _SCALES.get(scale, ""), **deck.units}
 
 
 # ------------------------------------------------------------------------------------- sweeps
@@ -528,12 +516,9 @@ class Table:
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV."""
-        import csv
+        from kc2spice.workflow.sweep.table import write_csv
 
-        with Path(path).open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, self.columns)
-            writer.writeheader()
-            writer.writerows(self.rows)
+        write_csv({name: self[name] for name in self.columns}, Path(path))
         return Path(path)
 
     def _cells(self) -> list[list[str]]:
@@ -548,13 +533,7 @@ class Table:
         )
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        def row(cells: Sequence[str], tag: Literal["th", "td"]) -> str:
-            return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-        body = "".join(row(cells, "td") for cells in self._cells())
-        return f"<table>{row(self.columns, 'th')}{body}</table>"
+        return _html(self.columns, self._cells())
 
 
 def sweep(
@@ -588,7 +567,7 @@ def sweep(
     MissingToolError : no ngspice.
     """
     from concurrent.futures import ThreadPoolExecutor
-    from contextlib import ExitStack, nullcontext
+    from contextlib import nullcontext
 
     from kc2spice.sim.ngspice import find_ngspice
     from kc2spice.workflow.sweep.plan import Grid, make_plan

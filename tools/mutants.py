@@ -50,10 +50,11 @@ PACKAGES = ("fem", "rom", "spice", "reference", "workflow/verify")
 NO_PYTHON = "no Python"  # such a mutant is not counted
 LEFT_OUT = ("tests/clients", "tests/benchmarks", "tests/gallery/test_readme.py",
             "tests/gallery/test_site.py", "tests/gallery/test_examples.py")  # fmt: skip
-SAID = re.compile(r"\w*(Error|Warning)|warn|progress|stage|LeftOut|Note|Figure|Panel|Curve|Line2D")
-WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint",
-         "_opamp_drawing"}  # fmt: skip
-DRAWN = {"kicad_sheet", "plotscript"}  # where things lie on a sheet
+SAID = re.compile(
+    r"\w*(Error|Warning)|warn|progress|stage|Neglected|Note|Figure|Panel|Curve|Line2D"
+)
+WORDS = {"figures", "sketch", "left_out", "modelled", "notes", "__str__", "__repr__", "hint"}
+DRAWN = {"kicad"}  # where things lie on a sheet
 SAME = re.compile(r"_(Eq_Is|Is_Eq|NotEq_IsNot|IsNot_NotEq)$")  # of short texts and numbers
 FORMAL = {"dataclass", "lru_cache", "cache", "_line"}  # the last are strokes of symbols
 FIRST, MORE = 15.0, 80.0  # recorded seconds of tests: first, then for survivors

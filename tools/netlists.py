@@ -3,10 +3,11 @@
     python tools/netlists.py                               # all that is committed
     python tools/netlists.py build/kc2spice_symbols.zip    # a package for KiCad
 
-Committed are the ngspice deck and the libraries of every scene, one KiCad symbol library for all of
-them, and as examples the files for KiCad, LTspice, Xyce and Verilog-A of two scenes in
-docs/examples/dialects; ``kc2spice export`` writes these of any scene. KiCad finds the models by a
-path variable of the user's, ``KC2SPICE_NETLISTS`` (Preferences, Configure Paths): the folder
+Committed are the ngspice deck and the libraries of every scene (scenes of the same actuators share
+one folder and its libraries), one KiCad symbol library for all of them, and as examples the files
+for KiCad, LTspice, Xyce and Verilog-A of two scenes in docs/examples/dialects; ``kc2spice export``
+writes these of any scene. KiCad finds the models by a path variable of the user's,
+``KC2SPICE_NETLISTS`` (Preferences, Configure Paths): the folder
 ``libraries`` of the package, or ``netlists`` of a checkout.
 """
 
@@ -35,6 +36,13 @@ NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"
 SYMBOLS, PAGE = NETLISTS / "kc2spice.kicad_sym", NETLISTS / "README.md"
 SHOWN = ("impact", "buzzer_7bb_20_6")  # the scenes that stand in every dialect
 FOLDER = "${KC2SPICE_NETLISTS}"
+# Scenes in the folder of another one, with which they have their libraries in common.
+SHARED = {
+    "amplifier_kick": "kick_and_catch",
+    "charge_kick": "bring_your_own",
+    "half_bridge_kick": "bring_your_own",
+    "three_cycles": "bring_your_own",
+}
 METADATA = {
     "$schema": "https://go.kicad.org/pcm/schemas/v1",
     "name": "kc2spice actuators",
@@ -84,13 +92,23 @@ def _is_library(path: Path) -> bool:
     return path.suffix == ".lib" and not path.name.endswith(".ltspice.lib")
 
 
+def folder(scene: str) -> Path:
+    """Where the files of a scene are committed."""
+    return NETLISTS / SHARED.get(scene, scene)
+
+
+def cards(path: Path) -> tuple[str, ...]:
+    """The cards of a netlist without its comments."""
+    found = statements(path.read_text(encoding="utf-8"), path.name)
+    return tuple(s.text for s in found if s.text)
+
+
 def symbols() -> Iterator[Symbol]:
     """One symbol for each design: under its part's name, or with the scene's where two differ."""
     designs: dict[str, dict[tuple[str, ...], Path]] = {}
     for path in libraries():
         for part in read_lib(path):
-            cards = tuple(s.text for s in statements(part.text, path.name) if s.text)
-            designs.setdefault(part.name, {}).setdefault(cards, path)
+            designs.setdefault(part.name, {}).setdefault(cards(path), path)
     for name, found in designs.items():
         for path in found.values():
             (part,) = (each for each in read_lib(path) if each.name == name)
@@ -140,14 +158,30 @@ def write() -> None:
     """Everything that is committed."""
     for old in [path for path in NETLISTS.iterdir() if path.is_dir()]:
         shutil.rmtree(old)
-    for scene in sorted(gallery()):
-        print(f"{scene}: {len(scene_files(scene, NETLISTS / scene))} files", flush=True)
+    for scene in sorted(gallery(), key=lambda name: (name in SHARED, name)):
+        print(f"{scene}: {commit(scene)} files", flush=True)
     SYMBOLS.write_text(symbol_library(), encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
     shutil.rmtree(EXAMPLES, ignore_errors=True)
     for scene in SHOWN:
         (EXAMPLES / scene).mkdir(parents=True)
         example_files(scene, EXAMPLES / scene)
+
+
+def commit(scene: str) -> int:
+    """Number of the files of a scene that its folder has not got yet, once they are there."""
+    if scene not in SHARED:
+        return len(scene_files(scene, folder(scene)))
+    with TemporaryDirectory() as place:
+        files = scene_files(scene, Path(place))
+        for path in files:
+            there = folder(scene) / path.name
+            if there.exists() and cards(there) != cards(path):
+                sys.exit(f"{scene}: {path.name} is another one than in {folder(scene)}")
+        new = [path for path in files if not (folder(scene) / path.name).exists()]
+        for path in new:
+            shutil.copy(path, folder(scene))
+        return len(new)
 
 
 def package(target: Path) -> None:

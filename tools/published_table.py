@@ -2,8 +2,8 @@
 
 python tools/published_table.py [SCENE ...]
 
-Every device is a scene of the gallery; nothing is fitted. With names, only these are computed and
-printed, and no file is written. Takes some minutes.
+Every device is a scene of the gallery or of docs/published; nothing is fitted. With names, only
+these are computed and printed, and no file is written. Takes some minutes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run
+from kc2spice.workflow.verify.verify import verify
 
 ROOT = Path(__file__).parents[1]
+CASES = ROOT / "docs" / "published"
 UNITS = {
     "resonance_hz": ("resonance", 1e3, "kHz"),
     "capacitance_f": ("capacitance", 1e-9, "nF"),
@@ -38,7 +40,10 @@ UNITS = {
     "tone_hz": ("tone", 1e3, "kHz"),
     "launch_velocity_m_s": ("launch speed", 1.0, "m/s"),
     "sub_impacts": ("contacts in one blow", 1.0, ""),
+    "antiresonance_hz": ("antiresonance", 1e3, "kHz"),
 }
+SUFFIXES = {"_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_siemens": "S"}
+PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PICTURES = {
     "buzzer_ft_20t_6_5a1": "disc_impedance.png",
     "stack_p882": "stack_impedance.png",
@@ -58,9 +63,11 @@ has the damping ratio of its paper; rows marked *assumed* rest on a key that the
 give. Discs are free plates (sheets measure at the node, which changes the resonance by a tenth of
 a percent).
 *full* is the finite-element model, *reduced* what the subcircuit is made from, *ngspice* a run of
-the emitted netlist. What a column cannot give is "-". *within* compares ngspice (else the full
-model) with the tolerance of the source. Written by `python tools/published_table.py` from
-`docs/published.toml`; each device runs by its name: `kc2spice run NAME`. What its mesh is worth
+the emitted netlist; of the cases with complete inputs *full* and *reduced* are the independent
+integration of the laws with the full and the reduced models. What a column cannot give is "-".
+*within* compares ngspice (else the full model) with the tolerance of the source. Written by
+`python tools/published_table.py` from `docs/published.toml`; each device
+runs by its name, `kc2spice run NAME`, or from its file in `docs/published`. What its mesh is worth
 says `kc2spice explain NAME`.
 
 | scene | quantity | published | full | reduced | ngspice | difference | within |
@@ -97,6 +104,9 @@ def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     clock = Clock()
     body = scene.parts[part]
     return body.type.full(body, scene, clock), build_models(scene, clock).model(part)
+
+
+Solver: TypeAlias = Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]
 
 
 @dataclass(frozen=True)
@@ -202,17 +212,53 @@ def blow(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     return {"sub_impacts": Answer(None, None, float(count))}, out
 
 
-SOLVERS: dict[str, Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]] = {
+def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
+    """A scene of docs/published by its metrics; with ``full = false`` by ngspice alone."""
+    scene = load_scene(str(CASES / entry["scene"]), entry.get("set", []))
+    out = Path(tempfile.mkdtemp()) / name
+    if entry.get("full", True):
+        told = verify([scene], out)[scene.name]["answers"]
+    else:
+        told = {"ngspice": run(scene, out)["metrics"]}
+    names = [key for key, value in entry.items() if isinstance(value, dict) and key != "misses"]
+    paths = [told.get(path, {}) for path in ("fom", "rom", "ngspice")]
+    return {key: Answer(*(path.get(key) for path in paths)) for key in names}, out
+
+
+def solver(name: str, entry: Mapping[str, Any]) -> Solver:
+    """What answers for a device."""
+    return case if "scene" in entry else SOLVERS.get(name, buzzer)
+
+
+def shown(quantity: str) -> tuple[str, float, str]:
+    """Words, factor to SI and unit of a quantity."""
+    if quantity in UNITS:
+        return UNITS[quantity]
+    suffix = next(s for s in SUFFIXES if quantity.endswith(s))
+    return quantity.removesuffix(suffix).replace("_", " "), 1.0, SUFFIXES[suffix]
+
+
+SOLVERS: dict[str, Solver] = {
     "harvester": harvester, "stack_p882": stack, "buzzer_self": tone, "kick_slew": kick,
     "sphere_on_beam": blow,
 }  # fmt: skip
+
+
+def scaled(entry: Mapping[str, Any], quantity: str) -> tuple[str, float, str]:
+    """Words, factor to SI and unit, with the prefix that suits the published value."""
+    label, unit, text = shown(quantity)
+    if quantity in UNITS or not text:
+        return label, unit, text
+    size = abs(entry[quantity]["value"])
+    factor, prefix = next(p for p in PREFIXES if size >= p[0] or p is PREFIXES[-1])
+    return label, factor, prefix + text
 
 
 def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> list[str]:
     """One row a quantity."""
     lines = []
     for quantity, answer in found.items():
-        label, unit, text = UNITS[quantity]
+        label, unit, text = scaled(entry, quantity)
         sheet = entry[quantity]
         difference = answer.best / sheet["value"] - 1
         inside = abs(difference) <= sheet["tolerance"]
@@ -248,16 +294,16 @@ def page(published: Mapping[str, Any]) -> str:
     """The whole text; copies the pictures beside it."""
     figures = ROOT / "docs" / "figures" / "devices"
     figures.mkdir(parents=True, exist_ok=True)
-    lines, shown = [], []
+    lines, pictures = [], []
     for name, entry in published.items():
-        found, out = SOLVERS.get(name, buzzer)(name, entry)
+        found, out = solver(name, entry)(name, entry)
         lines += rows(name, entry, found)
-        shown += _picture(name, entry["device"], out, figures)
+        pictures += _picture(name, entry["device"], out, figures)
     for name in PICTURES.keys() - published.keys():
         _, _, out = simulate(name, *(["beam.fields=true"] if name == "harvester_bridge" else []))
-        shown += _picture(name, load_scene(name, []).title, out, figures)
+        pictures += _picture(name, load_scene(name, []).title, out, figures)
     reasons = [
-        f"- `{name}`, {UNITS[quantity][0]}: {reason}."
+        f"- `{name}`, {shown(quantity)[0]}: {reason}."
         for name, entry in published.items()
         for quantity, reason in entry.get("misses", {}).items()
     ]
@@ -280,7 +326,7 @@ def page(published: Mapping[str, Any]) -> str:
         "What the source does not say and the scene assumes (no verdict on the model):",
         "\n".join(assumed),
         "## Height of the kick over the slew of the driver", "\n".join(kicks), "\n".join(slew()),
-        "## Pictures", "\n\n".join(sorted(shown)), "## Sources", "\n".join(sources),
+        "## Pictures", "\n\n".join(sorted(pictures)), "## Sources", "\n".join(sources),
     ]  # fmt: skip
     return HEAD + "\n\n".join(parts) + "\n"
 
@@ -298,7 +344,7 @@ def main(names: list[str]) -> None:
     if not names:
         (ROOT / "docs" / "devices.md").write_text(page(published), encoding="utf-8")
     for name in names:
-        found, _ = SOLVERS.get(name, buzzer)(name, published[name])
+        found, _ = solver(name, published[name])(name, published[name])
         print("\n".join(rows(name, published[name], found)))
 
 

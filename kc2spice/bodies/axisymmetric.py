@@ -45,15 +45,6 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Electrode:
-    """One equipotential: a ``terminal`` is an input, the ``ground`` zero, ``floating`` is free."""
-
-    name: str
-    faces: tuple[Face, ...]
-    kind: Literal["terminal", "ground", "floating"] = "terminal"
-
-
-@dataclass(frozen=True)
 class Fixed:
     """Displacements along one direction that a support holds, in a box of radii and heights [m]."""
 
@@ -64,52 +55,48 @@ class Fixed:
 
 def turned(
     blocks: Sequence[Block],
-    electrodes: Sequence[Electrode] = (),
+    electrodes: Mapping[str, Sequence[Face]],
     supports: Sequence[Fixed] = (),
     ports: Mapping[str, Face] | None = None,
     *,
+    floating: Sequence[Sequence[Face]] = (),
     size: float,
     damping: Damping,
     refine: int = 1,
 ) -> Device:
     """The device of the bonded blocks; ``size`` [m] bounds the cells, ``refine`` divides them.
 
-    A port is the mean axial displacement of a face, whose force is spread evenly over it.
+    Voltages of the electrodes are counted from the ``cathode``; each of the ``floating`` ones is
+    one equipotential without charge. A port is the mean axial displacement of a face, whose force
+    is spread evenly over it.
 
     Raises
     ------
     UsageError : a material that is not isotropic about z; an electrode, support or port that
         touches nothing; electrodes that touch each other.
     """
-    faces = {} if ports is None else ports
-    every = [*faces.values(), *chain.from_iterable(e.faces for e in electrodes)]
+    faces = ports or {}
+    every = [*faces.values(), *chain(*electrodes.values(), *floating)]
     solid = _solid(blocks, every, supports, size, refine)
     nodes = solid.places
     near = 1e-3 * float(np.abs(np.diff(solid.mesh.p[:, solid.mesh.facets], axis=1)).max(0).min())
 
-    def touched(electrode: Electrode) -> np.ndarray:
-        return np.flatnonzero(np.any([_on(face, nodes, near) for face in electrode.faces], axis=0))
+    def touched(joined: Sequence[Face]) -> np.ndarray:
+        return np.flatnonzero(np.any([_on(face, nodes, near) for face in joined], axis=0))
 
-    by_kind = {
-        kind: {e.name: touched(e) for e in electrodes if e.kind == kind}
-        for kind in ("terminal", "ground", "floating")
-    }
-    return make_device(
-        solid,
-        Setup(
-            fixed=_fixed(nodes, supports, near).ravel(),
-            electrodes=by_kind["terminal"] | by_kind["ground"],
-            reference=next(iter(by_kind["ground"]), ""),
-            floating=list(by_kind["floating"].values()),
-            shapes=[
-                Shape(
-                    Port(name, "mechanical"), mean(solid, AXIAL, facets=_facets(solid, face, near))
-                )
-                for name, face in faces.items()
-            ],
-            damping=damping,
-        ),
+    def port(name: str, face: Face) -> Shape:
+        weights = mean(solid, AXIAL, facets=_facets(solid, face, near))
+        return Shape(Port(name, "mechanical"), weights)
+
+    setup = Setup(
+        fixed=_fixed(nodes, supports, near).ravel(),
+        electrodes={name: touched(joined) for name, joined in electrodes.items()},
+        reference="cathode",
+        floating=[touched(joined) for joined in floating],
+        shapes=[port(name, face) for name, face in faces.items()],
+        damping=damping,
     )
+    return make_device(solid, setup)
 
 
 def _solid(
@@ -128,10 +115,8 @@ def _solid(
     materials = {block.material.name: block.material for block in blocks}
     owner = np.full((rows, columns), -1)
     for block in blocks:
-        inside = np.outer(
-            (across > block.r[0]) & (across < block.r[1]),
-            (along > block.z[0]) & (along < block.z[1]),
-        ).astype(bool)
+        wide = (across > block.r[0]) & (across < block.r[1])
+        inside = np.outer(wide, (along > block.z[0]) & (along < block.z[1]))
         if not inside.any():
             raise UsageError("a block of no volume", got=f"r = {block.r}, z = {block.z}")
         owner[inside] = list(materials).index(block.material.name)

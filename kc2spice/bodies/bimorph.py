@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -35,8 +34,7 @@ from skfem.mesh import MeshHex
 
 from kc2spice.bodies.device import Device, Setup, Shape, make_device, node_shares, spread
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Length, Section, si
-from kc2spice.core.schema import validated
+from kc2spice.core.quantities import Length, Section, si, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
@@ -45,7 +43,6 @@ from kc2spice.rom.linear import Port
 Mass: TypeAlias = Annotated[float, si("kg")]
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
 GRADING = 1.6
-HERE = Path()
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -100,9 +97,7 @@ class _Wires:
     poling: dict[int, float]  # of each piezoelectric layer, +1 is up
 
 
-def device(
-    keys: Bimorph | Mapping[str, Any], home: Path = HERE, *, refine: int = 1, where: str = "bimorph"
-) -> Device:
+def device(keys: Bimorph | Mapping[str, Any], *, refine: int = 1, where: str = "bimorph") -> Device:
     """Mesh the layers and assemble; ``refine`` divides edges in the plane once more than
     ``keys.mesh``, and every second one through the thickness, where a quadratic element holds all
     that plates do.
@@ -188,9 +183,8 @@ def _setup(keys: Bimorph, solid: Solid, wires: _Wires) -> Setup:
         return np.flatnonzero(np.isclose(z[:, None], planes, rtol=0, atol=near).any(axis=1))
 
     ends = [n for n in range(len(wires.levels)) if n not in wires.anode + wires.cathode]
-    end = node_shares(
-        solid, facets=solid.mesh.facets_satisfying(lambda p: p[0] > keys.length - near)
-    )
+    face = solid.mesh.facets_satisfying(lambda p: p[0] > keys.length - near)
+    end = node_shares(solid, facets=face)
     shapes = [] if keys.support == "clamped" else [_port("tip", end, solid)]
     for name, place in keys.points.items():
         distance = np.hypot(x - place, y - keys.width / 2) + np.abs(z - z.max())

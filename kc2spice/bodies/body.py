@@ -42,8 +42,7 @@ from kc2spice.bodies.device import (
 )
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import beside
-from kc2spice.core.quantities import Count, Length, Notch, Section
-from kc2spice.core.schema import validated
+from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.mesh_file import Group, GroupedMesh, Pick, extent, length_unit, read_mesh
@@ -128,6 +127,22 @@ class PortKeys(Section):
         return self
 
     @property
+    def motions(self) -> tuple[str, ...]:
+        """Those of a rigid face that are ports."""
+        return _MOTIONS if self.axis is None else (str(self.axis),)
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """What it is in a model."""
+        if self.kind != "rigid":
+            return (Port(self.name, "acceleration" if self.kind == "base" else "mechanical"),)
+        names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
+        return tuple(
+            Port(name, "rotational" if motion.startswith("r") else "mechanical")
+            for name, motion in zip(names, self.motions, strict=True)
+        )
+
+    @property
     def direction(self) -> np.ndarray:
         """Unit vector (3,) of a translation."""
         if isinstance(self.axis, str):
@@ -139,8 +154,8 @@ class PortKeys(Section):
 class Body(Section):
     """Keys of ``part = "body"``; see the module.
 
-    Of the electrodes, ``cathode`` (or ``gnd``, else the last) is the return pin of all others.
-    ``floating`` electrodes are equipotential and carry no charge.
+    Of the electrodes, ``cathode`` (or ``gnd``, ``ground``, else the last) is the return pin of all
+    others. ``floating`` electrodes are equipotential and carry no charge.
     """
 
     mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
@@ -169,6 +184,12 @@ class Body(Section):
     ports: tuple[PortKeys, ...] = ()
     damping: Damping = Damping()
 
+    @property
+    def reference(self) -> str:
+        """The electrode that voltages are counted from; none without electrodes."""
+        last = next(reversed(self.electrodes), "")
+        return next((name for name in _REFERENCES if name in self.electrodes), last)
+
     @model_validator(mode="after")
     def _consistent(self) -> Body:
         stray = set(self.poling) - set(self.materials)
@@ -187,18 +208,9 @@ class Body(Section):
 
 def ports(keys: Body) -> tuple[Port, ...]:
     """The ports that a body of these keys has, electrical ones first, without building it."""
-    names = list(keys.electrodes)
-    reference = next((n for n in ("cathode", "gnd") if n in names), names[-1] if names else "")
-    found = [Port(n, "electrical", pins=(n, reference)) for n in names if n != reference]
-    for port in keys.ports:
-        if port.kind == "base":
-            found.append(Port(port.name, "acceleration"))
-        elif port.kind == "rigid":
-            motions = _MOTIONS if port.axis is None else (str(port.axis),)
-            found += [_motion(port.name if port.axis else f"{port.name}_{m}", m) for m in motions]
-        else:
-            found.append(Port(port.name, "mechanical"))
-    return tuple(found)
+    pairs = [(name, keys.reference) for name in keys.electrodes if name != keys.reference]
+    electrical = (Port(pair[0], "electrical", pins=pair) for pair in pairs)
+    return (*electrical, *(port for each in keys.ports for port in each.ports))
 
 
 def device(
@@ -276,10 +288,6 @@ class _Groups:
             )
         return group
 
-    def facets(self, name: str, where: str) -> np.ndarray:
-        """Facets of a face group."""
-        return self.get(name, where, 1).members
-
 
 def _solid(keys: Body, groups: _Groups) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
@@ -304,39 +312,26 @@ def _solid(keys: Body, groups: _Groups) -> Solid:
 
 
 def _setup(keys: Body, groups: _Groups, solid: Solid) -> Setup:
-    pins = list(keys.electrodes)
-    reference = next((pin for pin in _REFERENCES if pin in pins), pins[-1] if pins else "")
-    electrodes = {
-        pin: np.unique(
-            np.concatenate(
-                [
-                    _electrode(solid, groups, name, f"electrodes.{pin}")
-                    for name in ([given] if isinstance(given, str) else given)
-                ]
-            )
-        )
-        for pin, given in keys.electrodes.items()
+    electrodes = {}
+    for pin, given in keys.electrodes.items():
+        names = [given] if isinstance(given, str) else given
+        found = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        electrodes[pin] = np.unique(np.concatenate(found))
+    kinds = {
+        kind: [port for port in keys.ports if port.kind == kind]
+        for kind in ("mean", "rigid", "base")
     }
-    shapes, faces = [], []
-    for port in keys.ports:
-        if port.kind == "mean":
-            shares = _shares(port, groups, solid)
-            motion = Port(port.name, "mechanical")
-            shapes.append(Shape(motion, spread(shares, port.direction, solid)))
-        elif port.kind == "rigid":
-            faces.append(_rigid(port, groups, solid))
     return Setup(
         fixed=_fixed(keys, groups, solid),
         electrodes=electrodes,
-        reference=reference,
+        reference=keys.reference,
         floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
-        shapes=shapes,
-        faces=faces,
-        base=[
-            (Port(port.name, "acceleration"), port.direction)
-            for port in keys.ports
-            if port.kind == "base"
+        shapes=[
+            Shape(port.ports[0], spread(_shares(port, groups, solid), port.direction, solid))
+            for port in kinds["mean"]
         ],
+        faces=[_rigid(port, groups, solid) for port in kinds["rigid"]],
+        base=[(port.ports[0], port.direction) for port in kinds["base"]],
         damping=keys.damping,
     )
 
@@ -347,7 +342,7 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarray:
     """Nodes of an electrode, which must lie on something piezoelectric."""
-    facets = groups.facets(name, where)
+    facets = groups.get(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
@@ -401,21 +396,8 @@ def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
     where = f"ports.{port.name}"
     if solid.axisymmetric:
         raise UsageError("no rigid faces in axisymmetric bodies", where=where)
-    nodes = _facet_nodes(solid, groups.facets(str(port.group), where))
-    motions = _MOTIONS if port.axis is None else (str(port.axis),)
+    nodes = _facet_nodes(solid, groups.get(str(port.group), where, 1).members)
+    unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
     return RigidFace(
-        nodes,
-        [
-            (
-                _motion(port.name if port.axis else f"{port.name}_{motion}", motion),
-                np.eye(6)[_MOTIONS.index(motion)],
-            )
-            for motion in motions
-        ],
+        nodes, [*zip(port.ports, (unit[motion] for motion in port.motions), strict=True)]
     )
-
-
-def _motion(name: str, motion: str) -> Port:
-    if motion.startswith("r"):
-        return Port(name, "rotational")
-    return Port(name, "mechanical")

@@ -30,10 +30,9 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
     e = [k for k, kind in enumerate(kinds) if kind == "electrical"]
     force = next((k for k, kind in enumerate(kinds) if kind == "mechanical"), None)
     solve = model.pencil.pencil_solver(-shift).solve
-    facts: dict[str, float | None] = {}
     if not e:
-        facts["resonance_hz"] = _resonance(model, solve, range(len(kinds)), shift)
-        return {name: value for name, value in facts.items() if value is not None}
+        lowest = _resonance(model, solve, range(len(kinds)), shift)
+        return {} if lowest is None else {"resonance_hz": lowest}
     load = model.B[:, e]
     shifted = solve(load)
     rest = shifted
@@ -46,11 +45,11 @@ def electromechanical(model: LinearModel, shift: float = 0.0) -> dict[str, float
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 
-    facts["capacitance_free_f"] = float(model.D[e[0], e[0]] + load[:, 0] @ rest[:, 0])
+    free = np.diag(model.D)[e] + np.sum(load * rest, axis=0)
+    facts: dict[str, float | None] = {"capacitance_free_f": float(free[0])}
     facts["capacitance_clamped_f"] = float(model.D[e[0], e[0]])
-    for k, port in enumerate(e[1:], 1):
-        free = float(model.D[port, port] + load[:, k] @ rest[:, k])
-        facts[f"{model.ports[port].name}_capacitance_f"] = free
+    for port, capacitance in zip(e[1:], free[1:], strict=True):
+        facts[f"{model.ports[port].name}_capacitance_f"] = float(capacitance)
     if force is not None:
         stroke = f"free_stroke_{model.ports[force].name}_m_per_v"
         facts[stroke] = float(model.B[:, force] @ rest[:, 0])
@@ -73,16 +72,8 @@ def _resonance(
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
     for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
-        values, modes = eigsh(
-            inverse,
-            count,
-            M=M,
-            sigma=-shift,
-            OPinv=inverse,
-            v0=start,
-            tol=RESIDUAL,
-            ncv=min(2 * count + 1, n),
-        )
+        options = {"v0": start, "tol": RESIDUAL, "ncv": min(2 * count + 1, n)}
+        values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, **options)
         rigid = modes[:, values <= 10 * shift]
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))

@@ -15,17 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Any, Literal
 
 from pydantic import Field
 
-from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
+from kc2spice.bodies.axisymmetric import Block, Face, Fixed, turned
 from kc2spice.bodies.device import Device, part_named
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Length, Ratio, Section
-from kc2spice.core.schema import validated
+from kc2spice.core.quantities import Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
-from kc2spice.fem.materials import Material, material
+from kc2spice.fem.materials import material
 
 _CELLS = 20  # along the largest radius (or half the height) before refinement
 
@@ -86,26 +86,26 @@ def device(keys: Disc | Mapping[str, Any], *, refine: int = 1, where: str = "dis
     UsageError : a key is wrong, or names electrodes or supports that touch nothing.
     """
     disc = validated(Disc, keys, where)
-    materials = _materials(disc, where)
-    heights = _heights(disc)
-    blocks = [
-        Block((0.0, layer.diameter / 2), (heights[i], heights[i + 1]), materials[i])
-        for i, layer in enumerate(disc.layers)
-    ]
+    pieces = blocks(disc, where)
+    heights = [0.0, *(piece.z[1] for piece in pieces)]
+    electrodes, floating = _electrodes(disc, pieces, where)
     with part_named(where):
         return turned(
-            blocks,
-            _electrodes(disc, materials, heights, where),
+            pieces,
+            electrodes,
             _supports(disc, heights, where),
-            {"centre": _centre(disc, heights, where)},
+            {"centre": _centre(disc, heights[-1], where)},
+            floating=floating,
             size=max(heights[-1], *(layer.diameter for layer in disc.layers)) / (2 * _CELLS),
             refine=refine * disc.mesh.refine,
             damping=disc.damping,
         )
 
 
-def _materials(disc: Disc, where: str) -> list[Material]:
-    materials = []
+def blocks(disc: Disc, where: str = "disc") -> list[Block]:
+    """The layers from the bottom up."""
+    found: list[Block] = []
+    height = 0.0
     for i, layer in enumerate(disc.layers):
         here = f"{where}.layers.{i}"
         one = material(layer.material, f"{here}.material")
@@ -120,74 +120,58 @@ def _materials(disc: Disc, where: str) -> list[Material]:
                 got=f"{layer.electrodes:g} m",
                 expected=f"at most {layer.diameter:g} m",
             )
-        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
-        materials.append(replace(poled, name=f"layers[{i}] ({one.name})", quality=quality))
-    if not any(one.piezoelectric for one in materials):
-        raise UsageError(
-            "no piezoelectric layer",
-            where=f"{where}.layers",
-            got=", ".join(one.name for one in materials),
-        )
-    return materials
-
-
-def _heights(disc: Disc) -> list[float]:
-    heights = [0.0]
-    for layer in disc.layers:
-        heights.append(heights[-1] + layer.thickness)
-    return heights
+        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
+        poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
+        found.append(Block((0.0, layer.diameter / 2), (height, height + layer.thickness), poled))
+        height += layer.thickness
+    if not any(block.material.piezoelectric for block in found):
+        got = ", ".join(block.material.name for block in found)
+        raise UsageError("no piezoelectric layer", where=f"{where}.layers", got=got)
+    return found
 
 
 def _electrodes(
-    disc: Disc, materials: list[Material], heights: list[float], where: str
-) -> list[Electrode]:
-    """Equipotentials from the bottom up, joined as the wiring says, and the feedback."""
-    conductors = _conductors(disc, materials, heights, where)
+    disc: Disc, pieces: list[Block], where: str
+) -> tuple[dict[str, list[Face]], list[list[Face]]]:
+    """Faces of each pin, equipotentials from the bottom up joined as the wiring says, and of those
+    that float."""
+    conductors = _conductors(disc, pieces, where)
     if disc.wiring == "series":
-        roles = ["cathode", *[f"inner{i}" for i in range(1, len(conductors) - 1)], "anode"]
+        found = {"anode": conductors[-1], "cathode": conductors[0]}
     else:
-        roles = ["cathode" if i % 2 == 0 else "anode" for i in range(len(conductors))]
-    joined: dict[str, list[Face]] = {"anode": []}
-    for role, faces in zip(roles, conductors, strict=True):
-        joined.setdefault(role, []).extend(faces)
-    kinds: dict[str, Literal["terminal", "ground"]] = {"anode": "terminal", "cathode": "ground"}
-    electrodes = [
-        Electrode(name, tuple(faces), kinds.get(name, "floating")) for name, faces in joined.items()
-    ]
-    for i, layer in enumerate(disc.layers):
+        found = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
+    for layer, block in zip(disc.layers, pieces, strict=True):
         if layer.feedback is not None:
             ring = layer.feedback
-            face = Face((ring.inner / 2, ring.outer / 2), heights[i + 1])
-            electrodes.append(Electrode("feedback", (face,)))
-    return electrodes
+            found.setdefault("feedback", []).append(
+                Face((ring.inner / 2, ring.outer / 2), block.z[1])
+            )
+    return found, conductors[1:-1] if disc.wiring == "series" else []
 
 
-def _conductors(
-    disc: Disc, materials: list[Material], heights: list[float], where: str
-) -> list[list[Face]]:
+def _conductors(disc: Disc, pieces: list[Block], where: str) -> list[list[Face]]:
     """Faces of each electrode in order of height; a metal layer is one electrode."""
-    conductors: list[list[Face]] = []
+    found: list[list[Face]] = []
     last_metal: int | None = None
-    for i, height in enumerate(heights):
+    for i in range(len(pieces) + 1):
         below = i - 1 if i > 0 else None
-        above = i if i < len(materials) else None
-        beside = [k for k in (below, above) if k is not None]
-        ceramic = [k for k in beside if materials[k].piezoelectric]
-        metal = [k for k in beside if materials[k].conductor]
+        beside = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
+        ceramic = [k for k in beside if pieces[k].material.piezoelectric]
+        metal = [k for k in beside if pieces[k].material.conductor]
+        height = pieces[i].z[0] if i < len(pieces) else pieces[-1].z[1]
         if not ceramic:
             continue
-        if metal:
-            contact = min(disc.layers[k].diameter for k in (ceramic[0], metal[0])) / 2
-            faces = [Face((0.0, contact), height)]
-            if metal[0] == last_metal:
-                conductors[-1].extend(faces)
-            else:
-                conductors.append(faces)
-            last_metal = metal[0]
+        if not metal:
+            found.append(_plane(disc, ceramic, height, below, where))
+            continue
+        contact = Face((0.0, min(pieces[k].r[1] for k in (ceramic[0], metal[0]))), height)
+        if metal[0] == last_metal:
+            found[-1].append(contact)
         else:
-            conductors.append(_plane(disc, ceramic, height, below, where))
-    return conductors
+            found.append([contact])
+        last_metal = metal[0]
+    return found
 
 
 def _plane(
@@ -239,11 +223,9 @@ def _supports(disc: Disc, heights: list[float], where: str) -> list[Fixed]:
     return [Fixed("z", (radius, radius), (sum(z) / 2,) * 2)]
 
 
-def _centre(disc: Disc, heights: list[float], where: str) -> Face:
-    diameter = disc.centre or heights[-1]
+def _centre(disc: Disc, height: float, where: str) -> Face:
     smallest = disc.layers[-1].diameter
-    if disc.centre is None:
-        diameter = min(diameter, smallest)
+    diameter = disc.centre or min(height, smallest)
     if diameter > smallest * (1 + 1e-9):
         raise UsageError(
             "the centre port is wider than the top layer",
@@ -251,4 +233,4 @@ def _centre(disc: Disc, heights: list[float], where: str) -> Face:
             got=f"{diameter:g} m",
             expected=f"at most {smallest:g} m",
         )
-    return Face((0.0, diameter / 2), heights[-1])
+    return Face((0.0, diameter / 2), height)

@@ -9,7 +9,6 @@ so that stresses may jump between materials.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,30 +72,19 @@ class Probe:
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""
-        return stress(self.device.solid, self.basis, self._operators, u, phi)
-
-
-def stress(
-    solid: Solid,
-    basis: Basis,
-    operators: Iterable[tuple[np.ndarray, ...]],
-    u: np.ndarray,
-    phi: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Stress (points, 6, k) and field (points, 3, k) at the points of ``basis``, whose
-    ``operators`` are those of :func:`kc2spice.fem.solid.strains`, of nodal columns."""
-    d, nodes = solid.components, basis.element_dofs.T
-    moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-    C = np.array([m.C for m in solid.materials])[solid.owner]
-    e = np.array([m.e for m in solid.materials])[solid.owner]
-    active = e.any(axis=(1, 2), keepdims=True)
-    stresses, fields = [], []
-    for _, B, G in operators:
-        E = -(G @ phi[nodes]) * active
-        stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
-        fields.append(E)
-    T, E = np.stack(stresses, 1), np.stack(fields, 1)
-    return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
+        solid, nodes = self.device.solid, self.basis.element_dofs.T
+        d = solid.components
+        moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
+        C = np.array([m.C for m in solid.materials])[solid.owner]
+        e = np.array([m.e for m in solid.materials])[solid.owner]
+        active = e.any(axis=(1, 2), keepdims=True)
+        stresses, fields = [], []
+        for _, B, G in self._operators:
+            E = -(G @ phi[nodes]) * active
+            stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
+            fields.append(E)
+        T, E = np.stack(stresses, 1), np.stack(fields, 1)
+        return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
 
 
 def _points(solid: Solid, gauss: bool) -> Basis:
@@ -161,19 +149,19 @@ def extremes(motion: Motion) -> list[Extreme]:
     chosen = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
-    u, phi = probe.nodal(motion.basis, np.zeros((motion.voltages.shape[1], motion.basis.shape[1])))
-    T, E = probe.stress(u, phi)
-    _, drive = probe.nodal(
-        np.zeros((motion.basis.shape[0], motion.voltages.shape[1])),
-        np.eye(motion.voltages.shape[1]),
-    )
-    T_V, E_V = probe.stress(np.zeros((u.shape[0], drive.shape[1])), drive)
+    electrodes = motion.voltages.shape[1]
+    still = np.zeros((motion.basis.shape[0], electrodes))
+    shorted = np.zeros((electrodes, motion.basis.shape[1]))
+    T, E = probe.stress(*probe.nodal(motion.basis, shorted))
+    T_V, E_V = probe.stress(*probe.nodal(still, np.eye(electrodes)))
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[chosen]
     names = np.array([material.name for material in solid.materials])
     own = {name: np.flatnonzero(names[probe.owner] == name) for name in dict.fromkeys(names)}
     poling = np.array([material.axis for material in solid.materials])[probe.owner]
-    curves = {key: np.empty((2, len(chosen))) for key in _asked(solid)}
+    active = {material.name: material.piezoelectric for material in solid.materials}
+    asked = [(m, quantity) for m in own for quantity in list(QUANTITIES)[: 3 if active[m] else 1]]
+    curves = {key: np.empty((2, len(chosen))) for key in asked}
     for start in range(0, len(chosen), CHUNK):
         part = slice(start, min(start + CHUNK, len(chosen)))
         field = np.moveaxis(E @ states[part].T, -1, 0)
@@ -189,31 +177,12 @@ def extremes(motion: Motion) -> list[Extreme]:
     found = []
     for (name, quantity), (curve, points) in curves.items():
         k = int(curve.argmax())
-        unit, limit = QUANTITIES[quantity]
-        material = solid.materials[probe.owner[int(points[k])]]
-        found.append(
-            Extreme(
-                name,
-                quantity,
-                unit,
-                float(curve[k]),
-                getattr(material, limit),
-                float(motion.time[chosen[k]]),
-                tuple(places[:, int(points[k])]),
-                motion.time[chosen],
-                curve,
-            )
-        )
+        (unit, limit), point = QUANTITIES[quantity], int(points[k])
+        known = getattr(solid.materials[probe.owner[point]], limit)
+        instant, place = float(motion.time[chosen[k]]), tuple(places[:, point])
+        largest = float(curve[k]), known, instant, place
+        found.append(Extreme(name, quantity, unit, *largest, motion.time[chosen], curve))
     return found
-
-
-def _asked(solid: Solid) -> Iterator[tuple[str, str]]:
-    active = {m.name: m.piezoelectric for m in solid.materials}
-    for name, piezoelectric in active.items():
-        yield name, "principal_stress"
-        if piezoelectric:
-            yield name, "electric_field"
-            yield name, "opposing_field"
 
 
 def _instants(motion: Motion, count: int) -> np.ndarray:

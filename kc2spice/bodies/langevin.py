@@ -13,17 +13,17 @@ that the preload leaves in the ceramic, contact compliance, the electrodes' meta
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.axisymmetric import Block, Electrode, Face, Fixed, turned
+from kc2spice.bodies.axisymmetric import Block, Face, Fixed, turned
 from kc2spice.bodies.device import Device, part_named
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Length, Ratio, Section
-from kc2spice.core.schema import validated
+from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
 from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
 
@@ -99,95 +99,89 @@ def device(
     """
     body = validated(Langevin, keys, where)
     _require_fit(body, where)
-    blocks = _blocks(body, where)
-    bottom, top = min(b.z[0] for b in blocks), _front_end(body)
+    pieces, rings = blocks(body, where), body.rings
+    bottom, top = min(b.z[0] for b in pieces), max(b.z[1] for b in pieces)
+    under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
     faces = {
         "front": Face((0.0, body.front[-1].diameter / 2), top),
-        "back": Face((0.0, _back_radius(body)), bottom),
+        "back": Face((0.0, under), bottom),
     }
     held = []
     if body.support == "back":
-        end = (0.0, faces.pop("back").r[1])
+        end = faces.pop("back").r
         held = [Fixed("r", end, (bottom, bottom)), Fixed("z", end, (bottom, bottom))]
+    r = (rings.inner / 2, rings.outer / 2)
+    planes = [Face(r, i * rings.thickness) for i in range(rings.count + 1)]
     with part_named(where):
         return turned(
-            blocks,
-            _electrodes(body.rings),
+            pieces,
+            {"anode": planes[1::2], "cathode": planes[::2]},
             held,
             faces,
-            size=max(b.r[1] for b in blocks) / _CELLS,
+            size=max(b.r[1] for b in pieces) / _CELLS,
             refine=refine * body.mesh.refine,
             damping=body.damping,
         )
 
 
-def _stack_height(rings: Rings) -> float:
-    return rings.count * rings.thickness
-
-
-def _front_end(body: Langevin) -> float:
-    return _stack_height(body.rings) + sum(step.length for step in body.front)
-
-
-def _back_radius(body: Langevin) -> float:
-    return (body.bolt.head_diameter or body.back[-1].diameter) / 2
-
-
 def _require_fit(body: Langevin, where: str) -> None:
     depth = body.bolt.depth or body.front[0].length
     narrowest = min(step.diameter for step in (*body.front, *body.back))
-    wrong = None
-    if body.bolt.diameter >= body.rings.inner:
-        wrong = "the bolt does not pass through the rings", "bolt.diameter", body.bolt.diameter
-    elif body.bolt.diameter >= narrowest:
-        wrong = "the bolt is thicker than a mass", "bolt.diameter", body.bolt.diameter
-    elif depth > sum(step.length for step in body.front) * (1 + 1e-9):
-        wrong = "the bolt reaches through the front mass", "bolt.depth", depth
-    elif min(body.front[0].diameter, body.back[0].diameter) <= body.rings.inner:
-        wrong = "a mass falls through the rings", "rings.inner", body.rings.inner
-    elif body.bolt.head_diameter is not None and body.bolt.head_diameter <= body.bolt.diameter:
-        wrong = "the head is no wider than the bolt", "bolt.head_diameter", body.bolt.head_diameter
-    if wrong is not None:
-        raise UsageError(wrong[0], where=f"{where}.{wrong[1]}", got=f"{wrong[2]:g} m")
+    thick, inner, head = body.bolt.diameter, body.rings.inner, body.bolt.head_diameter or math.inf
+    length = sum(step.length for step in body.front)
+    beside = min(body.front[0].diameter, body.back[0].diameter)
+    for wrong, key, got, message in (
+        (thick >= inner, "bolt.diameter", thick, "the bolt does not pass through the rings"),
+        (thick >= narrowest, "bolt.diameter", thick, "the bolt is thicker than a mass"),
+        (
+            depth > length * (1 + 1e-9),
+            "bolt.depth",
+            depth,
+            "the bolt reaches through the front mass",
+        ),
+        (beside <= inner, "rings.inner", inner, "a mass falls through the rings"),
+        (head <= thick, "bolt.head_diameter", head, "the head is no wider than the bolt"),
+    ):
+        if wrong:
+            raise UsageError(message, where=f"{where}.{key}", got=f"{got:g} m")
 
 
-def _blocks(body: Langevin, where: str) -> list[Block]:
+def blocks(body: Langevin, where: str = "langevin") -> list[Block]:
     """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
-    blocks: list[Block] = []
+    found: list[Block] = []
 
     def add(
-        r: tuple[float, float], z: tuple[float, float], part: Any, key: str, up: int = 1
+        part: Any, key: str, r: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
         one = material(part.material, f"{where}.{key}.material")
         quality = part.quality or one.quality
         poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
-        blocks.append(Block(r, z, poled))
+        found.append(Block(r, (low, high), poled))
 
     rings, bolt = body.rings, body.bolt
-    core = bolt.diameter / 2
+    core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
+    height = 0.0
     for i in range(rings.count):
-        z = (i * rings.thickness, (i + 1) * rings.thickness)
-        add((rings.inner / 2, rings.outer / 2), z, rings, f"rings[{i}]", (-1) ** i)
-    thread = _stack_height(rings) + (bolt.depth or body.front[0].length)
-    height = _stack_height(rings)
+        add(rings, f"rings[{i}]", ring, height, height + rings.thickness, (-1) ** i)
+        height += rings.thickness
+    if not found[0].material.piezoelectric:
+        got = found[0].material.name
+        raise UsageError(
+            "the rings are not piezoelectric", where=f"{where}.rings.material", got=got
+        )
+    thread = height + (bolt.depth or body.front[0].length)
     for i, step in enumerate(body.front):
         for low, high, inner in _cut(height, height + step.length, thread, core):
-            add((inner, step.diameter / 2), (low, high), step, f"front[{i}]")
+            add(step, f"front[{i}]", (inner, step.diameter / 2), low, high)
         height += step.length
     height = 0.0
     for i, step in enumerate(body.back):
-        add((core, step.diameter / 2), (height - step.length, height), step, f"back[{i}]")
+        add(step, f"back[{i}]", (core, step.diameter / 2), height - step.length, height)
         height -= step.length
-    add((0.0, core), (height, thread), bolt, "bolt")
+    add(bolt, "bolt", (0.0, core), height, thread)
     if bolt.head_diameter is not None and bolt.head_length is not None:
-        add((0.0, bolt.head_diameter / 2), (height - bolt.head_length, height), bolt, "bolt")
-    if not blocks[0].material.piezoelectric:
-        raise UsageError(
-            "the rings are not piezoelectric",
-            where=f"{where}.rings.material",
-            got=blocks[0].material.name,
-        )
-    return blocks
+        add(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
+    return found
 
 
 def _cut(low: float, high: float, thread: float, core: float) -> list[tuple[float, float, float]]:
@@ -197,12 +191,3 @@ def _cut(low: float, high: float, thread: float, core: float) -> list[tuple[floa
     if thread <= low:
         return [(low, high, 0.0)]
     return [(low, thread, core), (thread, high, 0.0)]
-
-
-def _electrodes(rings: Rings) -> list[Electrode]:
-    r = (rings.inner / 2, rings.outer / 2)
-    planes = [Face(r, i * rings.thickness) for i in range(rings.count + 1)]
-    return [
-        Electrode("anode", tuple(planes[1::2])),
-        Electrode("cathode", tuple(planes[::2]), "ground"),
-    ]

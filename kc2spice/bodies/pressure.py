@@ -25,16 +25,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from skfem.mesh import MeshQuad
 
-from kc2spice.bodies.device import Device, constrained
-from kc2spice.bodies.fields import principal, stress
+from kc2spice.bodies.device import Device, Setup, Shape, constrained
+from kc2spice.bodies.fields import Probe, principal
 from kc2spice.bodies.piezo_stack import layer_materials, stack_device, stack_setup
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.keys import Chip
-from kc2spice.fem.solid import Solid, assemble, strains
+from kc2spice.fem.solid import Solid
+from kc2spice.rom.linear import Port
 
 CELLS = 3  # of the graded mesh between two hats
 GROWTH = 1.3  # from cell to cell away from the hats
@@ -48,7 +47,7 @@ RIGID = 1e7  # stiffness of what keeps surfaces apart, of a hat's own
 
 
 @dataclass(frozen=True)
-class Hats:
+class PressureBasis:
     """Hat functions of the radius: hat j is 1 at ``nodes[j]`` and 0 at its neighbours [m].
 
     The last node is the patch's edge, where no hat stands.
@@ -77,13 +76,13 @@ class Hats:
         return falling + np.r_[0.0, rising[:-1]]
 
 
-def hats(spacing: float, patch: float) -> Hats:
-    """Hats every ``spacing`` [m] near the axis, in proportion to the radius beyond a fifth of
+def hats(spacing: float, patch: float) -> PressureBasis:
+    """One every ``spacing`` [m] near the axis, in proportion to the radius beyond a fifth of
     ``patch`` [m], up to which they go: under a sphere each has a like share of the force."""
     nodes = [0.0]
     while nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN * patch))) < patch:
         nodes.append(nodes[-1] + step)
-    return Hats(np.array([*nodes, patch]))
+    return PressureBasis(np.array([*nodes, patch]))
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class Pressed:
     patch: float
 
 
-def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
+def pressed(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> Pressed:
     """Shares and additional compliance [m/N] of the hats on the stack's top.
 
     Raises
@@ -106,7 +105,8 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
     S = dents(chip, shape, cells)
     shares = np.linalg.solve(S, np.ones(len(S)))
     shares /= shares.sum()
-    coarse = _patch_compliance(_round(chip), shape, shares)
+    own = stack_setup(_round(chip), pressure=_pressure(shape, shares))
+    coarse = float(_compliance(constrained(*own))[0, 0])
     added = S - coarse
     lowest = float(np.linalg.eigvalsh(added)[0])
     if lowest < 0:
@@ -120,13 +120,18 @@ def pressed(chip: Chip, shape: Hats, cells: int = CELLS) -> Pressed:
     return Pressed(shares, added, coarse)
 
 
-def dents(chip: Chip, shape: Hats, cells: int = CELLS) -> np.ndarray:
+def dents(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
     """(n, n) mean displacement [m] of each hat per force [N] on each, of a round stack as wide as
     the chip's smaller side, on a roller, electrodes at constant voltage."""
-    stack = _stack(chip, shape, cells)
-    loads = stack.loads[stack.free]
-    S = loads.T @ _static(*stack.blocks, loads)[: len(loads)]
+    S = _compliance(_stack(chip, shape, cells))
     return (S + S.T) / 2
+
+
+def _compliance(stack: Device) -> np.ndarray:
+    """(n, n) static displacements [m] of the mechanical ports, which come first, per force [N]."""
+    model = stack.model
+    loads = model.B[:, [port.kind == "mechanical" for port in model.ports]]
+    return np.asarray(loads.T @ model.pencil.pencil_solver(0.0).solve(loads))
 
 
 @dataclass(frozen=True)
@@ -139,54 +144,43 @@ class Stressed:
     depth: float
 
 
-def stressed(chip: Chip, shape: Hats, force: np.ndarray, cells: int = CELLS) -> Stressed:
+def stressed(chip: Chip, shape: PressureBasis, force: np.ndarray, cells: int = CELLS) -> Stressed:
     """What ``force`` (n,) [N] on the hats does inside, on the graded mesh, at Gauss points."""
     stack = _stack(chip, shape, cells)
-    solid, count = stack.solid, len(stack.free)
-    found = _static(*stack.blocks, -stack.loads[stack.free] @ force[:, None])
-    u, phi = np.zeros((len(stack.loads), 1)), np.zeros((len(stack.loads) // 2, 1))
-    u[stack.free], phi[stack.inner] = found[:count], found[count:]
-    basis = solid.basis(2)
-    T = stress(solid, basis, strains(solid, basis), u, phi)[0][..., 0]
+    probe, model = Probe(stack, gauss=True), stack.model
+    z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
+    T = probe(z, np.zeros(1)).stress
     shear = (principal(T) + principal(-T)) / 2
-    z = np.asarray(basis.global_coordinates())[1].ravel()
+    height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return Stressed(
         float((force / shape.areas).max()),
         float(shear.max()),
-        float(solid.mesh.p[1].max() - z[shear.argmax()]),
+        float(stack.solid.mesh.p[1].max() - height[shear.argmax()]),
     )
 
 
-@dataclass(frozen=True)
-class _Stack:
-    """A round stack: its mesh, the ``free`` displacements and ``inner`` potentials with their
-    ``blocks`` K_uu, K_up, K_pp, and ``loads`` (2 nodes, hats) of unit forces."""
-
-    solid: Solid
-    free: np.ndarray
-    inner: np.ndarray
-    blocks: tuple[sparse.csc_array, sparse.csc_array, sparse.csc_array]
-    loads: np.ndarray
-
-
-def _stack(chip: Chip, shape: Hats, cells: int) -> _Stack:
+def _stack(chip: Chip, shape: PressureBasis, cells: int) -> Device:
+    """The round stack on a roller, with a port for every hat."""
     heights, planes, solid = _graded(chip, shape, cells)
     r, z = solid.places
     near = 1e-9 * heights[-1]
-    held = np.column_stack([r < near, z < near]).ravel()  # the axis and the roller
-    full = assemble(solid)
-    on_plane = (np.abs(z[:, None] - planes) < near).any(axis=1)
-    coupled = any(made_of.piezoelectric for made_of in solid.materials)
-    inner = np.flatnonzero((full.K_pp.diagonal() > 0) & ~on_plane & coupled)
-    free = np.flatnonzero(~held)
-    blocks = full.K_uu[free][:, free], full.K_up[free][:, inner], full.K_pp[inner][:, inner]
+
+    def level(at: np.ndarray) -> np.ndarray:
+        return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
+
     top = solid.mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
     loads = np.zeros((2 * z.size, len(shape.nodes) - 1))
     loads[1::2] = hat_loads(solid, shape, top)
-    return _Stack(solid, free, inner, blocks, loads)
+    setup = Setup(
+        np.column_stack([r < near, z < near]).ravel(),
+        {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
+        "cathode",
+        shapes=[Shape(Port(f"hat{k}", "mechanical"), load) for k, load in enumerate(loads.T)],
+    )
+    return constrained(solid, setup)
 
 
-def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
+def hat_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """(nodes, hats) unit axial forces, spread as the hats are over what the facets project."""
     basis = solid.face(facets, 5)
     r = np.asarray(basis.global_coordinates())[0]
@@ -199,7 +193,7 @@ def hat_loads(solid: Solid, shape: Hats, facets: np.ndarray) -> np.ndarray:
     return loads / loads.sum(axis=0)
 
 
-def _graded(chip: Chip, shape: Hats, cells: int) -> tuple[np.ndarray, np.ndarray, Solid]:
+def _graded(chip: Chip, shape: PressureBasis, cells: int) -> tuple[np.ndarray, np.ndarray, Solid]:
     """Heights [m] of the layers' faces, those with electrodes, and quadrilaterals that grow away
     from the hats, with a line at every height."""
     below, above = (cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap))
@@ -243,46 +237,20 @@ def _round(chip: Chip) -> Chip:
     return Chip(**given, diameter=2 * min(chip.half))
 
 
-def _patch_compliance(chip: Chip, shape: Hats, shares: np.ndarray) -> float:
-    """Static compliance [m/N] of the patch on the chip's own mesh."""
-    model = constrained(*stack_setup(chip, pressure=_pressure(shape, shares))).model
-    load = model.B[:, 0]
-    return float(load @ model.pencil.pencil_solver(0.0).solve(load))
-
-
-def _pressure(shape: Hats, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pressure(shape: PressureBasis, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Radii and pressure as the shares of the hats spread a unit force."""
     return shape.nodes, np.append(shares / shape.areas, 0.0)
 
 
-def _static(
-    K_uu: sparse.csc_array, K_up: sparse.csc_array, K_pp: sparse.csc_array, loads: np.ndarray
-) -> np.ndarray:
-    """(n + m, loads) displacements and potentials at rest, electrodes at constant voltage."""
-    whole = K_uu
-    if K_pp.shape[0]:
-        whole = sparse.block_array([[K_uu, K_up], [K_up.T, -K_pp]], format="csc")
-    # newtons and coulombs differ by twenty orders of magnitude
-    scale = 1 / np.sqrt(np.abs(whole.diagonal()))
-    equal = sparse.diags_array(scale)
-    factor = splu(
-        (equal @ whole @ equal).tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    right = np.zeros((whole.shape[0], loads.shape[1]))
-    right[: len(loads)] = scale[: len(loads), None] * loads
-    return np.asarray(scale[:, None] * factor.solve(right))
-
-
-def patched_device(chip: Chip, shape: Hats, own: Pressed, breakdown: float | None = None) -> Device:
+def patched_device(
+    chip: Chip, shape: PressureBasis, own: Pressed, breakdown: float | None = None
+) -> Device:
     """The stack with the patch of the hats as its one mechanical port."""
     return stack_device(chip, breakdown, _pressure(shape, own.shares))
 
 
 @dataclass(frozen=True)
-class Dented:
+class Indented:
     """Force [N] of a sphere pressed by x [m] into hats: ``sum_k c_k s^(3 + k)``.
 
     ``s = sqrt(x / depth)`` is the contact's radius over the widest one, so that the first term is
@@ -299,7 +267,7 @@ class Dented:
         return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
 
 
-def dented(shape: Hats, compliance: np.ndarray, gap: np.ndarray) -> Dented:
+def dented(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Indented:
     """The law of a sphere over hats of the ``compliance`` (n, n), each the ``gap`` (n,) [m] below
     it.
 
@@ -321,7 +289,7 @@ def dented(shape: Hats, compliance: np.ndarray, gap: np.ndarray) -> Dented:
     power = 3 + np.arange(DEGREE + 1)
     terms = s[:, None] ** (power + 2) * (2 * depth / (power + 2))
     found = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
-    return Dented(depth, tuple(found.tolist()))
+    return Indented(depth, tuple(found.tolist()))
 
 
 def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -45,19 +45,7 @@ class Motion:
         return np.asarray(self.states @ (model.C @ self.basis).T + self.inputs @ model.D.T)
 
     def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s].
-
-        Raises
-        ------
-        UsageError : not within the run.
-        """
-        if not self.time[0] <= instant <= self.time[-1]:
-            raise UsageError(
-                "instant outside the run",
-                where="fields",
-                got=instant,
-                expected=f"{self.time[0]:g} to {self.time[-1]:g} s",
-            )
+        """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
         k = int(np.argmin(np.abs(self.time - instant)))
         return self.basis @ self.states[k], self.voltages[k]
 

@@ -25,7 +25,7 @@ from scipy import sparse
 from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.coupled import electromechanical
-from kc2spice.bodies.pressure import CELLS, GROWTH, Hats, Pressed, hat_loads
+from kc2spice.bodies.pressure import CELLS, GROWTH, Pressed, PressureBasis, hat_loads
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.piezo.keys import PATCH
@@ -57,7 +57,7 @@ class Sphere:
         return self.damping.rayleigh(self.oblate) if self.damping.zeta else (self.damping.alpha, 0)
 
 
-def sphere(body: Sphere, shares: np.ndarray, shape: Hats, refine: int = 1) -> LinearModel:
+def sphere(body: Sphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1) -> LinearModel:
     """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the hats; see the module.
 
     ``refine`` divides every cell along each axis.
@@ -74,7 +74,7 @@ def sphere(body: Sphere, shares: np.ndarray, shape: Hats, refine: int = 1) -> Li
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
 
-def pressed(body: Sphere, shape: Hats, refine: int = 1) -> Pressed:
+def pressed(body: Sphere, shape: PressureBasis, refine: int = 1) -> Pressed:
     """Shares of the hats in the patch, what they give more than it, and what it gives [m/N]."""
     S = compliance(body, shape, refine)
     shares = np.linalg.solve(S, np.ones(len(S)))
@@ -82,14 +82,14 @@ def pressed(body: Sphere, shape: Hats, refine: int = 1) -> Pressed:
     return Pressed(patch * shares, S - patch, patch)
 
 
-def compliance(body: Sphere, shape: Hats, refine: int = 1) -> np.ndarray:
+def compliance(body: Sphere, shape: PressureBasis, refine: int = 1) -> np.ndarray:
     """(n, n) static displacement [m] of each hat per force [N] on each."""
     free = _free(body, shape, refine)
     S = free.B.T @ free.pencil.pencil_solver(0.0).solve(free.B)
     return np.asarray((S + S.T) / 2)
 
 
-def _free(body: Sphere, shape: Hats, refine: int) -> LinearModel:
+def _free(body: Sphere, shape: PressureBasis, refine: int) -> LinearModel:
     """The undamped sphere with a port for every hat."""
     solid = _graded(body, shape, refine)
     r, _ = solid.places
@@ -117,7 +117,7 @@ def _free(body: Sphere, shape: Hats, refine: int) -> LinearModel:
     )
 
 
-def _graded(body: Sphere, shape: Hats, refine: int) -> Solid:
+def _graded(body: Sphere, shape: PressureBasis, refine: int) -> Solid:
     """See the module."""
     ends = zip(shape.nodes[:-1], shape.nodes[1:], strict=True)
     radii = [np.linspace(a, b, CELLS + 1)[:-1] for a, b in ends]

@@ -5,47 +5,43 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
 from kc2spice.core.files import FULL
+from kc2spice.core.progress import Progress, silent
 
 if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
 
 COLUMNS = 80  # of what is piped
+_EVERY = 10.0  # s between two lines of progress of one stage
 INTERRUPTED = 130  # what a shell reports after Ctrl-C
 
 
-class ProgressCallback(Protocol):
-    """``progress("magnetics", 0.25, "height 10 of 41")``; ``done`` is None where it is unknown."""
-
-    def __call__(self, stage: str, done: float | None, text: str) -> None:
-        """Take note that ``stage`` got as far as ``done`` (0 … 1)."""
-
-
 @contextmanager
-def shown_progress(quiet: bool) -> Iterator[ProgressCallback]:
+def shown_progress(quiet: bool) -> Iterator[Progress]:
     """Progress bars in a terminal, one line for each stage elsewhere, nothing when quiet."""
     if quiet:
-        yield lambda stage, done, text: None
+        yield silent
     elif sys.stderr.isatty():
-        with _bars() as progress:
-            bars = _Bars(progress)
+        with _bars() as shown:
+            bars = _Bars(shown)
             yield bars
             bars.complete()
     else:
         yield _Lines()
 
 
-def _bars() -> Progress:
+def _bars() -> Bars:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -57,7 +53,7 @@ def _bars() -> Progress:
 class _Bars:
     """One bar for each stage."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Bars) -> None:
         self._progress = progress
         self._tasks: dict[str, TaskID] = {}
 
@@ -75,14 +71,15 @@ class _Bars:
 
 
 class _Lines:
-    """One line when a stage begins, for logs and pipes."""
+    """For logs and pipes: a line when a stage begins, then what has changed now and then."""
 
     def __init__(self) -> None:
-        self._stage = ""
+        self._stage, self._text, self._last = "", "", 0.0
 
     def __call__(self, stage: str, done: float | None, text: str) -> None:
-        if stage != self._stage:
-            self._stage = stage
+        late = time.monotonic() - self._last > _EVERY or done == 1.0
+        if stage != self._stage or (late and text != self._text):
+            self._stage, self._text, self._last = stage, text, time.monotonic()
             print(f"{stage}: {text}", file=sys.stderr, flush=True)
 
 
@@ -174,15 +171,3 @@ def print_facts(
 
 def _is_plain(value: Any) -> bool:
     return value is None or isinstance(value, (bool, int, float, str))
-
-
-def directory(text: str) -> Path:
-    """The directory that an option names.
-
-    Raises
-    ------
-    typer.BadParameter : nothing is named: ``Path("")`` would be where one stands.
-    """
-    if not text.strip():
-        raise typer.BadParameter("names no directory; . is the one you are in")
-    return Path(text)

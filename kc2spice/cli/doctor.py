@@ -73,9 +73,7 @@ def examine() -> Iterator[Finding]:
         yield _library(library)
     if sys.platform == "linux":
         yield _gmsh_libraries()
-    yield _ngspice()
-    yield _features()
-    yield _code_models()
+    yield from _ngspice()
     yield _libngspice()
     yield _cache()
 
@@ -109,47 +107,38 @@ def _gmsh_libraries() -> Finding:
     return Finding("system libraries of gmsh", True, f"{len(_GMSH)} found")
 
 
-def _ngspice() -> Finding:
-    fix = "apt-get install ngspice"
+def _ngspice() -> Iterator[Finding]:
+    """The program, the language that our netlists use, whatever the version says, and code models,
+    which op-amp benches of users may need."""
     program = shutil.which("ngspice")
     if program is None:
-        return Finding("ngspice", False, "not on PATH", fix)
-    text = _output([program, "--version"])
-    version = re.search(r"ngspice-(\S+)", text)
-    if version is None:
-        return Finding("ngspice", False, f"{program} does not answer to --version", fix)
-    return Finding("ngspice", True, f"{version[1]} ({program})")
-
-
-def _features() -> Finding:
-    """Run a deck with the language that our netlists use, whatever the version says."""
-    fix = "install a complete ngspice, version 39 or later"
-    if shutil.which("ngspice") is None:
-        return Finding("ngspice runs our netlists", False, "no ngspice", fix)
+        fix = "apt-get install ngspice"
+        yield Finding("ngspice", False, "not on PATH", fix)
+        yield Finding("ngspice runs our netlists", False, "no ngspice", fix)
+        yield Finding("XSPICE code models", False, "no ngspice", fix, needed=False)
+        return
+    version = re.search(r"ngspice-(\S+)", _output([program, "--version"]))
+    told = f"{version[1]} ({program})" if version else f"{program} does not answer to --version"
+    yield Finding("ngspice", version is not None, told, "apt-get install ngspice")
     vectors = {"out": ("v(out)", 1.0), "source": ("@b1[i]", 1.0)}
     deck = Deck(name="probe", text=_FEATURE_DECK, vectors=vectors, stop=1e-5)
     with tempfile.TemporaryDirectory() as folder:
         try:
             waves = run_deck(deck, Path(folder), timeout=20)
+            ends = float(waves["out"][-1]), float(abs(waves["source"][-1]))
+            ok = all(abs(end - 4.0) < 1e-6 for end in ends)
+            told = "a probe does" if ok else f"got {ends}"
         except Kc2spiceError as error:
-            return Finding("ngspice runs our netlists", False, error.message, fix)
-    ends = float(waves["out"][-1]), float(abs(waves["source"][-1]))
-    ok = all(abs(end - 4.0) < 1e-6 for end in ends)
-    return Finding("ngspice runs our netlists", ok, "a probe does" if ok else f"got {ends}", fix)
-
-
-def _code_models() -> Finding:
-    """Run a deck with a code model; the op-amp benches of users may need them, ours do not."""
-    fix = "reinstall ngspice; its code models (*.cm) or its spinit file are missing"
-    program = shutil.which("ngspice")
-    if program is None:
-        return Finding("XSPICE code models", False, "no ngspice", fix, needed=False)
+            ok, told = False, error.message
+    fix = "install a complete ngspice, version 39 or later"
+    yield Finding("ngspice runs our netlists", ok, told, fix)
     with tempfile.TemporaryDirectory() as folder:
-        deck = Path(folder) / "probe.cir"
-        deck.write_text(_XSPICE_DECK)
-        text = _output([program, "-b", "-n", str(deck)])
+        probe = Path(folder) / "probe.cir"
+        probe.write_text(_XSPICE_DECK)
+        text = _output([program, "-b", "-n", str(probe)])
     ok = re.search(r"^\s*out\s+2\.0*e\+00", text, re.MULTILINE | re.IGNORECASE) is not None
-    return Finding("XSPICE code models", ok, "load" if ok else "do not load", fix, needed=False)
+    fix = "reinstall ngspice; its code models (*.cm) or its spinit file are missing"
+    yield Finding("XSPICE code models", ok, "load" if ok else "do not load", fix, needed=False)
 
 
 def _output(command: list[str]) -> str:

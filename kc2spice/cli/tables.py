@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kc2spice.cli.console import print_facts, print_table
+from kc2spice.cli.console import COLUMNS, print_facts, print_table
 
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
     from kc2spice.scene.keys import Key
+    from kc2spice.scene.model import Scene
     from kc2spice.scene.partdocs import PartDoc
+    from kc2spice.scene.parttype import StepLimit
     from kc2spice.scene.plan import Plan
 
 
@@ -27,7 +31,7 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{rom['error_estimate']:.3g}"),
         ]
-        rows += above_band(rom)
+        rows += _above_band(rom)
         print_table("reduced model", rows)
     print_facts("metrics", result.get("metrics", {}), result.get("metric_units", {}))
     _show_checks(result.get("checks", ()))
@@ -42,7 +46,7 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
         print_table("viewers of the raw file", rows)
 
 
-def above_band(rom: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _above_band(rom: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Rows of what a certificate says of the compliance above its band."""
     errors = rom.get("above_band_compliance_error", ())
     return [
@@ -97,23 +101,64 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
     print(f"all of it, with errors and plots: {directory / 'verify.html'}")
 
 
-def show_plan(plan: Plan) -> None:
-    """What ``explain`` says after the scene's name."""
+def show_plan(scene: Scene, digest: str, plan: Plan, limit: StepLimit | None) -> None:
+    """What ``explain`` says."""
+    print(textwrap.fill(f"{scene.name}: {scene.title}", COLUMNS))
+    print(f"scene hash {digest}\n")
     rows = [(part.part, part.source, part.detail) for part in plan.parts]
     print_table("modelled", rows, header=("part", "model", "detail"))
     print_table("joined", [(line,) for line in plan.joins])
-    print_table("numerical settings", _setting_rows(plan), header=("key", "value", "error"))
+    settings = [
+        (s.key, f"{s.value:g}", "not estimated" if s.error is None else f"{s.error:.2g}")
+        for s in plan.settings
+    ]
+    print_table("numerical settings", settings, header=("key", "value", "error"))
     budget = "X" if plan.error_budget is None else f"{plan.error_budget:g}"
     print(f"error_budget = {budget} refines these until every metric's error is below {budget}\n")
     left = [(item.effect, item.why, item.error) for item in plan.left_out]
     print_table("left out", left, header=("effect", "why", "size"))
+    if limit is not None:
+        print(textwrap.fill(f"largest step {limit.step:.3g} s: {limit.why}", COLUMNS))
 
 
-def _setting_rows(plan: Plan) -> list[tuple[str, str, str]]:
-    return [
-        (s.key, f"{s.value:g}", "not estimated" if s.error is None else f"{s.error:.2g}")
-        for s in plan.settings
+def show_reduced(found: Mapping[str, Any]) -> None:
+    """What ``reduce`` made."""
+    low, high = found["band_hz"]
+    rows = [
+        ("equations", f"{found['unknowns']}, {found['form']}"),
+        ("states", str(found["order"])),
+        ("band", f"{low:g} … {high:g} Hz"),
+        ("error estimate", f"{found['error_estimate']:.3g}, {found['norm']}"),
+        *_above_band(found),
+        ("stable", {True: "yes", False: "NO", None: "not known"}[found["stable"]]),
+        ("passive", "yes" if found["passive"] else "not shown"),
+        ("method", found["method"]),
+        ("reduced model", found["rom"]),
     ]
+    print_table("reduced model", rows)
+
+
+def show_bench(record: Mapping[str, Any], given: str, out: Path) -> None:
+    """What ``bench`` measured of a scene with overrides, ``given`` as words of the command line."""
+    from kc2spice.report.bench_page import HEAD, point_rows, recommendation
+
+    front = {**record, "points": [p for p in record["points"] if p["front"] or p["own"]]}
+    print_table("front", point_rows(front), HEAD)
+    print_table("bench", recommendation(record))
+    if record["recommended"] is not None:
+        print(f"kc2spice run {given} {shlex.join(record['recommended']['set'])}".rstrip())
+    print(f"all of it: {out / 'bench.html'}")
+
+
+def show_sweep(result: Mapping[str, Any]) -> None:
+    """What ``sweep`` has run."""
+    rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
+    for name, share in result.get("yield", {}).items():
+        low, high = share["low"], share["high"]
+        rows.append((f"{name}: yield", f"{share['share']:.4g} (95 %: {low:.4g} … {high:.4g})"))
+    if result.get("files"):
+        rows.append(("files", ", ".join(result["files"])))
+    print_table("sweep", rows)
 
 
 def show_keys(keys: Iterable[Key]) -> None:

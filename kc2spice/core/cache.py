@@ -20,7 +20,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
@@ -29,7 +29,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from kc2spice.core.archive import read_archive
+from kc2spice.core.files import locked
+from kc2spice.core.foreign import read_archive
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
@@ -134,24 +135,14 @@ def _alone(path: Path) -> Iterator[None]:
 
     Where there are no locks, two may build it, which costs time only.
     """
-    try:
-        import fcntl
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
-        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o600)
-    except (ImportError, OSError):
-        yield
-        return
-    try:
+    lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
+    with ExitStack() as held:
         with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock.touch(0o600)
+            held.enter_context(locked(lock))
+            held.callback(lock.unlink, missing_ok=True)
         yield
-    finally:
-        lock.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_UN)  # a fork may have inherited the handle
-        os.close(handle)
 
 
 def _digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:

@@ -24,8 +24,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from kc2spice.core import errors
-from kc2spice.core.archive import read_archive
 from kc2spice.core.errors import Kc2spiceError
+from kc2spice.core.foreign import read_archive
 
 ANSWER, REASON = "answer.npz", "reason.json"
 LARGEST = 8_000_000_000  # bytes of memory, libraries included
@@ -38,6 +38,7 @@ def in_child(
     request: Mapping[str, Any],
     prepare: Callable[[Path], None] = lambda folder: None,
     memory: int = LARGEST,
+    seconds: int = 0,
 ) -> dict[str, np.ndarray]:
     """The arrays that ``function`` (``"package.module:name"``) returns for keywords ``request``.
 
@@ -48,7 +49,8 @@ def in_child(
     ------
     Kc2spiceError : the function raised one.
     NotImplementedError : the function raised it.
-    ValueError : it raised anything else, crashed, or took more than ``memory`` bytes.
+    ValueError : it raised anything else, crashed, or took more than ``memory`` bytes or
+        ``seconds`` of the processor (0: any number).
     """
     root = str(Path(__file__).parents[2])
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -56,7 +58,7 @@ def in_child(
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as place:
         folder = Path(place)
         prepare(folder)
-        command = [sys.executable, "-m", __name__, function, str(memory)]
+        command = [sys.executable, "-m", __name__, function, str(memory), str(seconds)]
         with subprocess.Popen(
             command,
             cwd=folder,
@@ -95,7 +97,7 @@ def _reason(path: Path, code: int, memory: int) -> Exception:
     return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
 
 
-def _main(function: str, memory: str) -> None:
+def _main(function: str, memory: str, seconds: str) -> None:
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)
@@ -106,7 +108,7 @@ def _main(function: str, memory: str) -> None:
     try:
         module, _, name = function.partition(":")
         call = getattr(import_module(module), name)
-        _limit(int(memory))
+        _limit(int(memory), int(seconds))
         np.savez(ANSWER, **call(**json.loads(line)))
     except Exception as error:  # a damaged file makes a parser raise nearly anything
         text = " ".join(str(error).split())[:300] or type(error).__name__
@@ -127,11 +129,13 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _limit(memory: int) -> None:
+def _limit(memory: int, seconds: int) -> None:
     with contextlib.suppress(ImportError):  # not a POSIX system
         import resource
 
         limits = {"RLIMIT_AS": memory, "RLIMIT_NPROC": 0, "RLIMIT_CORE": 0}
+        if seconds:
+            limits["RLIMIT_CPU"] = seconds
         for name, value in limits.items():
             with contextlib.suppress(AttributeError, ValueError, OSError):
                 number = getattr(resource, name)

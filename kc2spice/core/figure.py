@@ -100,3 +100,13 @@ def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
 def time_axis(t: np.ndarray) -> tuple[str, float]:
     """Label of an axis with these times [s] and the factor to its unit: µs, or ms from 1 ms on."""
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
+
+
+def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
+    """Label of the axis of a run's scale (``time``, ``frequency``, what was swept) with these
+    values in SI, and the factor to its unit."""
+    if name == "time":
+        return time_axis(x)
+    if name == "frequency":
+        return ("frequency in kHz", 1e-3) if x[-1] > 5e3 else ("frequency in Hz", 1.0)
+    return name, 1.0

@@ -48,7 +48,7 @@ def staged(out: Path | str) -> Iterator[Path]:
         raise UsageError("cannot be written", where=str(out), hint="choose another --out")
     work = _work_directory(out, parent)
     try:
-        with _locked(work):
+        with locked(work):
             _clear_abandoned(work, _prefix(out))
             try:
                 yield work
@@ -114,7 +114,7 @@ def _prefix(out: Path) -> str:
 
 def _publish(work: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    with _locked(out):
+    with locked(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
         stale = _earlier(out) - {str(name) for name in files}
         for name in files:
@@ -158,13 +158,13 @@ def _clear_abandoned(own: Path, prefix: str) -> None:
             continue
         with contextlib.suppress(OSError):
             if other != own and time.time() - other.stat().st_mtime > _ABANDONED:
-                with _locked(other, wait=False):
+                with locked(other, wait=False):
                     shutil.rmtree(other, ignore_errors=True)
 
 
 @contextmanager
-def _locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
-    """Exclusive lock on the directory itself, which leaves no lock file behind.
+def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
+    """Exclusive lock on a file or on a directory itself, which leaves no lock file behind.
 
     Raises
     ------
@@ -175,9 +175,10 @@ def _locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
     except ImportError:  # not a POSIX system: each rename is still atomic
         yield
         return
-    handle = os.open(directory, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         yield
     finally:
+        fcntl.flock(handle, fcntl.LOCK_UN)  # a fork may have inherited the handle
         os.close(handle)

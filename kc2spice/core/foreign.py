@@ -1,18 +1,41 @@
-"""Files of others: regular, bounded, and called by names that lead nowhere else."""
+"""Files of others: regular, bounded, called by names that lead nowhere else, judged before use.
+
+The TOML parser of the standard library takes time with the square of the length of a dotted key,
+and calls itself once for every bracket; an archive unpacks to any size. What a file declares is
+therefore compared with limits before it is parsed or unpacked.
+"""
 
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 import stat
+import tomllib
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
 
 from kc2spice.core.errors import UsageError
 
 # One part of a path: it cannot hide, climb, be expanded by a shell or break a line.
 _PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.+-]")
+_ITEM = 1_000_000  # bytes of one entry, which is a text where it is more than a number
+MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
+DEEPEST = 32  # tables and arrays within each other
+LONGEST_KEY = 200  # characters of one part of a key
+# Strings and comments first, whatever is in them; then what nests and what chains.
+_TOKEN = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
+    r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
+    r'|[^"\'#\w\-\[\]{}. \t]+',
+    re.DOTALL,
+)
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
@@ -101,3 +124,94 @@ def plain_name(name: str) -> str:
     """The last part of ``name`` in letters, digits and ``_ . + -``, as a netlist may spell it."""
     plain = _UNSAFE.sub("_", name.replace("\\", "/").rpartition("/")[2])
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """``tomllib.loads`` in a time and at a depth that the text cannot choose.
+
+    Raises
+    ------
+    ValueError : not TOML, or longer or deeper than any honest file.
+    """
+    if len(text) > MAX_BYTES:
+        raise ValueError(f"longer than {MAX_BYTES} characters")
+    _bounded(text)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def _bounded(text: str) -> None:
+    """Refuse text with deep brackets, long chains of dots, or a long word where a key stands."""
+    depth = dots = 0
+    for token in _TOKEN.finditer(text):
+        first = token[0][0]
+        if first in "[{":
+            depth, dots = depth + 1, 0
+        elif first in "]}":
+            depth, dots = max(0, depth - 1), 0
+        elif first == ".":
+            dots += 1
+        elif not (first in " \t\"'_-" or first.isalnum()):
+            dots = 0
+        elif len(token[0]) > LONGEST_KEY and (dots or _is_key(text, token.end())):
+            raise ValueError(f"a key of more than {LONGEST_KEY} characters")
+        if depth > DEEPEST or dots > DEEPEST:
+            raise ValueError(f"nested more than {DEEPEST} deep")
+
+
+def _is_key(text: str, end: int) -> bool:
+    """Whether a word that ends at ``end`` is followed by what follows a key."""
+    return re.compile(r"[ \t]{0,200}[.=\]]").match(text, end) is not None
+
+
+def read_archive(
+    path: Path, wanted: Callable[[str], bool], *, entries: Callable[[str], int], total: int
+) -> dict[str, np.ndarray]:
+    """The arrays of an ``.npz`` file whose names are ``wanted``; nothing is unpickled.
+
+    Memory is taken only once every wanted member has declared at most ``entries(name)`` numbers,
+    all of them at most ``total`` bytes, and no more than it holds.
+
+    Raises
+    ------
+    ValueError : too large, or a member that is no plain array.
+    """
+    with zipfile.ZipFile(path) as archive:
+        members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
+        chosen = {name: item for name, item in members.items() if wanted(name)}
+        declared = 0
+        for name, item in chosen.items():
+            with archive.open(item) as stream:
+                shape, kind = _declared(stream)
+            count = math.prod(shape)
+            size = count * kind.itemsize
+            if count > entries(name):
+                raise ValueError(f"{name} has {count} entries, more than {entries(name)}")
+            if kind.hasobject:
+                raise ValueError(f"{name} is a Python object, no array of numbers")
+            if kind.itemsize > _ITEM or size > item.file_size:
+                raise ValueError(f"{name} is not a plain array of its declared size")
+            declared += size
+        if declared > total:
+            raise ValueError(f"{declared:.3g} bytes unpacked, more than {total:.3g}")
+        found = {}
+        for name, item in chosen.items():
+            with archive.open(item) as stream:
+                found[name] = np.lib.format.read_array(stream, allow_pickle=False)
+        return found
+
+
+def _declared(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(stream)
+    readers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    if version not in readers:
+        raise ValueError(f"array format {version} is not read")
+    shape, _, kind = readers[version](stream)
+    if any(not isinstance(n, int) or n < 0 for n in shape):
+        raise ValueError("a size is not a number")
+    return shape, kind

@@ -27,3 +27,10 @@ class Waveforms:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.data)
+
+
+def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Running trapezoidal integral (..., n) of ``values`` d ``over``, zero at the first point."""
+    steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
+    start = np.zeros((*np.shape(steps)[:-1], 1))
+    return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)

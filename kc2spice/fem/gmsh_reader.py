@@ -26,20 +26,20 @@ Picks = Mapping[str, Mapping[str, Any]]
 
 
 def tables(
-    file: str, size: float | None, dimension: int, picks: Picks, splits: int
+    file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
 ) -> dict[str, np.ndarray]:
-    """Nodes, elements and physical groups of ``file``.
+    """Nodes, elements and physical groups of ``file``, which the user calls ``name``.
 
     ``size`` (in the file's unit) makes it a CAD file to be meshed; ``picks`` are groups of it by
     name: ``dimension``, points ``at``, corners of a ``box``.
 
-    Returns ``tags`` (n,) and ``points`` (n, 3) of nodes; ``tags<k>`` and ``nodes<k>`` (elements,
-    nodes each) of blocks of elements; and ``record``, JSON: ``blocks`` (dimension, entity, name,
-    corners of each) and ``groups`` (name, dimension, entities of each).
+    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of tetrahedra or
+    triangles, corners first; ``group<k>``, numbers of such elements or nodes (elements, corners);
+    and ``record``, JSON: name and dimension of each group.
 
     Raises
     ------
-    UsageError : nothing to mesh, a pick that selects nothing.
+    UsageError : nothing to mesh, a pick that selects nothing, elements of another shape.
     """
     with gmsh_session("mesh") as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
@@ -49,7 +49,7 @@ def tables(
             _make(gmsh, size, dimension, picks)
         for _ in range(splits):
             gmsh.model.mesh.refine()
-        return _collected(gmsh)
+        return _collected(gmsh, dimension, name)
 
 
 def box(file: str) -> dict[str, np.ndarray]:
@@ -64,22 +64,47 @@ def box(file: str) -> dict[str, np.ndarray]:
         return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
 
 
-def _collected(gmsh: ModuleType) -> dict[str, np.ndarray]:
+def _collected(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    arrays = {"tags": tags.astype(np.int64), "points": coordinates.reshape(-1, 3)}
-    blocks: list[tuple[int, int, str, int]] = []
-    for d, entity in gmsh.model.getEntities():
-        for kind, numbers, nodes in zip(*gmsh.model.mesh.getElements(d, entity), strict=True):
-            name, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
-            arrays[f"tags{len(blocks)}"] = numbers.astype(np.int64)
-            arrays[f"nodes{len(blocks)}"] = nodes.reshape(-1, count).astype(np.int64)
-            blocks.append((int(d), int(entity), name, int(corners)))
-    groups = []
+    order = np.argsort(tags)
+    ranked = tags[order]
+
+    def simplices(d: int, entities: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Numbers and nodes of all elements in them, which are simplices."""
+        found = []
+        for entity in entities:
+            blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
+            for kind, numbers, nodes in blocks:
+                shape, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
+                if corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
+                    raise UsageError(
+                        "element that is not supported",
+                        where="mesh",
+                        got=shape,
+                        expected="triangles, tetrahedra of order 1 or 2",
+                    )
+                at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
+                if len(ranked) == 0 or (ranked[at] != nodes).any():
+                    raise UsageError("an element has a node that is not there", where=where)
+                found.append((numbers, order[at].reshape(-1, count)))
+        return found
+
+    body = simplices(dimension, [tag for _, tag in gmsh.model.getEntities(dimension)])
+    arrays = {f"cells{k}": nodes for k, (_, nodes) in enumerate(body)}
+    numbers = np.concatenate([np.empty(0, int), *(each for each, _ in body)])
+    groups: list[tuple[str, int]] = []
     for d, physical in gmsh.model.getPhysicalGroups():
-        name = gmsh.model.getPhysicalName(d, physical) or str(physical)
-        members = gmsh.model.getEntitiesForPhysicalGroup(d, physical)
-        groups.append((name, int(d), [int(tag) for tag in members]))
-    return {**arrays, "record": np.array(json.dumps({"blocks": blocks, "groups": groups}))}
+        members = simplices(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
+        if d == dimension:
+            chosen = [each for each, _ in members]
+            found = np.flatnonzero(np.isin(numbers, np.concatenate([np.empty(0, int), *chosen])))
+        else:
+            corners = [nodes[:, : d + 1] for _, nodes in members]
+            found = np.concatenate([np.empty((0, d + 1), int), *corners])
+        arrays[f"group{len(groups)}"] = found
+        groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
+    arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
+    return arrays
 
 
 def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:

@@ -31,8 +31,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si
-from kc2spice.core.schema import validated
+from kc2spice.core.quantities import Density, Pressure, Ratio, Section, si, validated
 from kc2spice.core.units import EPSILON_0, quantity
 
 # Point groups as data sheets name them, whose free components are those of a class below; "32" is
@@ -47,37 +46,18 @@ Symmetry: TypeAlias = Annotated[
     BeforeValidator(lambda said: _GROUPS.get(said, said) if isinstance(said, str) else said),
 ]
 
-# Components that a symmetry class leaves free, and where else in the tensor they stand.
-_ELASTIC: dict[str, dict[str, tuple[tuple[str, float], ...]]] = {
-    "cubic": {
-        "11": (("22", 1), ("33", 1)),
-        "12": (("13", 1), ("23", 1)),
-        "44": (("55", 1), ("66", 1)),
-    },
-    "hexagonal": {
-        "11": (("22", 1),),
-        "12": (),
-        "13": (("23", 1),),
-        "33": (),
-        "44": (("55", 1),),
-        "66": (),
-    },
-    "trigonal": {
-        "11": (("22", 1),),
-        "12": (),
-        "13": (("23", 1),),
-        "14": (("24", -1), ("56", 1)),
-        "33": (),
-        "44": (("55", 1),),
-        "66": (),
-    },
-    "orthotropic": dict.fromkeys(("11", "12", "13", "22", "23", "33", "44", "55", "66"), ()),
+# Free components of a symmetry class, each with where else in the tensor it stands.
+_ELASTIC = {
+    "cubic": "11=22=33 12=13=23 44=55=66",
+    "hexagonal": "11=22 12 13=23 33 44=55 66",
+    "trigonal": "11=22 12 13=23 14=-24=56 33 44=55 66",
+    "orthotropic": "11 12 13 22 23 33 44 55 66",
 }
-_COUPLING: dict[str, dict[str, tuple[tuple[str, float], ...]]] = {
-    "cubic": {"14": (("25", 1), ("36", 1))},
-    "hexagonal": {"31": (("32", 1),), "33": (), "15": (("24", 1),)},
-    "trigonal": {"11": (("12", -1), ("26", -1)), "14": (("25", -1),)},
-    "orthotropic": dict.fromkeys(("31", "32", "33", "15", "24"), ()),
+_COUPLING = {
+    "cubic": "14=25=36",
+    "hexagonal": "31=32 33 15=24",
+    "trigonal": "11=-12=-26 14=-25",
+    "orthotropic": "31 32 33 15 24",
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
 
@@ -235,6 +215,13 @@ _Tensor: TypeAlias = dict[str, float] | list[list[float]]
 _Modulus: TypeAlias = float | list[float]
 
 
+# Keys of a table that a material has as they are.
+_SAME = (
+    "density", "conductor", "quality", "loss_tangent", "tensile_strength", "depoling_field",
+    "breakdown_field",
+)  # fmt: skip
+
+
 class MaterialTable(Section):
     """What a scene or the library says of a material; :meth:`build` makes the tensors.
 
@@ -321,44 +308,39 @@ class MaterialTable(Section):
         where = where or f"material {name}"
         C = self._stiffness(where)
         e = self._coupling(C, where)
-        eps = EPSILON_0 * self._permittivity(where)
+        eps = EPSILON_0 * self._permittivity(f"{where}: permittivity")
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
-        hint = None
-        if np.any(e):
-            hint = "is the permittivity at constant stress or at constant strain?"
-        require_definite(eps, f"{where}: permittivity at constant strain", hint)
+        hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
+        _require_definite(eps, f"{where}: permittivity at constant strain", hint)
         given = {k for k in type(self).model_fields if getattr(self, k) is not None}
         given -= {"source", "sources", "symmetry", "permittivity_at", "conductor"}
         sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
-        return Material(
-            name,
-            self.density,
-            C,
-            e,
-            eps,
-            self.conductor,
-            self.quality,
-            self.loss_tangent,
-            self.tensile_strength,
-            self.depoling_field,
-            self.breakdown_field,
-            sources,
-        )
+        same = {key: getattr(self, key) for key in _SAME}
+        return Material(name, C=C, e=e, eps_S=eps, sources=sources, **same)
 
     def _stiffness(self, where: str) -> np.ndarray:
         if self.stiffness is not None:
-            C = _elastic(self.stiffness, "c", self.symmetry, f"{where}: stiffness")
-        elif self.compliance is not None:
-            s = _elastic(self.compliance, "s", self.symmetry, f"{where}: compliance")
-            require_definite(s, f"{where}: compliance")
-            C = np.linalg.inv(s)
+            C = _tensor(self.stiffness, "c", self.symmetry, f"{where}: stiffness")
         else:
-            s = self._engineering(where)
-            require_definite(s, f"{where}: youngs_modulus and poisson_ratio")
+            key = f"{where}: youngs_modulus and poisson_ratio"
+            if self.compliance is not None:
+                key = f"{where}: compliance"
+                s = _tensor(self.compliance, "s", self.symmetry, key)
+            else:
+                s = self._engineering(where)
+            _require_definite(s, key)
             C = np.linalg.inv(s)
-        require_definite(C, f"{where}: stiffness")
-        _require_scale(C, where)
+        _require_definite(C, f"{where}: stiffness")
+        largest = float(np.diag(C).max())
+        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, pm^2/N as m^2/N
+            raise UsageError(
+                "stiffness out of any material's range",
+                where=where,
+                got=f"{largest:g} Pa",
+                expected="1e3 to 2e12 Pa",
+                hint='numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12',
+            )
         return (C + C.T) / 2
 
     def _engineering(self, where: str) -> np.ndarray:
@@ -377,37 +359,32 @@ class MaterialTable(Section):
             E = given
         if min(E) <= 0 or not min(g) > 0:
             raise UsageError("moduli must be positive", where=where, got=[*E, *g])
-        s = np.diag([1 / E[0], 1 / E[1], 1 / E[2], 1 / g[0], 1 / g[1], 1 / g[2]])
-        s[0, 1] = s[1, 0] = -n[0] / E[0]
-        s[0, 2] = s[2, 0] = -n[1] / E[0]
-        s[1, 2] = s[2, 1] = -n[2] / E[1]
-        return s
+        s = np.diag(1 / np.array([*E, *g]))
+        s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
+        return np.triu(s) + np.triu(s, 1).T
 
     def _coupling(self, C: np.ndarray, where: str) -> np.ndarray:
-        if self.stress_coupling is not None:
-            return _coupling(self.stress_coupling, "e", self.symmetry, f"{where}: stress_coupling")
         if self.strain_coupling is not None:
-            table, key = self.strain_coupling, f"{where}: strain_coupling"
-            return _coupling(table, "d", self.symmetry, key) @ C
-        return np.zeros((3, 6))
+            key = f"{where}: strain_coupling"
+            return _tensor(self.strain_coupling, "d", self.symmetry, key) @ C
+        if self.stress_coupling is None:
+            return np.zeros((3, 6))
+        return _tensor(self.stress_coupling, "e", self.symmetry, f"{where}: stress_coupling")
 
     def _permittivity(self, where: str) -> np.ndarray:
-        where = f"{where}: permittivity"
         if self.permittivity is None:
             return np.eye(3)
         if isinstance(self.permittivity, list):
             return _full(self.permittivity, (3, 3), where)
-        values = dict(self.permittivity)
-        unknown = set(values) - {"eps11", "eps22", "eps33"}
-        if unknown or "eps11" not in values:
+        values = self.permittivity
+        if "eps11" not in values or set(values) - {"eps11", "eps22", "eps33"}:
             raise UsageError(
                 "permittivity components",
                 where=where,
                 got=", ".join(values),
                 expected="eps11, and eps22 or eps33 where they differ from it",
             )
-        first = values["eps11"]
-        return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
+        return np.diag([values.get(key, values["eps11"]) for key in ("eps11", "eps22", "eps33")])
 
 
 def _named(values: Any, names: tuple[str, ...], where: str) -> list[float]:
@@ -428,15 +405,26 @@ def _full(rows: list[list[float]], shape: tuple[int, int], where: str) -> np.nda
     return matrix
 
 
-def _spread(
-    values: Mapping[str, float],
-    letter: str,
-    table: dict[str, tuple[tuple[str, float], ...]],
-    shape: tuple[int, int],
-    where: str,
-) -> np.ndarray:
-    """Matrix from its independent components (not yet symmetric)."""
-    wanted = {letter + index for index in table}
+def _tensor(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
+    """Stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6), from lists or
+    from the components that the symmetry leaves free."""
+    elastic = letter in "cs"
+    tables, shape = (_ELASTIC, (6, 6)) if elastic else (_COUPLING, (3, 6))
+    if isinstance(values, list):
+        return _full(values, shape, where)
+    if symmetry not in tables:
+        raise UsageError(
+            "components need a symmetry",
+            where=where,
+            got=symmetry,
+            expected=f"symmetry = {', '.join(tables)}, or a full matrix",
+        )
+    first, second, last = (f"{letter}{place}" for place in ("11", "12", "66"))
+    if elastic and symmetry in _DERIVED_66 and {first, second} <= set(values):
+        factor = 0.5 if letter == "c" else 2.0
+        values = {last: factor * (values[first] - values[second]), **values}
+    groups = [group.split("=") for group in tables[symmetry].split()]
+    wanted = {letter + group[0] for group in groups}
     if set(values) != wanted:
         raise UsageError(
             "wrong components for this symmetry",
@@ -445,50 +433,16 @@ def _spread(
             expected=", ".join(sorted(wanted)),
         )
     matrix = np.zeros(shape)
-    for index, others in table.items():
-        value = values[letter + index]
-        for place, sign in ((index, 1.0), *others):
-            matrix[int(place[0]) - 1, int(place[1]) - 1] = sign * value
-    return matrix
+    for group in groups:
+        for place in group:
+            row, column = int(place[-2]) - 1, int(place[-1]) - 1
+            matrix[row, column] = values[letter + group[0]] * (-1 if place[0] == "-" else 1)
+    if symmetry == "trigonal" and letter in "sd":  # engineering shear: s56 = 2 s14, d26 = -2 d11
+        matrix[4 if elastic else 1, 5] *= 2
+    return np.triu(matrix) + np.triu(matrix, 1).T if elastic else matrix
 
 
-def _elastic(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
-    if isinstance(values, list):
-        return _full(values, (6, 6), where)
-    table = _ELASTIC[_known(symmetry, _ELASTIC, where)]
-    values = dict(values)
-    difference = f"{letter}11", f"{letter}12"
-    if symmetry in _DERIVED_66 and f"{letter}66" not in values and set(difference) <= set(values):
-        factor = 0.5 if letter == "c" else 2.0
-        values[f"{letter}66"] = factor * (values[difference[0]] - values[difference[1]])
-    matrix = _spread(values, letter, table, (6, 6), where)
-    if symmetry == "trigonal" and letter == "s":
-        matrix[4, 5] *= 2  # engineering shear strains: s56 = 2 s14
-    return np.triu(matrix) + np.triu(matrix, 1).T
-
-
-def _coupling(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
-    if isinstance(values, list):
-        return _full(values, (3, 6), where)
-    table = _COUPLING[_known(symmetry, _COUPLING, where)]
-    matrix = _spread(values, letter, table, (3, 6), where)
-    if symmetry == "trigonal" and letter == "d":
-        matrix[1, 5] *= 2  # engineering shear strains: d26 = -2 d11
-    return matrix
-
-
-def _known(symmetry: str | None, tables: Mapping[str, object], where: str) -> str:
-    if symmetry is None or symmetry not in tables:
-        raise UsageError(
-            "components need a symmetry",
-            where=where,
-            got=symmetry,
-            expected=f"symmetry = {', '.join(tables)}, or a full matrix",
-        )
-    return symmetry
-
-
-def require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
+def _require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
     """Positive definite after scaling the diagonal to one, so that units do not matter."""
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())
@@ -502,19 +456,6 @@ def require_definite(matrix: np.ndarray, where: str, hint: str | None = None) ->
             got=f"smallest eigenvalue {smallest:g}",
             expected="greater than 0",
             hint=hint,
-        )
-
-
-def _require_scale(C: np.ndarray, where: str) -> None:
-    """Catch GPa written as Pa, and compliances in pm^2/N written as m^2/N."""
-    largest = float(np.diag(C).max())
-    if not 1e3 <= largest <= 2e12:
-        raise UsageError(
-            "stiffness out of any material's range",
-            where=where,
-            got=f"{largest:g} Pa",
-            expected="1e3 to 2e12 Pa",
-            hint='numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12',
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,11 @@ MAX_BYTES = 2_000_000_000  # of a file
 _HEAD = 200  # bytes that tell its format
 LENGTHS = ("m", "cm", "mm", "um")  # that a file without unit may be in
 MILLIMETRE = 1e-3  # what STEP files are converted to, whatever they are written in
-_TET_EDGES = ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))  # order of gmsh's mid-edge nodes
-_TRI_EDGES = ((0, 1), (1, 2), (2, 0))
+# By corners of a cell: its meshes, and its edges in the order of gmsh's nodes in their middles.
+_CURVED = {
+    4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
+    3: (MeshTri, MeshTri2, ((0, 1), (1, 2), (2, 0))),
+}
 _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
@@ -107,13 +110,24 @@ def read_mesh(
             where="groups",
             hint="name physical groups in the mesh",
         )
-    request = {
-        "size": None if size is None else size / unit,
-        "dimension": dimension,
-        "picks": _scaled(picks or {}, unit),
-        "splits": splits,
+    scaled = {
+        name: {
+            "dimension": pick.dimension,
+            "at": (np.reshape(pick.at, (-1, 3)) / unit).tolist(),
+            "box": None if pick.box is None else (np.asarray(pick.box) / unit).tolist(),
+        }
+        for name, pick in (picks or {}).items()
     }
-    found = _ask_gmsh("tables", path, data, **request)
+    found = _ask_gmsh(
+        "tables",
+        path,
+        data,
+        name=str(path),
+        size=None if size is None else size / unit,
+        dimension=dimension,
+        picks=scaled,
+        splits=splits,
+    )
     return _collect(found, unit, dimension, str(path))
 
 
@@ -127,11 +141,15 @@ def length_unit(path: Path, unit: str | None) -> float:
     if path.suffix.lower() in STEP or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
     sides = extent(path)
-    sizes = (f'"{name}" if it is {_sides(quantity(f"1 {name}", "m") * sides)}' for name in LENGTHS)
+
+    def shown(scale: float) -> str:
+        return " x ".join(f"{scale * side:.4g}" for side in sides)
+
+    sizes = (f'"{name}" if it is {shown(1e3 * quantity(f"1 {name}", "m"))} mm' for name in LENGTHS)
     raise UsageError(
         f"a {path.suffix} file does not state its unit of length",
         where="unit",
-        got=f"{' x '.join(f'{side:.4g}' for side in sides)} in that unit",
+        got=f"{shown(1.0)} in that unit",
         expected=", ".join(sizes),
         hint='state it beside mesh, such as unit = "mm"',
     )
@@ -148,17 +166,14 @@ def extent(path: Path) -> np.ndarray:
     return np.asarray(high - low)
 
 
-def _sides(sides: np.ndarray) -> str:
-    return " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
-
-
 def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
     file = FORMATS[path.suffix.lower()][1]
-    request["file"] = file
+
+    def put(home: Path) -> None:
+        (home / file).write_bytes(data)
+
     try:
-        return in_child(
-            f"kc2spice.fem.gmsh_reader:{function}", request, lambda home: _write(home / file, data)
-        )
+        return in_child(f"kc2spice.fem.gmsh_reader:{function}", {**request, "file": file}, put)
     except ValueError as error:
         raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
 
@@ -185,22 +200,20 @@ def require_format(path: Path, head: bytes | None = None) -> None:
             return
         with path.open("rb") as file:
             head = file.read(_HEAD)
-    magic, wrong = known[0], "is not what its name says"
-    if not head.startswith(magic):
-        raise UsageError(
-            wrong,
-            where=str(path),
-            got=repr(head[:20])[1:],
-            expected=f"{magic.decode()} as its very first characters",
-        )
-    if magic == b"$MeshFormat" and not _is_mesh(head):
-        raise UsageError(
-            wrong,
-            where=str(path),
-            got=repr(head[:40])[1:],
-            expected="a header of version 2 or 4, as text or binary",
-            hint='gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write',
-        )
+    magic = known[0]
+    got, expected, hint = head[:20], f"{magic.decode()} as its very first characters", None
+    if head.startswith(magic):
+        if magic != b"$MeshFormat" or _is_mesh(head):
+            return
+        got, expected = head[:40], "a header of version 2 or 4, as text or binary"
+        hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
+    raise UsageError(
+        "is not what its name says",
+        where=str(path),
+        got=repr(got)[1:],
+        expected=expected,
+        hint=hint,
+    )
 
 
 def _content(path: Path) -> bytes:
@@ -236,108 +249,33 @@ def _is_mesh(head: bytes) -> bool:
     return one if binary == "1" else rest.lstrip().startswith(b"$EndMeshFormat")
 
 
-def _write(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-
-
-def _scaled(picks: Mapping[str, Pick], unit: float) -> dict[str, Any]:
-    return {
-        name: {
-            "dimension": p.dimension,
-            "at": (np.reshape(p.at, (-1, 3)) / unit).tolist(),
-            "box": None if p.box is None else (np.asarray(p.box) / unit).tolist(),
-        }
-        for name, p in picks.items()
-    }
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Elements of one kind in one entity: tags (k,), nodes (k, nodes each), corners first."""
-
-    dimension: int
-    entity: int
-    name: str
-    corners: int
-    tags: np.ndarray
-    nodes: np.ndarray
-
-
 def _collect(
     found: Mapping[str, np.ndarray], unit: float, dimension: int, where: str
 ) -> GroupedMesh:
-    record = json.loads(str(found["record"]))
-    blocks = [
-        _Block(d, entity, name, corners, found[f"tags{k}"], found[f"nodes{k}"])
-        for k, (d, entity, name, corners) in enumerate(record["blocks"])
-    ]
-    place = _places(found["tags"], where)
     points = unit * found["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node is not at a finite place", where=where)
     if dimension == 2:
         points = _meridian(points, where)
-    body = _simplices(blocks, dimension)
-    if not body:
+    blocks = [found[key] for key in found if key.startswith("cells")]
+    if not blocks:
         raise UsageError(f"has no {'tetrahedra' if dimension == 3 else 'triangles'}", where=where)
-    cells = np.concatenate([place(nodes[:, : dimension + 1]) for _, nodes in body])
-    mesh = _quadratic(points, cells, [place(nodes) for _, nodes in body])
-    table = _Table(mesh, np.unique(cells), len(points))
-    number = {tag: k for k, tag in enumerate(np.concatenate([tags for tags, _ in body]))}
-    groups = {}
-    for name, d, entities in record["groups"]:
+    mesh, number = _quadratic(points, blocks, dimension + 1)
+    groups: dict[str, Group] = {}
+    for k, (name, d) in enumerate(json.loads(str(found["record"]))):
+        members = found[f"group{k}"]
         if name in groups:
             raise UsageError("two groups of one name", where=where, got=name)
-        parts = [part for entity in entities for part in _simplices(blocks, d, entity)]
-        corners = [place(nodes[:, : d + 1]) for _, nodes in parts]
-        joined = np.concatenate(corners) if corners else np.empty((0, d + 1), int)
         if d == dimension:
-            members = np.array([number[tag] for tags, _ in parts for tag in tags], int)
-            groups[name] = Group(0, np.unique(members))
+            groups[name] = Group(0, members)
         elif d == dimension - 1:
-            groups[name] = Group(1, np.unique(table.facets(joined, name)))
+            facets = _find(mesh.facets, number[members], mesh.nvertices)
+            groups[name] = Group(1, np.unique(_inside(facets, name)))
         else:
-            groups[name] = Group(dimension - d, *table.shares(joined, points, name))
+            ends = _inside(number[members], name)
+            length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
+            groups[name] = Group(dimension - d, *_shares(mesh, ends, length, name))
     return GroupedMesh(mesh, groups)
-
-
-def _places(tags: np.ndarray, where: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Where in ``tags`` (n,) each of an array of nodes stands; tags may be far apart."""
-    order = np.argsort(tags)
-    ranked = tags[order]
-
-    def place(nodes: np.ndarray) -> np.ndarray:
-        at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
-        if len(ranked) == 0 or (ranked[at] != nodes).any():
-            raise UsageError("an element has a node that is not there", where=where)
-        return np.asarray(order[at])
-
-    return place
-
-
-def _simplices(
-    blocks: Sequence[_Block], d: int, entity: int | None = None
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Tags and nodes of the simplices of a dimension, or of one entity of it.
-
-    Raises
-    ------
-    UsageError : elements of another shape.
-    """
-    result = []
-    for block in blocks:
-        if block.dimension != d or entity not in (None, block.entity):
-            continue
-        count = block.nodes.shape[1]
-        if block.corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
-            raise UsageError(
-                "element that is not supported",
-                where="mesh",
-                got=block.name,
-                expected="triangles, tetrahedra of order 1 or 2",
-            )
-        result.append((block.tags, block.nodes))
-    return result
 
 
 def _meridian(points: np.ndarray, where: str) -> np.ndarray:
@@ -348,21 +286,26 @@ def _meridian(points: np.ndarray, where: str) -> np.ndarray:
     return points[:, [0, 3 - flat[0]]]
 
 
-def _quadratic(points: np.ndarray, cells: np.ndarray, full: list[np.ndarray]) -> Mesh:
-    """The mesh with the mid-edge nodes of the file; straight edges where it has none."""
-    vertices, corners = np.unique(cells, return_inverse=True)
-    corners = corners.reshape(cells.shape)
-    tetrahedra = cells.shape[1] == 4
-    kind, curved = (MeshTet, MeshTet2) if tetrahedra else (MeshTri, MeshTri2)
-    mesh = curved.from_mesh(kind(points[vertices].T.copy(), corners.T.copy()))
+def _quadratic(
+    points: np.ndarray, blocks: list[np.ndarray], corners: int
+) -> tuple[Mesh, np.ndarray]:
+    """The mesh with the mid-edge nodes of the file, straight edges where it has none, and the
+    number in it of each of the file's nodes, -1 of those that are no corner."""
+    vertices, cells = np.unique(
+        np.concatenate([nodes[:, :corners] for nodes in blocks]), return_inverse=True
+    )
+    cells = cells.reshape(-1, corners)
+    kind, curved, ends = _CURVED[corners]
+    mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.T.copy()))
     places, start = mesh.doflocs.copy(), 0
-    ends = _TET_EDGES if tetrahedra else _TRI_EDGES
-    for nodes in full:
-        own = corners[start : start + len(nodes)]
+    for nodes in blocks:
+        own = cells[start : start + len(nodes)]
         start += len(nodes)
-        for edge, middle in zip(ends, nodes.T[cells.shape[1] :], strict=False):
+        for edge, middle in zip(ends, nodes.T[corners:], strict=False):
             places[:, _edge_nodes(mesh, own[:, edge])] = points[middle].T
-    return curved(places, mesh.t)
+    number = np.full(len(points), -1)
+    number[vertices] = np.arange(len(vertices))
+    return curved(places, mesh.t), number
 
 
 def _edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
@@ -382,35 +325,19 @@ def _find(simplices: np.ndarray, wanted: np.ndarray, vertices: int) -> np.ndarra
     return np.where(keys[place] == asked, place, -1)
 
 
-class _Table:
-    """Facets and nodes of the mesh by the node numbers of the file."""
-
-    def __init__(self, mesh: Mesh, vertices: np.ndarray, points: int) -> None:
-        self.mesh = mesh
-        self.number = np.full(points, -1)
-        self.number[vertices] = np.arange(len(vertices))
-
-    def facets(self, corners: np.ndarray, name: str) -> np.ndarray:
-        """Facets with these corners (k, d)."""
-        return _inside(_find(self.mesh.facets, self.number[corners], self.mesh.nvertices), name)
-
-    def shares(
-        self, corners: np.ndarray, points: np.ndarray, name: str
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes on points (k, 1) or line elements (k, 2), and their parts of the whole length."""
-        ends = self.number[corners]
-        _inside(ends, name)
-        if corners.shape[1] == 1:
-            nodes, weights = ends.ravel(), np.ones(len(ends))
-        else:
-            length = np.linalg.norm(points[corners[:, 0]] - points[corners[:, 1]], axis=1)
-            middle = _edge_nodes(self.mesh, ends)
-            _inside(middle - self.mesh.nvertices, name)
-            nodes = np.concatenate([ends[:, 0], ends[:, 1], middle])
-            weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
-        unique, place = np.unique(nodes, return_inverse=True)
-        total = np.bincount(place, weights, len(unique))
-        return unique, total / (total.sum() or 1.0)
+def _shares(
+    mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes on points (k, 1) or line elements (k, 2), and their parts of the whole length."""
+    nodes, weights = ends.ravel(), np.ones(len(ends))
+    if ends.shape[1] == 2:
+        middle = _edge_nodes(mesh, ends)
+        _inside(middle - mesh.nvertices, name)
+        nodes = np.concatenate([*ends.T, middle])
+        weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
+    unique, place = np.unique(nodes, return_inverse=True)
+    total = np.bincount(place, weights, len(unique))
+    return unique, total / (total.sum() or 1.0)
 
 
 def _inside(found: np.ndarray, name: str) -> np.ndarray:

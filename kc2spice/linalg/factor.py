@@ -71,30 +71,58 @@ def factorise(matrix: scipy.sparse.csc_array, *, definite: bool) -> Factor:
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
     factor, which costs n b^2 operations and no fill, any other definite one a supernodal Cholesky
-    factor; everything else SuperLU without pivoting for size, which keeps the symmetric fill of
-    its order.
+    factor; everything else that of :func:`two_sided`.
 
     Raises
     ------
     SimulationError : ``definite`` was promised and is not true, or the matrix is singular.
     """
-    norm = float(abs(matrix).sum(axis=0).max())
+    if not definite:
+        return two_sided(matrix, symmetric=True)[0]
     coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
-        if definite and bandwidth <= NARROW:
-            return Factor(matrix, norm, _banded(coo, bandwidth))
-        if definite:
-            return Factor(matrix, norm, Cholesky(matrix, _order(matrix)).solve)
-        return Factor(matrix, norm, inverses(matrix, symmetric=True)[0])
+        narrow = bandwidth <= NARROW
+        apply = _banded(coo, bandwidth) if narrow else Cholesky(matrix, _order(matrix)).solve
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
             "matrix cannot be factorised",
             where="direct solver",
             got=str(error),
-            expected="positive definite" if definite else "regular",
+            expected="positive definite",
             hint="the model may be free to move: check its supports",
         ) from error
+    return Factor(matrix, _norm(matrix), apply)
+
+
+def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Factor, Factor]:
+    """Factors of a sparse matrix and of its transpose; without pivoting first where that keeps the
+    fill of a symmetric matrix.
+
+    A trial solution shows whether that is accurate, and partial pivoting follows where it is not
+    (indefinite matrices, saddle points).
+
+    Raises
+    ------
+    SimulationError : singular.
+    """
+    matrix = scipy.sparse.csc_array(matrix)
+    trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
+    reason: Exception | None = None
+    for without_pivoting in (True, False) if symmetric else (False,):
+        try:
+            apply, transposed = inverses(matrix, symmetric=without_pivoting)
+            forward = Factor(matrix, _norm(matrix), apply)
+            forward.solve(trial)
+            return forward, Factor(scipy.sparse.csc_array(matrix.T), forward.norm, transposed)
+        except (RuntimeError, MemoryError, SimulationError) as error:
+            reason = error
+    text = reason.message if isinstance(reason, SimulationError) else str(reason)
+    raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)
+
+
+def _norm(matrix: scipy.sparse.csc_array) -> float:
+    return float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
 
 
 def _banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:

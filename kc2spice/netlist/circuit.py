@@ -8,9 +8,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from kc2spice.netlist.expression import Tree, parse
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.expression import Probe, Tree, parse, walk
 
 LEAST = 1e-30  # what "above zero" means for a parameter
+
+
+def _pairs(given: Mapping[str, str]) -> str:
+    return " ".join(f"{key}={value}" for key, value in given.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +71,21 @@ class Element(Card):
         return parse(self.expression, where=self.where)
 
     @property
+    def sensed(self) -> frozenset[str]:
+        """Nodes whose voltages its expression reads; none of one that cannot be read."""
+        try:
+            leaves = tuple(walk(self.law)) if self.quantity else ()
+        except UsageError:  # the linter says it
+            return frozenset()
+        probes = (leaf for leaf in leaves if isinstance(leaf, Probe) and leaf.kind == "v")
+        return frozenset(name.lower() for probe in probes for name in probe.names)
+
+    @property
     def text(self) -> str:
         """The card on one line, for messages."""
         law = f"{self.quantity}={self.expression}" if self.quantity else ""
-        given = (f"{key}={value}" for key, value in self.parameters.items())
-        words = (self.name, *self.nodes, *self.sources, self.model, *self.values, *given, law)
+        given = _pairs(self.parameters)
+        words = (self.name, *self.nodes, *self.sources, self.model, *self.values, given, law)
         return " ".join(filter(None, words))
 
 
@@ -87,7 +102,7 @@ class Model(Card):
         return str(self).lower() == str(other).lower()
 
     def __str__(self) -> str:
-        given = " ".join(f"{key}={value}" for key, value in self.parameters.items())
+        given = _pairs(self.parameters)
         return f".model {self.name} {self.type}" + (f"({given})" if given else "")
 
 
@@ -101,7 +116,7 @@ class Parameters(Card):
     @property
     def text(self) -> str:
         """The card on one line."""
-        return " ".join([self.keyword, *(f"{k}={v}" for k, v in self.values.items())])
+        return f"{self.keyword} {_pairs(self.values)}"
 
 
 @dataclass(frozen=True)
@@ -149,12 +164,6 @@ class Circuit(Card):
     def subcircuits(self) -> tuple[Circuit, ...]:
         """The subcircuits that it defines."""
         return tuple(item for item in self.items if isinstance(item, Circuit))
-
-    @property
-    def text(self) -> str:
-        """Its first card on one line."""
-        given = (f"{key}={value}" for key, value in self.defaults.items())
-        return " ".join([".subckt", self.name, *self.pins, *given])
 
 
 Item = Element | Model | Parameters | Function | Directive | Circuit

@@ -13,9 +13,6 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
-_LITERAL = re.compile(
-    r"\s*(?P<sign>-?)\s*(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?=[,)])"
-)
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
 _RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
 _SUFFIX = {"meg": 1e6, "mil": 25.4e-6, "t": 1e12, "g": 1e9, "k": 1e3, "m": 1e-3, "u": 1e-6,
@@ -295,19 +292,11 @@ class _Parser:
             return Probe(name.lower(), tuple(n.strip() for n in inside.split(",")))
         arguments: list[Tree] = []
         if self.accept(")") is None:
-            arguments.append(self.argument())
+            arguments.append(self.choice())
             while self.accept(","):
-                arguments.append(self.argument())
+                arguments.append(self.choice())
             self.expect(")")
         return Call(name.lower(), tuple(arguments))
-
-    def argument(self) -> Tree:
-        """An expression; of a literal, which tables have by the hundred, without descending."""
-        if match := _LITERAL.match(self.text, self.at):
-            self.at = match.end()
-            literal = Number(match["number"])
-            return Unary("-", literal) if match["sign"] else literal
-        return self.choice()
 
 
 def _plain(literal: str, suffix: str) -> str:

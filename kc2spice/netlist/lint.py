@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator
+from functools import partial
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Card, Circuit, Element, Function, Parameters
@@ -27,17 +27,6 @@ _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Problem:
-    """One mistake: where it stands, what is wrong, what stands there, what would be right."""
-
-    where: str
-    message: str
-    got: str
-    expected: str | None = None
-    hint: str | None = None
-
-
 def lint(deck: Deck) -> None:
     """Raise the first mistake of ``deck`` as an error that counts the others.
 
@@ -45,21 +34,14 @@ def lint(deck: Deck) -> None:
     ------
     UsageError : wrong wiring; the message names file, line, what is wrong and what was expected.
     """
-    found = problems(deck)
-    if not found:
-        return
-    first = found[0]
-    more = f"{len(found) - 1} more after this one" if len(found) > 1 else None
-    raise UsageError(
-        first.message,
-        where=first.where,
-        got=first.got,
-        expected=first.expected,
-        hint="; ".join(filter(None, (first.hint, more))) or None,
-    )
+    if found := problems(deck):
+        first = found[0]
+        more = f"{len(found) - 1} more after this one" if len(found) > 1 else None
+        first.hint = "; ".join(filter(None, (first.hint, more))) or None
+        raise first
 
 
-def problems(deck: Deck) -> list[Problem]:
+def problems(deck: Deck) -> list[UsageError]:
     """All mistakes of ``deck``.
 
     Unknown subcircuits, models, parameters, nodes and controlling sources; instances with too many
@@ -73,6 +55,12 @@ def problems(deck: Deck) -> list[Problem]:
     return [p for scope in deck.scope.inwards() for p in _scope_problems(scope, signals)]
 
 
+def _problem(
+    card: Card, message: str, got: str, expected: str | None = None, hint: str | None = None
+) -> UsageError:
+    return UsageError(message, where=card.where, got=got, expected=expected, hint=hint)
+
+
 def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
     """``(subcircuit, pin)`` of all pins that a library header declares as signals."""
     for each in circuits:
@@ -81,65 +69,62 @@ def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
         yield from _signal_pins(each.subcircuits)
 
 
-def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Problem]:
+def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
     yield from _duplicates(scope)
     yield from _defined_twice(scope)
     for card in scope.commands:
         for text in card.values.values() if isinstance(card, Parameters) else ():
-            yield from _unknown_names(card, _tree(text, card.where), scope)
+            yield from _expression(card, partial(parse, text, where=card.where), scope)
     for part in scope.elements:
         yield from _instance(part, scope) if part.kind == "x" else _references(part, scope)
         for text in _constants(part):
-            yield from _unknown_names(part, _tree(text, part.where), scope)
+            yield from _expression(part, partial(parse, text, where=part.where), scope)
         if part.quantity:
-            law = _law(part)
-            yield from _unknown_names(part, law, scope)
-            yield from _unknown_functions(part, law, scope)
+            yield from _expression(part, partial(_law, part), scope, behaviour=True)
     yield from _dangling(scope, signals)
 
 
-def _tree(text: str, where: str) -> Tree | Problem:
+def _law(part: Element) -> Tree:
+    return part.law
+
+
+def _expression(
+    card: Card, read: Callable[[], Tree], scope: Scope, *, behaviour: bool = False
+) -> Iterator[UsageError]:
+    """What is wrong with an expression of ``card``."""
     try:
-        return parse(text, where=where)
+        tree = read()
     except UsageError as error:
-        return Problem(where, error.message, str(error.got))
+        yield error
+        return
+    yield from _unknown_names(card, tree, scope)
+    if isinstance(card, Element) and behaviour:
+        yield from _unknown_functions(card, tree, scope)
 
 
-def _law(part: Element) -> Tree | Problem:
-    try:
-        return part.law
-    except UsageError as error:
-        return Problem(part.where, error.message, str(error.got))
-
-
-def _duplicates(scope: Scope) -> Iterator[Problem]:
+def _duplicates(scope: Scope) -> Iterator[UsageError]:
     seen: dict[str, Element] = {}
     for part in scope.elements:
-        if part.key in seen:
-            yield Problem(
-                part.where,
-                "two parts have one name",
-                part.name,
-                f"another name; the first {part.key} is in {seen[part.key].where}",
-            )
-        seen.setdefault(part.key, part)
+        first = seen.setdefault(part.key, part)
+        if first is not part:
+            other = f"another name; the first {part.key} is in {first.where}"
+            yield _problem(part, "two parts have one name", part.name, other)
 
 
-def _defined_twice(scope: Scope) -> Iterator[Problem]:
+def _defined_twice(scope: Scope) -> Iterator[UsageError]:
     """Parameters and functions of a whole deck that two of its files define differently."""
     seen: dict[str, tuple[str, Card]] = {}
     for card in scope.commands if scope.parent is None else ():
+        defined: dict[str, str] = {}
         if isinstance(card, Function):
             defined = {f"function {card.name.lower()}": card.expression}
         elif isinstance(card, Parameters):
             defined = {f"parameter {name.lower()}": text for name, text in card.values.items()}
-        else:
-            continue
         for what, value in defined.items():
             first, place = seen.setdefault(what, (value, card))
             if _file(place) != _file(card) and first != value:
-                yield Problem(
-                    card.where,
+                yield _problem(
+                    card,
                     f"two files define the {what}",
                     card.text,
                     f"one definition; the first is in {place.where}",
@@ -151,83 +136,71 @@ def _file(card: Card) -> str:
     return card.where.rpartition(":")[0]
 
 
-def _instance(part: Element, scope: Scope) -> Iterator[Problem]:
+def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
     called = scope.find(part.model)
     if called is None:
-        known = [name for outer in scope.outwards() for name in outer.subcircuits]
-        yield Problem(part.where, "no such subcircuit", part.model, _nearest(part.model, known))
+        near = _nearest(part.model, scope.subcircuits)
+        yield _problem(part, "no such subcircuit", part.model, near)
         return
     if len(part.nodes) != len(called.pins):
         short = len(part.nodes) < len(called.pins)
         which = called.pins[len(part.nodes) :] if short else part.ends[len(called.pins) :]
-        yield Problem(
-            part.where,
+        yield _problem(
+            part,
             f"{'missing' if short else 'too many'} pins of {called.name}: {' '.join(which)}",
             f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
         )
-    for param in part.settings:
-        if param not in called.defaults:
-            yield Problem(
-                part.where,
-                f"{called.name} has no such parameter",
-                param,
-                _nearest(param, called.defaults),
-            )
+    for param in (name for name in part.settings if name not in called.defaults):
+        near = _nearest(param, called.defaults)
+        yield _problem(part, f"{called.name} has no such parameter", param, near)
 
 
-def _references(part: Element, scope: Scope) -> Iterator[Problem]:
+def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Models and controlling sources of a primitive part."""
-    if part.model and scope.model(part.model) is None:
-        yield Problem(part.where, "no such model", part.model, _nearest(part.model, scope.models))
+    if part.model and part.model.lower() not in scope.models:
+        yield _problem(part, "no such model", part.model, _nearest(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():
-        if param in _PARASITIC:
-            yield Problem(
-                part.where,
+        if instead := _PARASITIC.get(param):
+            yield _problem(
+                part,
                 "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
-                f"{_PARASITIC[param]}, as an element of its own",
-                f"write the {_PARASITIC[param]} as a card of its own and leave {param} out",
+                f"{instead}, as an element of its own",
+                f"write the {instead} as a card of its own and leave {param} out",
             )
     kind = "l" if part.kind == "k" else "v"
     present = [e.key for e in scope.elements if e.kind == kind]
     for source in map(str.lower, part.sources):
         if source not in present:
-            yield Problem(part.where, "no such controlling part", source, _nearest(source, present))
+            yield _problem(part, "no such controlling part", source, _nearest(source, present))
 
 
-def _unknown_names(card: Card, tree: Tree | Problem, scope: Scope) -> Iterator[Problem]:
+def _unknown_names(card: Card, tree: Tree, scope: Scope) -> Iterator[UsageError]:
     """Parameters and nodes that an expression of ``card`` uses but nothing defines."""
-    if isinstance(tree, Problem):
-        yield tree
-        return
     nodes = {n for part in scope.elements for n in part.ends} | set(scope.pins) | GROUND
     sources = {e.key for e in scope.elements if e.kind in "vlehb"}
     for leaf in walk(tree):
-        if isinstance(leaf, Name) and leaf.text.lower() not in BUILT_IN:
-            if not scope.knows_param(leaf.text):
-                known = [name for outer in scope.outwards() for name in outer.params]
-                yield Problem(
-                    card.where, "no such parameter", leaf.text, _nearest(leaf.text, known)
-                )
+        if isinstance(leaf, Name) and leaf.text.lower() not in BUILT_IN.union(scope.params):
+            near = _nearest(leaf.text, scope.params)
+            yield _problem(card, "no such parameter", leaf.text, near)
         elif isinstance(leaf, Probe):
             what, present = ("node", nodes) if leaf.kind == "v" else ("source", sources)
             for name in map(str.lower, leaf.names):
                 if name not in present:
-                    yield Problem(card.where, f"no such {what}", name, _nearest(name, present))
+                    yield _problem(card, f"no such {what}", name, _nearest(name, present))
 
 
-def _unknown_functions(part: Element, tree: Tree | Problem, scope: Scope) -> Iterator[Problem]:
+def _unknown_functions(part: Element, tree: Tree, scope: Scope) -> Iterator[UsageError]:
     """Functions of a behavioural source that ngspice does not have, or has differently."""
-    known = FUNCTIONS.union(*(outer.functions for outer in scope.outwards()))
-    for leaf in () if isinstance(tree, Problem) else walk(tree):
+    known = FUNCTIONS.union(scope.functions)
+    for leaf in walk(tree):
         if isinstance(leaf, Call) and leaf.function not in known:
             near = _nearest(leaf.function, known)
-            yield Problem(part.where, "ngspice has no such function", leaf.function, near)
-        odd = isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD
-        if odd:
+            yield _problem(part, "ngspice has no such function", leaf.function, near)
+        if isinstance(leaf, Binary) and leaf.op == "^" and leaf.right in _ODD:
             message = "ngspice takes odd powers of the absolute value"
-            yield Problem(part.where, message, part.text, "a product")
+            yield _problem(part, message, part.text, "a product")
 
 
 def _constants(part: Element) -> Iterator[str]:
@@ -238,7 +211,7 @@ def _constants(part: Element) -> Iterator[str]:
             yield value
 
 
-def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Problem]:
+def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[UsageError]:
     """Nodes with one connection, unless it is a signal output, saved, probed, or named ``nc…``."""
     uses = Counter(n for part in scope.elements for n in part.ends)
     uses.update(scope.pins)
@@ -248,29 +221,20 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Pro
         for inside in card.text.split("(")[1:]
         for name in inside.partition(")")[0].split(",")
     }
-    for part in scope.elements:
-        watched |= _probed(part)
+    watched.update(*(part.sensed for part in scope.elements))
     for part in scope.elements:
         for position, node in enumerate(part.ends):
             if uses[node] > 1 or node in GROUND or node in watched or node.startswith("nc"):
                 continue
             pin = _pin(part, position, scope)
-            if (part.model.lower(), pin) in signals:
-                continue
-            yield Problem(
-                part.where,
-                f"floating port: nothing else is wired to node {node}",
-                f"pin {pin} of {part.name}",
-                _nearest(node, [n for n in uses if n != node]),
-                f"wire it; if it is meant to be free, save v({node}) or call the node nc_{node}",
-            )
-
-
-def _probed(part: Element) -> set[str]:
-    law = _law(part) if part.quantity else None
-    leaves = walk(law) if law is not None and not isinstance(law, Problem) else ()
-    probes = (leaf for leaf in leaves if isinstance(leaf, Probe) and leaf.kind == "v")
-    return {name.lower() for probe in probes for name in probe.names}
+            if (part.model.lower(), pin) not in signals:
+                yield _problem(
+                    part,
+                    f"floating port: nothing else is wired to node {node}",
+                    f"pin {pin} of {part.name}",
+                    _nearest(node, [n for n in uses if n != node]),
+                    f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
+                )
 
 
 def _pin(part: Element, position: int, scope: Scope) -> str:

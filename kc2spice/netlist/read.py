@@ -61,40 +61,34 @@ def _items(
     found: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
-            raise UsageError(".ends without .subckt", where=s.where, got=s.text)
+            raise s.error(".ends without .subckt")
         if s.keyword == ".ends" or not s.keyword:
             if s.keyword or head is None:
                 return tuple(found), s.comments
             break
         if s.keyword == ".control":
             block = tuple(c.text for c in takewhile(lambda c: c.keyword != ".endc", cards))
-            found.append(Directive(".control", block, notes=s.comments, where=s.where))
+            found.append(Directive(".control", block, **_told(s)))
         else:
             found.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
         if s.keyword == ".end":
             break
     if head is not None:
-        name = head.words[1]
-        raise UsageError(
-            "subcircuit is not closed",
-            where=head.where,
-            got=f".subckt {name}",
-            expected=f".ends {name}",
-        )
+        raise head.error("subcircuit is not closed", f".ends {head.words[1]}")
     return tuple(found), ()
 
 
 def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     rest = _without_keyword(s.words[1:])
     if not rest:
-        raise UsageError("subcircuit has no name", where=s.where, got=s.text)
+        raise s.error("subcircuit has no name")
     pins = tuple(w for w in rest[1:] if "=" not in w)
     low = [pin.lower() for pin in pins]
     if len(set(low)) < len(low):
         raise UsageError("a pin name stands twice", where=s.where, got=" ".join(low))
-    defaults = assignments([w for w in rest[1:] if "=" in w], s)
+    defaults = _assignments([w for w in rest[1:] if "=" in w], s)
     items, closing = _items(cards, s)
-    return Circuit(rest[0], pins, defaults, items, closing, notes=s.comments, where=s.where)
+    return Circuit(rest[0], pins, defaults, items, closing, **_told(s))
 
 
 def _item(s: Statement) -> Item:
@@ -105,10 +99,10 @@ def _item(s: Statement) -> Item:
     if s.keyword in (".func", ".param", ".params") and (defined := _function(s)):
         return defined
     if s.keyword in (".param", ".csparam"):
-        return Parameters(assignments(s.words[1:], s), s.keyword, **told)
+        return Parameters(_assignments(s.words[1:], s), s.keyword, **told)
     if s.keyword == ".model":
         if len(s.words) < 3:
-            raise UsageError("model card is not complete", where=s.where, got=s.text)
+            raise s.error("model card is not complete")
         kind, _, inside = " ".join(s.words[2:]).partition("(")
         kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
         pairs = dict((w + "=").split("=", 1) for w in more)
@@ -130,25 +124,20 @@ def _function(s: Statement) -> Function | None:
         return None
     arguments = tuple(word.strip() for word in inside.split(",") if word.strip())
     law = law.strip().removeprefix("=").strip()
-    return Function(name.strip(), arguments, law, notes=s.comments, where=s.where)
+    return Function(name.strip(), arguments, law, **_told(s))
 
 
 def _without_keyword(given: Sequence[str]) -> list[str]:
     return [word for word in given if word.lower() != "params:"]
 
 
-def assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
-    """``name=value`` words as a mapping.
-
-    Raises
-    ------
-    UsageError : one is not.
-    """
+def _assignments(given: Sequence[str], s: Statement) -> dict[str, str]:
+    """``name=value`` words as a mapping."""
     pairs = {}
-    for word in given:
-        name, equals, value = word.strip(",").partition("=")
-        if not equals or not name.isidentifier():
+    for word in (each.strip(",") for each in given):
+        if not _assigned(word):
             raise UsageError("not a parameter", where=s.where, got=word, expected="name=value")
+        name, _, value = word.partition("=")
         pairs[name] = value
     return pairs
 
@@ -159,12 +148,7 @@ def _assigned(word: str) -> bool:
 
 
 def element(s: Statement) -> Element:
-    """Split one element card; of a letter that we do not know, all words are values.
-
-    Raises
-    ------
-    UsageError : too few words.
-    """
+    """Split one element card; of a letter that we do not know, all words are values."""
     kind, told = s.text[0].lower(), _told(s)
     if kind == "b":
         return _behaviour(s)
@@ -172,8 +156,8 @@ def element(s: Statement) -> Element:
     if kind == "x":
         plain = [w for w in rest if "=" not in w]
         if not plain:
-            raise UsageError("instance names no subcircuit", where=s.where, got=s.text)
-        given = assignments([w for w in rest if "=" in w], s)
+            raise s.error("instance names no subcircuit")
+        given = _assignments([w for w in rest if "=" in w], s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), given, **told)
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **told)
@@ -208,12 +192,8 @@ def _split(
         controls = 0
     needed = count + controls + (kind in _MODELLED or kind not in "vi")
     if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
-        raise UsageError(
-            "element is not complete",
-            where=s.where,
-            got=s.text[:120],
-            expected=f"{count} nodes" + (", then a value or model" if kind not in "vi" else ""),
-        )
+        more = ", then a value or model" if kind not in "vi" else ""
+        raise s.error("element is not complete", f"{count} nodes{more}")
     end = count + controls
     return tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
 
@@ -223,21 +203,9 @@ def _behaviour(s: Statement) -> Element:
     name, *rest = s.text.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
-        raise UsageError(
-            "behavioural source without a law",
-            where=s.where,
-            got=s.text[:80],
-            expected="I=expression or V=expression",
-        )
-    return Element(
-        "b",
-        name,
-        tuple(rest[:2]),
-        quantity=quantity.strip().upper(),
-        expression=law.strip(),
-        notes=s.comments,
-        where=s.where,
-    )
+        raise s.error("behavioural source without a law", "I=expression or V=expression")
+    told = _told(s) | {"quantity": quantity.strip().upper(), "expression": law.strip()}
+    return Element("b", name, tuple(rest[:2]), **told)
 
 
 def _controlled(part: Element) -> Element:

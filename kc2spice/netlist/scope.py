@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -25,9 +26,10 @@ INCLUDES = (".include", ".inc")
 
 @dataclass
 class Scope:
-    """A subcircuit or the top level (``name == ""``): what it defines, in lower case.
+    """A subcircuit or the top level (``name == ""``): what names in lower case mean in it.
 
-    ``defaults`` are the parameters that an instance may set, ``params`` those and its own.
+    Mappings look from the inside out; their first map is what it defines itself. ``defaults`` are
+    the parameters that an instance may set, ``params`` those and its own.
     """
 
     name: str
@@ -35,47 +37,21 @@ class Scope:
     parent: Scope | None = None
     pins: tuple[str, ...] = ()
     defaults: dict[str, str] = field(default_factory=dict)
-    params: dict[str, str] = field(default_factory=dict)
+    params: ChainMap[str, str] = field(default_factory=ChainMap)
+    models: ChainMap[str, Model] = field(default_factory=ChainMap)
+    functions: ChainMap[str, Function] = field(default_factory=ChainMap)
+    subcircuits: ChainMap[str, Scope] = field(default_factory=ChainMap)
     elements: list[Element] = field(default_factory=list)
-    models: dict[str, Model] = field(default_factory=dict)
-    functions: dict[str, Function] = field(default_factory=dict)
-    subcircuits: dict[str, Scope] = field(default_factory=dict)
     commands: list[Parameters | Function | Directive] = field(default_factory=list)
 
     def find(self, name: str) -> Scope | None:
         """The subcircuit ``name`` as this scope sees it."""
-        return next(
-            (s.subcircuits[name.lower()] for s in self.outwards() if name.lower() in s.subcircuits),
-            None,
-        )
-
-    def model(self, name: str) -> Model | None:
-        """The model ``name`` as this scope sees it."""
-        return next(
-            (s.models[name.lower()] for s in self.outwards() if name.lower() in s.models), None
-        )
-
-    def function(self, name: str) -> Function | None:
-        """The function ``name`` as this scope sees it."""
-        return next(
-            (s.functions[name.lower()] for s in self.outwards() if name.lower() in s.functions),
-            None,
-        )
-
-    def knows_param(self, name: str) -> bool:
-        """Is the parameter ``name`` visible here?"""
-        return any(name.lower() in scope.params for scope in self.outwards())
-
-    def outwards(self) -> Iterator[Scope]:
-        """This scope and those around it."""
-        yield self
-        if self.parent is not None:
-            yield from self.parent.outwards()
+        return self.subcircuits.get(name.lower())
 
     def inwards(self) -> Iterator[Scope]:
         """This scope and those within it."""
         yield self
-        for child in self.subcircuits.values():
+        for child in self.subcircuits.maps[0].values():
             yield from child.inwards()
 
 
@@ -95,37 +71,32 @@ def circuit(main: str, files: Mapping[str, str | Circuit]) -> Scope:
 def _link(
     file: str, files: Mapping[str, str | Circuit], scope: Scope, chain: tuple[str, ...]
 ) -> None:
+    """Sort what ``file`` and its includes hold into ``scope``."""
     held = files[file]
     tree = read(held, file, title=not chain) if isinstance(held, str) else held
-    _fill(scope, tree.items, file, files, (*chain, file))
 
+    def fill(scope: Scope, items: tuple[Item, ...]) -> None:
+        for item in items:
+            match item:
+                case Element():
+                    scope.elements.append(_known(item))
+                case Circuit():
+                    fill(_opened(item, scope), item.items)
+                case Model():
+                    _add_model(item, scope)
+                case Directive(keyword) if keyword in INCLUDES:
+                    target = _included(item, file, files, (*chain, file))
+                    _link(target, files, scope, (*chain, file))
+                case Directive(".control" | ".end"):
+                    pass
+                case _:
+                    scope.commands.append(item)
+                    if isinstance(item, Parameters):
+                        scope.params |= {k.lower(): v for k, v in item.values.items()}
+                    elif isinstance(item, Function):
+                        scope.functions[item.name.lower()] = item
 
-def _fill(
-    scope: Scope,
-    items: tuple[Item, ...],
-    file: str,
-    files: Mapping[str, str | Circuit],
-    chain: tuple[str, ...],
-) -> None:
-    """Sort ``items`` of ``file`` into ``scope``."""
-    for item in items:
-        match item:
-            case Element():
-                scope.elements.append(_known(item))
-            case Circuit():
-                _fill(_opened(item, scope), item.items, file, files, chain)
-            case Model():
-                _add_model(item, scope)
-            case Directive(keyword) if keyword in INCLUDES:
-                _link(_included(item, file, files, chain), files, scope, chain)
-            case Directive(".control" | ".end"):
-                pass
-            case _:
-                scope.commands.append(item)
-                if isinstance(item, Parameters):
-                    scope.params |= {k.lower(): v for k, v in item.values.items()}
-                elif isinstance(item, Function):
-                    scope.functions[item.name.lower()] = item
+    fill(scope, tree.items)
 
 
 def _known(part: Element) -> Element:
@@ -141,7 +112,7 @@ def _known(part: Element) -> Element:
 
 
 def _add_model(model: Model, scope: Scope) -> None:
-    first = scope.models.get(model.name.lower(), model)
+    first = scope.models.maps[0].get(model.name.lower(), model)
     if first.where.partition(":")[0] != model.where.partition(":")[0] and not first.same(model):
         raise UsageError(
             "two models have one name",
@@ -171,19 +142,27 @@ def _included(
 
 
 def _opened(each: Circuit, parent: Scope) -> Scope:
-    if each.name.lower() in parent.subcircuits:
+    key = each.name.lower()
+    if first := parent.subcircuits.maps[0].get(key):
         raise UsageError(
             "two subcircuits have one name",
             where=each.where,
             got=each.name,
-            expected="one definition; the first is in "
-            f"{parent.subcircuits[each.name.lower()].where}",
+            expected=f"one definition; the first is in {first.where}",
         )
     defaults = {key.lower(): value for key, value in each.defaults.items()}
-    pins = tuple(pin.lower() for pin in each.pins)
-    scope = Scope(each.name, each.where, parent, pins, defaults, dict(defaults))
-    parent.subcircuits[each.name.lower()] = scope
-    return scope
+    parent.subcircuits[key] = Scope(
+        each.name,
+        each.where,
+        parent,
+        tuple(pin.lower() for pin in each.pins),
+        defaults,
+        parent.params.new_child(dict(defaults)),
+        parent.models.new_child(),
+        parent.functions.new_child(),
+        parent.subcircuits.new_child(),
+    )
+    return parent.subcircuits[key]
 
 
 def has_vector(top: Scope, text: str) -> bool:
@@ -191,7 +170,7 @@ def has_vector(top: Scope, text: str) -> bool:
     found = vector(text.lower())
     if found is None:
         return False
-    scope = _inside(top, found.path)
+    scope = inside(top, found.path)
     if found.quantity == "v":
         return all(_has_node(top, name) for name in found.names)
     return scope is not None and any(e.key == found.names[0] for e in scope.elements)
@@ -199,13 +178,13 @@ def has_vector(top: Scope, text: str) -> bool:
 
 def _has_node(top: Scope, name: str) -> bool:
     *path, node = name.split(".")
-    scope = _inside(top, tuple(path))
+    scope = inside(top, tuple(path))
     if scope is None:
         return False
     return node == "0" or node in scope.pins or any(node in e.ends for e in scope.elements)
 
 
-def _inside(top: Scope, path: tuple[str, ...]) -> Scope | None:
+def inside(top: Scope, path: tuple[str, ...]) -> Scope | None:
     """The scope of the instance ``xa.xb`` …; None where there is none."""
     scope = top
     for name in path:

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
 
+from kc2spice.core.errors import UsageError
+
+OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPEN, _CLOSE = "({[", ")}]"
 _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # what starts a comment behind a card
 
@@ -35,6 +38,10 @@ class Statement:
         """First word in lower case, ``""`` for trailing comments."""
         return self.text.split(None, 1)[0].lower() if self.text else ""
 
+    def error(self, message: str, expected: str | None = None) -> UsageError:
+        """That it is no card that can be read."""
+        return UsageError(message, where=self.where, got=self.text[:120], expected=expected)
+
     @cached_property
     def words(self) -> list[str]:
         """Words; brackets and quotes hold together, ``a = b`` is one word ``a=b``."""
@@ -46,31 +53,27 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
     ``title``: the first line is the deck's title, whatever it says, and counts as a comment.
     """
-    found: list[_Open] = []
+    heads: list[tuple[int, tuple[str, ...]]] = []  # first line and comments of each statement
+    texts: list[list[str]] = []
     pending: list[str] = []  # comment lines behind the newest statement
     lines = text.splitlines()
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):
             pending.append(raw.rstrip())
-        elif line.startswith("+") and found:
-            found[-1].texts.append(split_comment(line[1:])[0])
+        elif line.startswith("+") and texts:
+            texts[-1].append(split_comment(line[1:])[0])
         elif line := split_comment(line)[0]:
-            found.append(_Open(number, tuple(pending), [line]))
+            heads.append((number, tuple(pending)))
+            texts.append([line])
             pending = []
-    closed = [Statement(file, s.line, " ".join(s.texts).rstrip(), s.comments) for s in found]
     if pending:
-        closed.append(Statement(file, len(lines) + 1, "", tuple(pending)))
-    return closed
-
-
-@dataclass
-class _Open:
-    """A statement that may still go on."""
-
-    line: int
-    comments: tuple[str, ...]
-    texts: list[str]
+        heads.append((len(lines) + 1, tuple(pending)))
+        texts.append([])
+    return [
+        Statement(file, number, " ".join(parts).rstrip(), notes)
+        for (number, notes), parts in zip(heads, texts, strict=True)
+    ]
 
 
 def words(text: str) -> list[str]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.sphere import integral
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.rom.linear import Port
 from kc2spice.rom.march import chip_response
 from kc2spice.rom.modal import Resonators
@@ -42,7 +43,7 @@ def recorded(
     none = np.zeros(waves["time"].size)
     return np.column_stack(
         [
-            waves[f"{terminal(name, model, p)}.voltage"]
+            waves[f"{terminal(name, model.ports, p)}.voltage"]
             if p.kind == "electrical"
             else forces.get(p.name, none)
             for p in model.ports
@@ -50,30 +51,10 @@ def recorded(
     )
 
 
-def terminal(name: str, model: Resonators, port: Port) -> str:
+def terminal(name: str, ports: Sequence[Port], port: Port) -> str:
     """What the waves of an electrical port begin with: the part's name at the first of them."""
-    first = next(p for p in model.ports if p.kind == "electrical")
+    first = next(p for p in ports if p.kind == "electrical")
     return name if port == first else f"{name}.{port.name}"
-
-
-def exact_outputs(
-    name: str, model: Resonators, waves: Waveforms, forces: dict[str, np.ndarray]
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """What the run has and what the body answers exactly to the run's loads, each (n,), by wave:
-    displacements [m] and, where a current was recorded, charges [C]."""
-    t = waves["time"]
-    response = chip_response(model, t, recorded(name, model, waves, forces))
-    found = {}
-    for k, port in enumerate(model.ports):
-        exact = response.output[:, k]
-        if port.kind == "mechanical" and f"{name}.u.{port.name}" in waves:
-            found[f"{name}.u.{port.name}"] = waves[f"{name}.u.{port.name}"], exact
-        elif port.kind == "electrical":
-            at = terminal(name, model, port)
-            if f"{at}.current" in waves:
-                charge = integral(waves[f"{at}.current"], t)
-                found[f"charge of {at}"] = charge + exact[0], exact
-    return found
 
 
 def balance(
@@ -88,26 +69,28 @@ def balance(
 
     What the exact response takes in and does not store is damped. The electrical part needs the
     body's current among the waveforms. The scale is the largest change of the energy stored, or of
-    what rounds it where nothing moves.
-    ``pressed`` judges until nothing presses on the body any more: the ringing after that is coarse.
+    what rounds it where nothing moves. ``pressed`` judges until nothing presses on the body any
+    more, as the ringing after that is coarse; else displacements [m] and charges [C] are exact.
     """
     t, loads = waves["time"], recorded(name, model, waves, forces)
     response = chip_response(model, t, loads)
     entries: dict[str, float] = {}
+    answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     gap, damped = np.zeros(t.size), response.stored[0] - response.stored
     for k, port in enumerate(model.ports):
         load, exact = loads[:, k], response.output[:, k]
-        electrical = port.kind == "electrical"
-        took = integral(load, exact)
+        took = running(load, exact)
         damped = damped + took
-        current = f"{terminal(name, model, port)}.current" if electrical else ""
-        if current in waves:
-            found = integral(load * waves[current], t)
-        elif electrical:
-            found = took
+        if port.kind == "electrical":
+            what, at, found = "electrical work", terminal(name, model.ports, port), took
+            current = waves.data.get(f"{at}.current")
+            if current is not None:
+                found = running(load * current, t)
+                answers[f"charge of {at}"] = running(current, t) + exact[0], exact
         else:
-            found = integral(load, waves[f"{name}.u.{port.name}"])
-        what = "electrical work" if electrical else "work of the contact"
+            what, moved = "work of the contact", waves[f"{name}.u.{port.name}"]
+            found = running(load, moved)
+            answers[f"{name}.u.{port.name}"] = moved, exact
         entries[what] = entries.get(what, 0.0) + float(found[-1])
         gap += found - took
     entries |= {"stored": float(response.stored[-1]), "damped": float(damped[-1])}
@@ -115,4 +98,5 @@ def balance(
         load = np.abs(list(forces.values())).max(axis=0, initial=0.0)
         gap = gap[: int(np.flatnonzero(load > 1e-9 * load.max()).max(initial=0)) + 1]
     scale = max(float(np.ptp(response.stored)), STILL * float(response.stored.max()))
-    return Balance(entries, float(np.abs(gap).max()), scale, STORED)
+    known = {} if pressed else answers
+    return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=known)

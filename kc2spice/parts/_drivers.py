@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +13,15 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.table import EMTable, inductances
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.naming import self_contained
-from kc2spice.netlist.render import render
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts._opamp import Level, opamp_subcircuit
 from kc2spice.scene.judge import Check
+from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.scene.parttype import Build, PartType, Vector
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 VALIDITY = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
 LIMITED = (
@@ -36,76 +38,23 @@ class Load:
 
     inductance: float  # H
     resistance: float  # Ohm
+    current: float = 1.0  # A, the largest that its controller asks for
 
 
-def coil_load(table: EMTable, height: float) -> Load:
+def coil_load(table: EMTable, height: float, current: float) -> Load:
     """``L11 + L22 - 2 L12`` and both resistances, with the sphere at ``height`` [m]."""
     matrix = inductances(table, height)
-    return Load(
-        float(matrix[0, 0] + matrix[1, 1] - 2 * matrix[0, 1]), float(table.resistance.sum())
+    inductance = float(matrix[0, 0] + matrix[1, 1] - 2 * matrix[0, 1])
+    return Load(inductance, float(table.resistance.sum()), current)
+
+
+def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
+    """A driver's keys, or those with these ``names``, as parameters of its netlist."""
+    return tuple(
+        positive(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
+        for key in model_keys(type(keys))
+        if not names or key.name in names
     )
-
-
-AMPLIFIER = {
-    "rail": "supply",
-    "resistance": "between amplifier and chip",
-    "bandwidth": "of the closed loop",
-    "slew": "fastest change of the output",
-    "current_limit": "largest output current",
-}
-# The operational amplifier that each driver contains.
-_AMPLIFIERS: dict[str, Level] = {
-    "amplifier": "slew", "charge": "slew", "linear": "slew", "pwm": "pole",
-}  # fmt: skip
-_UNITS = {
-    "rail": "V", "resistance": "Ohm", "gate_resistance": "Ohm", "supply_resistance": "Ohm",
-    "current_limit": "A", "reservoir": "F", "capacitance": "F", "sense": "F",
-    "bandwidth": "Hz", "slew": "V/s",
-}  # fmt: skip
-
-
-def driver_part(
-    header: Header,
-    template: str,
-    name: str,
-    title: str,
-    drive: Section,
-    docs: dict[str, str],
-    terminals: tuple[str, ...] = ("out",),
-) -> Subcircuit:
-    """A driver whose parameters are the keys of its scene section."""
-    params = tuple(
-        positive(key, getattr(drive, key), _UNITS[key], doc) for key, doc in docs.items()
-    )
-    return rendered_driver(header, template, name, title, params, terminals)
-
-
-def rendered_driver(
-    header: Header,
-    template: str,
-    name: str,
-    title: str,
-    params: tuple[Param, ...],
-    terminals: tuple[str, ...],
-    **values: object,
-) -> Subcircuit:
-    pins = (
-        Pin("command", *_SIGNAL),
-        *(Pin(terminal, *_VOLT) for terminal in terminals),
-        Pin("ref", *_VOLT),
-    )
-    text = render(
-        f"driver_{template}.j2",
-        header=part_header(
-            header, f"{name}: {title}", pins, params, rating=LIMITED, validity=VALIDITY
-        ),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
-        **values,
-    )
-    helpers = [opamp_subcircuit(header, level)] if (level := _AMPLIFIERS.get(template)) else []
-    return self_contained(Subcircuit(name, pins, params, text), helpers)
 
 
 def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
@@ -120,10 +69,41 @@ def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vecto
     return found
 
 
-class Driver(PartType):
-    """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``."""
+def ends(*terminals: str) -> tuple[Terminal, ...]:
+    """Pins of a driver: ``command``, what it drives and ``ref``."""
+    driven = (Terminal(name, *_VOLT, required=True) for name in terminals)
+    return (Terminal("command", *_SIGNAL), *driven, Terminal("ref", *_VOLT, "gnd"))
 
+
+class Driver(PartType):
+    """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``.
+
+    Its netlist is made from the template ``driver_CIRCUIT``, whose ``heading`` says what it is,
+    with an operational amplifier of the level ``opamp``.
+    """
+
+    circuit: str
+    heading: str
+    opamp: Level | None = "slew"
     terminals: tuple[str, ...] = ("out",)
+    fixed = ends("out")
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return self.circuit if len(scene.of(self.name)) == 1 else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (self.subcircuit(header, name, parameters(part.keys)),)
+
+    def subcircuit(
+        self, header: Header, name: str, params: tuple[Param, ...], **values: Any
+    ) -> Subcircuit:
+        """Its netlist with the ``values`` that its template asks for."""
+        words = {"rating": LIMITED, "validity": VALIDITY}
+        template = f"driver_{self.circuit}"
+        made = library(template, header, name, self.heading, self.fixed, params, **words, **values)
+        helpers = [opamp_subcircuit(header, self.opamp)] if self.opamp else []
+        return self_contained(made, helpers)
 
     @abstractmethod
     def limits(
@@ -146,13 +126,8 @@ class Driver(PartType):
         wave = {pin: waves.data.get(f"{part.name}.{pin}", still) for pin in pins}
         return self.limits(part, build, waves["time"], wave)
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        ends = (Terminal(name, *_VOLT, required=True) for name in self.terminals)
-        return (Terminal("command", *_SIGNAL), *ends, Terminal("ref", *_VOLT, "gnd"))
-
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        values = ", ".join(f"{key} {value:g}" for key, value in part.keys)
-        return Modelled(f"{part.name} ({self.name})", "circuit", values)
+    def detail(self, part: Part, scene: Scene) -> str:
+        return f"{self.name}, " + ", ".join(f"{key} {value:g}" for key, value in part.keys)
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
         if pin == self.terminals[0] and self.terminals[0] != "drive":
@@ -161,9 +136,19 @@ class Driver(PartType):
 
 
 class CoilDriver(Driver):
-    terminals = ("drive", "ret")
+    """A source of current, whose loop is made for the coils at its terminals."""
 
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    terminals, fixed = ("drive", "ret"), ends("drive", "ret")
+
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        name = build.libraries[part.name]
+        return (self.for_load(header, part.keys, self.load(part, build), name),)
+
+    @abstractmethod
+    def for_load(self, header: Header, keys: Any, load: Load, name: str) -> Subcircuit:
+        """Coil current ``V(command) / 100 Ohm``."""
+
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         control = scene.only("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
@@ -178,8 +163,10 @@ class CoilDriver(Driver):
                 hint="for a load of your own, put your driver's circuit into a netlist part",
             )
         control = neighbour(part, "command", build.scene, "pid")
-        height = control.keys.setpoint if control else 0.0
-        return coil_load(build.model(coils), height)
+        height, current = (
+            (control.keys.setpoint, control.keys.current_limit) if control else (0.0, 1.0)
+        )
+        return coil_load(build.model(coils), height, float(current))
 
 
 def neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:

@@ -18,10 +18,11 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.cache import cached, remembered
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, Shape, time_axis, window
+from kc2spice.core.figure import Curve, Figure, Panel, time_axis, window
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
+from kc2spice.parts._pictures import impedances
 from kc2spice.rom.linear import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.structure import structure
@@ -29,9 +30,9 @@ from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    LeftOut,
-    Modelled,
+    Neglected,
     PartType,
+    Rest,
     Surface,
     Vector,
     time_scales,
@@ -55,6 +56,8 @@ REDUCED = "the reduced model is that far off somewhere in its band: set rom.tole
 GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
 LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
 STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
+TOUCHED = "what touches the body excites motions that the reduced one does not have: widen rom.band"
+RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that was 2 % off
 STILL = 1e-9  # of a run: time points that are one
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
@@ -67,7 +70,7 @@ POINTS = 600  # of an impedance, besides those near resonances
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
-    "kc2spice.core.units", "kc2spice.core.quantities", "kc2spice.core.schema",
+    "kc2spice.core.units", "kc2spice.core.quantities",
     "kc2spice.core.gmsh_session", "kc2spice.core.child",
 )  # fmt: skip
 
@@ -102,11 +105,6 @@ class LinearBody(PartType):
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         """The full model of the whole device."""
 
-    def body_keys(self, part: Part) -> Any:
-        """The keys of the body alone, as the class that :mod:`kc2spice.bodies` has for them."""
-        plain: Any = type(part.keys).__mro__[1]
-        return plain(**{name: getattr(part.keys, name) for name in plain.model_fields})
-
     def headline(self, part: Part) -> str:
         """First line of its library: what it is and what it assumes."""
         return self.title
@@ -116,6 +114,7 @@ class LinearBody(PartType):
         return None
 
     def rated(self, part: Part) -> float | None:
+        """Largest voltage [V] that it stands between electrodes, None if not known."""
         known: float | None = part.keys.rated_voltage or self.by_material(part)
         return known
 
@@ -138,19 +137,12 @@ class LinearBody(PartType):
         that the scene's author declares.
         """
         every = self.ports(part, scene)
-        if len(scene.parts) == 1:
+        if len(scene.parts) == 1 or scene.ports == "all":
             return every
         names = wanted(part, scene)
-        unknown = [n for n in names if n not in {t for p in every for t in (p.name, *p.terminals)}]
-        for name in unknown:
-            if name not in ("base", "ground", "ref"):
-                raise UsageError(
-                    f"{part.name} has no such port",
-                    where=part.name,
-                    got=repr(name),
-                    expected=", ".join(p.name for p in every),
-                )
-        if scene.exported and self.declares:
+        known = {"base", "ground", "ref", *(t for p in every for t in (p.name, *p.terminals))}
+        _require_ports(part, sorted(names - known), [port.name for port in every])
+        if scene.ports == "declared" and self.declares:
             return every
         used = [
             p
@@ -160,21 +152,19 @@ class LinearBody(PartType):
         return tuple(used) or every[:1]
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return tuple(_terminals(part, self.kept(part, scene), scene))
+        return tuple(_terminals(part, self.kept(part, scene), scene, self.rated(part)))
 
-    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return tuple(_terminals(part, self.ports(part, scene), scene))
-
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
-        found = tuple(super().holds(part, scene, model))
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        found = super().at_rest(part, scene).held
+        inert = () if model is None else inert_ports(model)
         if model is None or not free_to_move(model):
-            return found
+            return Rest(found, inert=inert)
         names = {port.name for port in self.kept(part, scene)}
         first, *others = [pin for pin, _ in found if pin in names] or [GROUND]
         fixed = tuple((pin, end) for pin, end in found if pin not in names)
-        return fixed + tuple((first, other) for other in others)
+        return Rest(fixed + tuple((first, other) for other in others), inert=inert)
 
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
@@ -188,9 +178,13 @@ class LinearBody(PartType):
                     got=repr(name),
                     expected=", ".join(mechanical) or "none",
                 )
-        return Surface(names, names, names, (0.0,) * len(names)) if names else None
+        if not names:
+            return None
+        modulus = self.indentation_modulus(part)
+        return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part) -> float | None:
+        """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
         layers = getattr(part.keys, "layers", ())
         if not isinstance(layers, tuple):
             return None
@@ -206,11 +200,13 @@ class LinearBody(PartType):
         """What step control sees of it."""
         return COARSE if self.coarse(part, scene) else FOLLOWED
 
-    def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         """What ``solver.ringing = "coarse"`` gives up."""
         if self.coarse(part, scene):
             why = "solver.ringing lets go of it once nothing presses on the body"
-            yield LeftOut(f"free ringing of {part.name}", why, "all of its own current and motion")
+            yield Neglected(
+                f"free ringing of {part.name}", why, "all of its own current and motion"
+            )
 
     # --- model and netlist ----------------------------------------------------------------------
 
@@ -257,19 +253,18 @@ class LinearBody(PartType):
         return found | reached | {"massless": massless(part, scene)}
 
     def build(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
-        target = self.reduction(part, scene)
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
-        without, kept = massless(part, scene), [port.name for port in self.kept(part, scene)]
-        sure = self.sure(part, scene)
+        target, asked = self.reduction(part, scene), self.model_key(part, scene)
+        sure = asked.get("sure")
 
         def build() -> LinearModel:
             from kc2spice.rom.band import reach
             from kc2spice.rom.massless import without_inertia
             from kc2spice.rom.reduce import default_norm, reduce
 
-            key = [self.name, self.full_key(part, scene)]
+            key = [self.name, asked["full"]]
             full = remembered("full", key, lambda: self.full(part, scene, clock))
-            chosen = full.select(kept)
+            chosen = full.select(asked["ports"])
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, chosen.order)
                 band = target.band
@@ -282,13 +277,13 @@ class LinearBody(PartType):
             modal = modal_form(small)  # whose later use needs no eigenvalues
             if modal is None:
                 return small
-            if without:
+            if asked["massless"]:
                 modal = without_inertia(modal, target.tolerance)
             return replace(modal.linear(), name=small.name, facts=small.facts, band=small.band)
 
         model, _ = cached(
             "body",
-            self.model_key(part, scene),
+            asked,
             build,
             classes=(LinearModel, Certificate, Port),
             sources=self.sources(),
@@ -311,22 +306,15 @@ class LinearBody(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         found: dict[str, Vector] = {}
         ports = self.kept(part, build.scene)
-        first = True
         for port in ports:
             if port.kind == "electrical":
-                prefix = part.name if first else f"{part.name}.{port.name}"
-                found |= _electrical(part, port, prefix, build)
-                first = False
-            elif port.kind in ANSWERS:
-                factor, unit, word = ANSWERS[port.kind]
-                node = build.net(part, port.terminals[0])
-                if node != "0":
-                    name = f"{part.name}.{word}.{port.name}"
-                    found[name] = Vector(f"v({node})", factor, unit)
-            else:
-                node = build.net(part, port.terminals[0])
-                if node != "0":
-                    found[f"{part.name}.{port.name}"] = Vector(f"v({node})", 1.0, port.across)
+                found |= _electrical(part, port, chipbook.terminal(part.name, ports, port), build)
+                continue
+            factor, unit, word = ANSWERS.get(port.kind, (1.0, port.across, ""))
+            node = build.net(part, port.terminals[0])
+            if node != "0":
+                name = ".".join(filter(None, (part.name, word, port.name)))
+                found[name] = Vector(f"v({node})", factor, unit)
         return found
 
     # --- what a run says ------------------------------------------------------------------------
@@ -346,24 +334,23 @@ class LinearBody(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         model: LinearModel = build.model(part)
-        certificate = model.certificate
-        if certificate is not None:
-            yield from _reduction_checks(part.name, model, certificate)
-        if certificate is not None and "time" in waves:
-            yield from self._excited(part, build, waves, certificate)
-        if certificate is not None and "frequency" in waves:
-            highest, limit = float(waves["frequency"].real.max()), certificate.band_hz[1]
-            name, slack = f"band of {part.name}", 1 + 1e-9  # a last point that is rounded
-            yield Check(name, highest, slack * limit, "Hz", OUTSIDE, "warn")
-        volts = self.limit(part, build)
-        electrical = [p for p in self.kept(part, build.scene) if p.kind == "electrical"]
+        found = model.certificate
+        if found is not None:
+            yield from _reduction_checks(part.name, model, found)
+        if found is not None and "frequency" in waves:
+            highest = float(waves["frequency"].real.max())
+            limit = (1 + 1e-9) * found.band_hz[1]  # a last point that is rounded
+            yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
         if "time" not in waves:
             return
+        if found is not None:
+            yield from self._excited(part, build, waves, found)
         yield from _charge_kept(part, build)
+        volts, ports = self.limit(part, build), self.kept(part, build.scene)
         if volts is None:
             return
-        for k, port in enumerate(electrical):
-            name = part.name if k == 0 else f"{part.name}.{port.name}"
+        for port in ports:
+            name = chipbook.terminal(part.name, ports, port) if port.kind == "electrical" else ""
             if f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
@@ -372,38 +359,33 @@ class LinearBody(PartType):
         self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
-        of a sine and a third of the reciprocal of an edge."""
-        scene, t = build.scene, waves["time"]
+        of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
+        excites more than any drive."""
+        scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = time_scales(scene)
-        if any(row.decides for row in rows):  # a contact excites it more than any drive
+        if any(row.decides for row in rows):
+            lowest = build.model(part).facts.get("resonance_short_hz")
+            if lowest is not None:
+                name = f"band of {part.name}, first resonance"
+                yield Check(name, RESONANT * lowest, high, "Hz", TOUCHED, "warn")
             return
         apart = np.diff(t) > STILL * t[-1]
         for port in self.kept(part, scene):
             if port.kind != "electrical" or not apart.any():
                 continue
-            name = chipbook.terminal(part.name, build.model(part), port)
+            name = chipbook.terminal(part.name, build.model(part).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
             if voltage is None or not np.ptp(voltage):
                 continue
             slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
             name = f"band of {part.name}, drive of {port.name}"
-            content, high = float(slope / (np.pi * np.ptp(voltage))), certificate.band_hz[1]
+            content = float(slope / (np.pi * np.ptp(voltage)))
             yield Check(name, content, high, "Hz", STEEP, "warn")
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
         found = self._recorded(part, build, waves)
-        if found is None:
-            return {}
         pressed = self.coarse(part, build.scene)
-        return {part.name: chipbook.balance(part.name, *found, pressed=pressed)}
-
-    def exact_outputs(
-        self, part: Part, build: Build, waves: Waveforms
-    ) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
-        found = self._recorded(part, build, waves)
-        if found is None or self.coarse(part, build.scene):
-            return {}
-        return chipbook.exact_outputs(part.name, *found)
+        return None if found is None else chipbook.balance(part.name, *found, pressed=pressed)
 
     def _recorded(
         self, part: Part, build: Build, waves: Waveforms
@@ -418,8 +400,9 @@ class LinearBody(PartType):
         if part_starts_moving(part, build.scene):
             return None
         forces = chipbook.port_forces(part, build, waves)
-        voltages = [p for p in modal.ports if p.kind == "electrical"]
-        known = all(f"{chipbook.terminal(part.name, modal, p)}.voltage" in waves for p in voltages)
+        ports = [p for p in modal.ports if p.kind == "electrical"]
+        names = [chipbook.terminal(part.name, ports, port) for port in ports]
+        known = all(f"{name}.voltage" in waves for name in names)
         return (modal, waves, forces) if forces is not None and known else None
 
     def static_compliance(self, part: Part, build: Build, ports: tuple[str, ...]) -> np.ndarray:
@@ -427,21 +410,6 @@ class LinearBody(PartType):
         model: LinearModel = build.model(part)
         rows = [model.outputs.index(name) for name in ports]
         return np.asarray(model.transfer(np.zeros(1))[0][np.ix_(rows, rows)].real)
-
-    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
-        return dict(build.model(part).facts)
-
-    def rom(self, part: Part, build: Build) -> Mapping[str, Any]:
-        model: LinearModel = build.model(part)
-        certificate = model.certificate
-        found: dict[str, Any] = {
-            "order": model.order,
-            "ports": [port.name for port in model.ports],
-            "massless": 0 if model.M is None else int((model.M.diagonal() == 0).sum()),
-        }
-        if certificate is not None:
-            found |= certificate.record()
-        return found
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         yield from port_figures(part, waves)
@@ -473,16 +441,8 @@ class LinearBody(PartType):
         elif signals:
             law = _signal_law(n, model)
         elif (modal := modal_form(model)) is not None:
-            law = laws.LinearBody(
-                n,
-                modal.inertia,
-                modal.damp,
-                modal.omega**2,
-                modal.gain,
-                modal.gain.T,
-                modal.D,
-                own,
-            )
+            M, E, K, B = modal.inertia, modal.damp, modal.omega**2, modal.gain
+            law = laws.LinearBody(n, M, E, K, B, B.T, modal.D, own)
         else:
             K, E, M = model.pencil.dense().coefficients
             law = laws.LinearBody(n, M, E, K, model.B, model.C, model.D, own)
@@ -493,25 +453,18 @@ class LinearBody(PartType):
     def full_model(self, part: Part, build: Build, clock: Any) -> LinearModel:
         return self.full(part, build.scene, clock).select([p.name for p in build.model(part).ports])
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         rom = self.reduction(part, scene)
-        target = (
-            f"order {rom.order}"
-            if rom.order is not None
-            else f"as many states as keep the error below {rom.tolerance:g}"
-        )
-        low, high = rom.band
         ports = ", ".join(port.name for port in self.kept(part, scene))
         reach = "" if self.sure(part, scene) is None else f", or {MOTIONS} natural frequencies"
-        detail = f"reduced to {target}, band {low:g} … {high:g} Hz{reach}; ports {ports}"
-        return Modelled(part.name, self.source, detail)
+        return f"reduced to {aim(rom)}{reach}; ports {ports}"
 
     def sources(self) -> tuple[str, ...]:
         """Modules whose text the models of this type depend on, for the cache."""
         own = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, LinearBody))
         return (*SOURCES, *own)
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         kept = self.kept(part, scene)
         rest = [port.name for port in self.ports(part, scene) if port not in kept]
         if rest:
@@ -519,8 +472,20 @@ class LinearBody(PartType):
             why = "nothing of the scene needs them"
             if self.declares:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
-            yield LeftOut(what, why, "none")
+            yield Neglected(what, why, "none")
         yield from self.unfollowed(part, scene)
+
+
+def _require_ports(
+    part: Part, unknown: Sequence[str], known: Sequence[str], kind: str = ""
+) -> None:
+    for name in unknown:
+        raise UsageError(
+            f"{part.name} has no such {kind}port",
+            where=part.name,
+            got=repr(name),
+            expected=", ".join(known) or "none",
+        )
 
 
 def _charge_kept(part: Part, build: Build) -> Iterator[Check]:
@@ -554,10 +519,9 @@ def _readings(part: Part, model: LinearModel) -> dict[str, laws.Reading]:
     """Results of a body with conservative ports, under the names of :meth:`LinearBody.vectors`."""
     found: dict[str, laws.Reading] = {}
     n = part.name
-    electrical = [port for port in model.ports if port.kind == "electrical"]
     for port in model.ports:
         if port.kind == "electrical":
-            prefix = n if port is electrical[0] else f"{n}.{port.name}"
+            prefix = chipbook.terminal(n, model.ports, port)
             found[f"{prefix}.voltage"] = laws.difference(
                 f"{n}.{port.name}", f"{n}.{port.terminals[1]}"
             )
@@ -583,12 +547,21 @@ def _signal_law(name: str, model: LinearModel) -> laws.SignalBlock:
     return laws.SignalBlock(name, E, A, B, C, model.D, model.inputs, model.outputs)
 
 
+def aim(rom: Rom) -> str:
+    """What a reduction aims at, in words."""
+    low, high = rom.band
+    target = f"order {rom.order}"
+    if rom.order is None:
+        target = f"as many states as keep the error below {rom.tolerance:g}"
+    return f"{target}, band {low:g} … {high:g} Hz"
+
+
 def wanted(part: Part, scene: Scene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
     found = set(part.pins)
     for other in scene.parts.values():
-        names = (*other.pins.values(), *other.type.wants(other, scene))
+        names = (*other.pins.values(), *other.type.required_joins(other, scene))
         found |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
     for probe in scene.probes.values():
         if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
@@ -598,8 +571,8 @@ def wanted(part: Part, scene: Scene) -> set[str]:
 
 def massless(part: Part, scene: Scene) -> bool:
     """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
-    ports = (p for other in scene.parts.values() for p in other.type.massless(other, scene))
-    return any(port.startswith(f"{part.name}.") for port in ports)
+    rows = (row for p in scene.parts.values() for row in p.type.required_joins(p, scene).items())
+    return any(without and port.startswith(f"{part.name}.") for port, without in rows)
 
 
 def part_starts_moving(part: Part, scene: Scene) -> bool:
@@ -638,19 +611,6 @@ def layer_problems(part: Part, widths: Sequence[float], *, plate: bool) -> Itera
     yield from layers(f"{part.name}.layers", found, plate=plate)
 
 
-def layered(part: Part, widths: Sequence[float]) -> Iterator[Shape]:
-    """Side view of the layers of a body, which its keys have from the bottom up."""
-    from kc2spice.fem.materials import material
-
-    y = 0.0
-    for layer, width in reversed(list(zip(part.keys.layers, widths, strict=True))):
-        one, thick = material(layer.material, part.name), layer.thickness
-        label = f"{part.name}: {one.name}, {1e3 * width:g} mm by {1e3 * thick:g} mm"
-        kind: Any = "ceramic" if one.piezoelectric else "metal"
-        yield Shape(0.0, y - thick / 2, width, thick, kind, label)
-        y -= thick
-
-
 def file_stamp(path: Path) -> str:
     """What tells one content of a file from another: a copy elsewhere has the same."""
     try:
@@ -674,6 +634,20 @@ def modal_form(model: LinearModel) -> Resonators | None:
         return resonators(model)
     except UsageError:
         return None
+
+
+def inert_ports(model: LinearModel) -> tuple[str, ...]:
+    """Pins of displacements where inertia alone answers a sudden force: D is zero there, and no
+    state without mass moves them."""
+    if model.first_order or not model.symmetric:
+        return ()
+    mass = model.pencil.dense().coefficients[2]
+    yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
+    return tuple(
+        port.terminals[0]
+        for port, own in zip(model.ports, yields, strict=True)
+        if port.kind == "mechanical" and own <= 0
+    )
 
 
 def free_to_move(model: LinearModel) -> bool:
@@ -723,21 +697,9 @@ def _own_impedances(part: Part, model: LinearModel | None) -> Iterator[Figure]:
 
 
 def impedance_figure(name: str, frequency: np.ndarray, z: np.ndarray, how: str) -> Figure:
-    """Magnitude and phase over frequency, as an analyser shows them."""
-    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
-    unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
-    f = frequency / scale
-    size = Curve("", f, np.abs(z))
-    phase = Curve("", f, np.angle(z, deg=True))
-    return Figure(
-        f"{name}_impedance",
-        f"Impedance of {name}",
-        f"Magnitude and phase {how}: minimum at resonance, maximum at antiresonance.",
-        (
-            Panel("", "|Z| in Ω", (size,), log_x=log, log_y=True),
-            Panel(f"frequency in {unit}", "phase in °", (phase,), log_x=log),
-        ),
-    )
+    """Magnitude and phase of one impedance."""
+    how += ": minimum at resonance, maximum at antiresonance."
+    return impedances(name, frequency, {"": z}, how)
 
 
 def response_figures(part: Part, waves: Waveforms) -> Iterator[Figure]:
@@ -791,7 +753,9 @@ def busy(t: np.ndarray, size: np.ndarray) -> np.ndarray:
     return window(t, first - margin, last + margin)
 
 
-def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Terminal]:
+def _terminals(
+    part: Part, ports: tuple[Port, ...], scene: Scene, rated: float | None
+) -> Iterator[Terminal]:
     """Pins in the order of the subcircuit."""
     electrical = [p for p in ports if p.kind == "electrical"]
     moved = [p for p in ports if p.kind in ANSWERS]
@@ -799,7 +763,7 @@ def _terminals(part: Part, ports: tuple[Port, ...], scene: Scene) -> Iterator[Te
     shared: set[str] = set()
     for port in electrical:
         plus, minus = port.terminals
-        yield Terminal(plus, port.across, port.flow)
+        yield Terminal(plus, port.across, port.flow, rated=rated)
         if minus not in shared:
             floating = minus in wanted(part, scene) - set(part.pins)
             yield Terminal(minus, port.across, port.flow, None if floating else "gnd")

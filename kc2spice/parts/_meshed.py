@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
@@ -31,6 +31,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
 
 if TYPE_CHECKING:
+    from kc2spice.bodies.axisymmetric import Block
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.fields import Extreme
     from kc2spice.bodies.recover import Motion
@@ -201,17 +202,15 @@ class MeshedBody(LinearBody):
 
     def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Waveforms of all kept ports in SI: voltages, forces, accelerations."""
-        kept = self.kept(part, build.scene)
-        first = next((p for p in kept if p.kind == "electrical"), None)
+        kept, still = self.kept(part, build.scene), np.zeros(waves["time"].size)
         forces = chipbook.port_forces(part, build, waves)
         found = {}
         for port in kept:
-            wave = None if forces is None else forces.get(port.name, np.zeros(waves["time"].size))
+            wave = None if forces is None else forces.get(port.name, still)
             if port.kind == "electrical":
-                prefix = part.name if port == first else f"{part.name}.{port.name}"
-                wave = waves.data.get(f"{prefix}.voltage", np.zeros(waves["time"].size))
+                name = f"{chipbook.terminal(part.name, kept, port)}.voltage"
+                wave = waves.data.get(name, still)
             elif port.kind == "acceleration":
-                still = np.zeros(waves["time"].size)
                 wave = waves.data.get(f"{part.name}.a.{port.name}", still)
             if wave is None:
                 raise UsageError(
@@ -227,6 +226,21 @@ class MeshedBody(LinearBody):
 def chosen(part: Part) -> tuple[float, ...]:
     """Instants [s] that the user asks for."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
+
+
+def side_view(name: str, blocks: Sequence[Block]) -> Iterator[Shape]:
+    """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind is
+    named once."""
+    top, known = max(block.z[1] for block in blocks), set[str]()
+    for block in sorted(blocks, key=lambda block: block.z[1], reverse=True):
+        made_of, (inner, outer), (low, high) = block.material, block.r, block.z
+        label = f"{name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
+        kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
+        for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
+            wide = outer - inner if inner else 2 * outer
+            said = "" if label in known else label
+            yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, said)
+            known.add(label)
 
 
 def _slug(material: str) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.render import render
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.scene.model import Terminal
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 GAIN = 1e7  # V/V at rest
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
@@ -27,24 +28,10 @@ def opamp_subcircuit(header: Header, level: Level = "pole") -> Subcircuit:
     ``vcc``, with an input offset. ``slew``: the same with limited slew rate and output current.
     The parts are named ``opamp_ideal``, ``opamp`` and ``opamp_slew``.
     """
-    name = _NAMES[level]
-    pins = tuple(Pin(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref"))
-    params = _params(level)
-    text = render(
-        "opamp.j2",
-        header=part_header(
-            header,
-            f"{name}: {_TITLES[level]}",
-            pins,
-            params,
-            rating="none: ideal" if level == "ideal" else "its output stays between vee and vcc",
-        ),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
-        level=level,
-    )
-    return Subcircuit(name, pins, params, text)
+    pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
+    rating = "none: ideal" if level == "ideal" else "its output stays between vee and vcc"
+    params, title = _params(level), _TITLES[level]
+    return library("opamp", header, _NAMES[level], title, pins, params, rating=rating, level=level)
 
 
 def _params(level: Level) -> tuple[Param, ...]:

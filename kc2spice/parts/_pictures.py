@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Map, Panel
+from kc2spice.core.figure import Curve, Figure, Map, Panel
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
@@ -47,6 +47,21 @@ def shapes(device: Device, hertz: np.ndarray, columns: np.ndarray) -> Iterator[P
         at_rest = _wires("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
+
+
+def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str) -> Figure:
+    """Magnitude and phase of impedances [Ohm] over frequency [Hz], as an analyser shows them."""
+    log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
+    unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
+    f = frequency / scale
+    size = tuple(Curve(label, f, np.abs(values)) for label, values in z.items())
+    phase = tuple(Curve(label, f, np.angle(values, deg=True)) for label, values in z.items())
+    panels = (
+        Panel("", "|Z| in Ω", size, log_x=log, log_y=True),
+        Panel(f"frequency in {unit}", "phase in °", phase, log_x=log),
+    )
+    caption = f"Magnitude and phase {how}"
+    return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
 def _enlarged(device: Device, moves: np.ndarray) -> tuple[np.ndarray, float]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import accumulate, pairwise
 
 from kc2spice.bodies import bimorph
+from kc2spice.bodies.axisymmetric import Block
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import depoling_voltage, layer_problems, layered
-from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._linear_body import depoling_voltage, layer_problems
+from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -45,8 +47,8 @@ dc = "50 V"
     def by_material(self, part: Part) -> float | None:
         return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring != "parallel")
 
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        yield from super().implausible(part, scene)
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         widths = [part.keys.width] * len(part.keys.layers)
         yield from layer_problems(part, widths, plate=False)
 
@@ -63,10 +65,18 @@ dc = "50 V"
         return tuple(found)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        yield from layered(part, [part.keys.length for _ in part.keys.layers])
+        ends = pairwise(accumulate((layer.thickness for layer in part.keys.layers), initial=0.0))
+        half = (0.0, part.keys.length / 2)
+        yield from side_view(
+            part.name,
+            [
+                Block(half, span, material(layer.material, part.name))
+                for layer, span in zip(part.keys.layers, ends, strict=True)
+            ],
+        )
 
     def device(self, part: Part, scene: Scene) -> Device:
-        return bimorph.device(self.body_keys(part), scene.home, where=part.name)
+        return bimorph.device(part.keys, where=part.name)
 
 
 register(Bimorph())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._pictures import outline
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Modelled, register
+from kc2spice.scene.parttype import Build, register
 
 
 class BodyKeys(body.Body, FieldKeys):
@@ -36,8 +35,7 @@ class Body(MeshedBody):
     source = "FE (piezoelectric, the user's mesh)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        keys = self.body_keys(part)
-        return body.ports(keys)
+        return body.ports(part.keys)
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
@@ -55,17 +53,15 @@ class Body(MeshedBody):
                 error.where = f"{part.name}.unit"
             yield error
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        found = super().modelled(part, scene)
-        keys = self.body_keys(part)
+    def detail(self, part: Part, scene: Scene) -> str:
 
         def size() -> str:
             with part_named(part.name):
-                return body.size_in_words(keys, scene.home)
+                return body.size_in_words(part.keys, scene.home)
 
-        key = {"file": _stamp(part, scene), "unit": keys.unit}
+        key = {"file": _stamp(part, scene), "unit": part.keys.unit}
         text, _ = cached("extent", key, size, sources=self.sources())
-        return replace(found, detail=f"{text}; {found.detail}")
+        return f"{text}; {super().detail(part, scene)}"
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": _stamp(part, scene)}
@@ -85,7 +81,7 @@ class Body(MeshedBody):
 
     def device(self, part: Part, scene: Scene) -> Device:
         # unset keys stay out: a group is picked by the keys that it has
-        keys = self.body_keys(part).model_dump_json(exclude_unset=True)
+        keys = part.keys.model_dump_json(exclude_unset=True, include=set(body.Body.model_fields))
         return _device(keys, scene.home, _stamp(part, scene), part.name)
 
 

@@ -25,31 +25,32 @@ from kc2spice.core.quantities import (
     Velocity,
     si,
 )
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import distinct
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.render import render
-from kc2spice.parts.sphere import integral, made_of
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.parts.sphere import made_of
 from kc2spice.physics.contact import ContactLaw, Normal
-from kc2spice.scene.gates import Gate, stepping
-from kc2spice.scene.judge import Balance, Check
+from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    Dents,
-    LeftOut,
-    Modelled,
+    LocalCompliance,
+    Neglected,
     PartType,
-    Reach,
+    Penetration,
+    Rest,
     Surface,
     TimeScale,
     Vector,
+    begins,
+    mover,
     register,
 )
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Dented, Hats
+    from kc2spice.bodies.pressure import Indented, PressureBasis
 
 # Gate of a launch against the full model: of the reduction's certified error, whose band it
 # exceeds; what it is where there is no certificate.
@@ -126,47 +127,31 @@ class Contact(PartType):
     name = "contact"
     title = "unilateral penalty contact"
     schema = ContactKeys
+    source = "closed form"
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         a, b = sides(part, scene)
-        first = [Terminal(port, "um", "N") for port in kept_ports(part, scene)]
-        if a.rigid:
-            first = [Terminal("va", "m/s", "N"), Terminal("a", "um", "-")]
-        second = [Terminal("b", "um", "N")]
-        if b.rigid:
-            second = [Terminal("v", "m/s", "N"), Terminal("bottom", "um", "-")]
-        second += [Terminal(CARRIED, "um", "N")] if b.elastic else []
-        along = (Terminal("slide", "um", "N", required=True), Terminal("rail", "um", "N", "gnd"))
-        base = Terminal("base", "um", "N", "gnd")
-        return (*first, *second, *(along if part.keys.friction else ()), base)
+        ports, carried = kept_ports(part, scene), bool(b.elastic)
+        return _terminals(ports, (a.rigid, b.rigid), carried, bool(part.keys.friction))
 
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        (one, a), (other, b) = _names(part, scene)
-        joins = {
-            port: one if one == GROUND else f"{one}.{port}" for port in kept_ports(part, scene)
-        }
-        if a.rigid:
-            one = moved_by(one, scene)
-            joins = {"va": f"{one}.{a.force[0]}", "a": f"{one}.{a.place[0]}"}
-        if b.elastic:
-            joins[CARRIED] = f"{b.elastic}.{PATCH}"
-        other = moved_by(other, scene)
-        if b.rigid:
-            return joins | {"v": f"{other}.{b.force[0]}", "bottom": f"{other}.{b.place[0]}"}
-        return joins | {"b": other if other == GROUND else f"{other}.{b.force[0]}"}
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        a, b = sides(part, scene)
+        first = ("va", "a") if a.rigid else kept_ports(part, scene)
+        joins = _meets(first, a, scene) | _meets(("v", "bottom") if b.rigid else ("b",), b, scene)
+        return joins | ({CARRIED: f"{b.elastic}.{PATCH}"} if b.elastic else {})
 
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterator[tuple[str, str]]:
+    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
+        return dict.fromkeys(
+            self.default_joins(part, scene).values(), part.keys.inertia == "massless"
+        )
+
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         a, b = sides(part, scene)
-        yield from ((pin, GROUND) for pin in ("base", *["va"] * a.rigid, *["v"] * b.rigid))
+        held = [(pin, GROUND) for pin in ("base", *["va"] * a.rigid, *["v"] * b.rigid)]
         if part.keys.gap <= 0.0 and not a.rigid and not b.rigid:
-            yield from ((port, "b") for port in kept_ports(part, scene))
-
-    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        (one, a), (other, b) = _names(part, scene)
-        first = a.force if a.rigid else kept_ports(part, scene)
-        carried = (f"{b.elastic}.{PATCH}",) if b.elastic else ()
-        return (*(f"{one}.{port}" for port in first), f"{other}.{b.force[0]}", *carried)
+            held += [(port, "b") for port in kept_ports(part, scene)]
+        return Rest(tuple(held))
 
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
@@ -176,25 +161,17 @@ class Contact(PartType):
         what = "contact, as far as a body has motions"
         yield TimeScale(what, content=EXCITED, reltol=reltol)
 
-    def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return self.wants(part, scene) if part.keys.inertia == "massless" else ()
-
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        (one, a), (other, b) = _names(part, scene)
-        if one == other != GROUND and set(a.force) & set(b.force):
-            yield UsageError(
-                "nothing touches itself",
-                where=f"{part.name}.b",
-                got=f"{one} on both sides",
-                expected="two parts, or two ports of a body",
-            )
+        a, b = sides(part, scene)
+        if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):
+            got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
+            yield part.wrong("b", "nothing touches itself", got, expected)
         if b.radius is not None and max(a.distance) >= b.radius:
-            (one, _), (other, _) = _names(part, scene)
             yield UsageError(
                 "the outermost contact port lies beyond the sphere, which can never touch it",
-                where=f"{one}.mesh.ring_spacing",
+                where=f"{a.part}.mesh.ring_spacing",
                 got=f"ring radius {max(a.distance):g} m",
-                expected=f"less than {other}.radius, {b.radius:g} m",
+                expected=f"less than {b.part}.radius, {b.radius:g} m",
             )
         if part.keys.shape == "pressure":
             yield from _pressure_problems(part, a, b)
@@ -206,19 +183,18 @@ class Contact(PartType):
         a, b = sides(part, build.scene)
         added = np.full(len(ports), part.keys.gap)
         under = None if b.radius is None else (b.radius, np.array(a.distance[: len(ports)]))
-        return (
-            contact_subcircuit(
-                header,
-                ports,
-                added,
-                normal(part, build.scene),
-                under=under,
-                rigid=(a.rigid, b.rigid),
-                elastic=bool(b.elastic),
-                groove=part.keys.groove,
-                name=build.libraries[part.name],
-            ),
+        made = contact_subcircuit(
+            header,
+            ports,
+            added,
+            normal(part, build.scene),
+            under=under,
+            rigid=(a.rigid, b.rigid),
+            elastic=bool(b.elastic),
+            groove=part.keys.groove,
+            name=build.libraries[part.name],
         )
+        return (made,)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         forces = {
@@ -244,8 +220,8 @@ class Contact(PartType):
         return None if force is None else -force
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        (_, _), (other, _) = _names(part, build.scene)
-        v = waves.data.get(f"{other}.v")
+        _, b = sides(part, build.scene)
+        v = waves.data.get(f"{b.part}.v")
         if "time" not in waves or v is None or thrown(part, build.scene):
             return {}
         force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
@@ -264,8 +240,8 @@ class Contact(PartType):
         yield from _open_ports(part, build, waves)
         yield from _within_law(part, build, waves)
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
-        return {} if "time" not in waves else _balance(part, build, waves)
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+        return _balance(part, build, waves) if "time" in waves else None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         force = waves.data.get(f"{part.name}.force")
@@ -275,8 +251,8 @@ class Contact(PartType):
         inside = _loaded(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = time_axis(scale[inside])
-        if "imprint.depth" in waves:
-            scale, (x, factor) = waves["imprint.depth"], ("depth in µm", 1e6)
+        if (depth := _depth(part, build.scene, waves)) is not None:
+            scale, (x, factor) = depth, ("depth in µm", 1e6)
         curves = [
             Curve(port, factor * scale[inside], waves[f"{part.name}.force.{port}"][inside])
             for port in ports
@@ -284,7 +260,7 @@ class Contact(PartType):
         ]
         if len(ports) > 1:
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
-        (one, _), (other, _) = _names(part, build.scene)
+        one, other = (side.part for side in sides(part, build.scene))
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {one} and {other}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {one} and {other}", caption, (panel,))
@@ -292,15 +268,12 @@ class Contact(PartType):
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         if build.scene.analysis.type == "transient" and not thrown(part, build.scene):
             gates, steps = build.scene.gates, stepping(build.scene.solver)
-            (one, _), _ = _names(part, build.scene)
-            certificate = getattr(build.models.get(one), "certificate", None)
+            a, _ = sides(part, build.scene)
+            certificate = getattr(build.models.get(a.part), "certificate", None)
             reduced = REDUCED * certificate.error_estimate if certificate else BEYOND
             full = gates.launch_full_model or steps + reduced
-            limits = {
-                "ngspice_vs_rom": gates.launch_velocity or steps,
-                "rom_vs_fom": full,
-                "ngspice_vs_fom": full,
-            }
+            limits = dict.fromkeys(PAIRS, full)
+            limits["ngspice_vs_rom"] = gates.launch_velocity or steps
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
@@ -322,7 +295,7 @@ class Contact(PartType):
             results[f"{n}.{word}"] = laws.Reading(every)
         return laws.Equations((law,), pins, results)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         count, own = len(kept_ports(part, scene)), normal(part, scene)
         if part.keys.shape == "pressure":
             detail = f"pressure under a sphere, up to {own.depth:.3g} m deep; hats every "
@@ -337,39 +310,37 @@ class Contact(PartType):
             detail += f", damping of Hunt and Crossley {part.keys.damping:g} s/m"
         if own.friction:
             detail += f", friction {part.keys.friction:g}, viscous below {own.creep:g} m/s"
-        return Modelled(part.name, "closed form", detail)
+        return detail
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
-        a, _ = sides(part, scene)
-        (one, _), (other, _) = _names(part, scene)
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        a, b = sides(part, scene)
         kept = len(kept_ports(part, scene))
         if len(a.ports) > 1:
-            yield LeftOut(
-                "pressure between the ports",
-                f"one force per port of {one} stands for it",
-                "run again with a finer mesh to see it",
+            why = f"one force per port of {a.part} stands for it"
+            yield Neglected(
+                "pressure between the ports", why, "run again with a finer mesh to see it"
             )
         if part.keys.inertia == "massless":
-            yield LeftOut(
+            yield Neglected(
                 f"inertia of the residual modes behind the ports of {part.name}",
                 "stiff modes above the band that keep the ports' compliance exact; their mass is "
                 "the mesh's and rattles behind the springs",
                 "part of the reduced model's certified error",
             )
         dry = "" if part.keys.friction else "friction, "
-        what = f"{dry}adhesion and plastic flow between {one} and {other}"
-        yield LeftOut(what, "the law is elastic and normal to the surface", "not estimated")
+        what = f"{dry}adhesion and plastic flow between {a.part} and {b.part}"
+        yield Neglected(what, "the law is elastic and normal to the surface", "not estimated")
         if kept < len(a.ports):
-            gap, estimate = float(gaps(part, scene, every=True)[kept]), reach(part, scene)
+            gap, estimate = (
+                float(gaps(part, scene, every=True)[kept]),
+                largest_penetration(part, scene),
+            )
             why = f"open up to {gap:.3g} m; {estimate.why}: {estimate.depth:.3g} m"
             if part.keys.rings != "needed":
                 why = f"{part.name}.rings = {part.keys.rings}"
             last = f" to {a.ports[-1]}" if kept + 1 < len(a.ports) else ""
-            yield LeftOut(
-                f"contact at {a.ports[kept]}{last}",
-                why,
-                "none while they stay open, checked after the run",
-            )
+            error = "none while they stay open, checked after the run"
+            yield Neglected(f"contact at {a.ports[kept]}{last}", why, error)
 
 
 # --- geometry: the one place for gap laws and symmetry factors ------------------------------------
@@ -401,13 +372,10 @@ def normal(part: Part, scene: Scene) -> Normal:
     if keys.law == "hertz":
         round_ = [1 / side.radius for side in (a, b) if side.radius is not None]
         if not round_ or len(a.ports) > 1:
-            raise UsageError(
-                "Hertz's law is that of a sphere at one point",
-                where=f"{part.name}.law",
-                got=f"{len(a.ports)} ports, {len(round_)} spheres",
-                expected="a sphere against one port or another sphere",
-                hint='law = "linear"',
-            )
+            got = f"{len(a.ports)} ports, {len(round_)} spheres"
+            expected, hint = "a sphere against one port or another sphere", 'law = "linear"'
+            problem = "Hertz's law is that of a sphere at one point"
+            raise part.wrong("law", problem, got, expected, hint)
         value, power = 4 / 3 * _modulus(part, scene) / math.sqrt(sum(round_)), 1.5
     if (s := flank(part)) is not None:
         value *= 2 * s ** (1 + power)
@@ -431,17 +399,10 @@ def _pressed(part: Part, scene: Scene) -> Normal:
     dents = _dents(part, scene, shape)
     found = _dented(shape.nodes.tobytes(), dents.compliance.tobytes(), b.radius)
     first, *_ = found.coefficients
-    return Normal(
-        first / found.depth**1.5,
-        1.5,
-        keys.damping,
-        keys.friction,
-        keys.creep,
-        tuple(c / first for c in found.coefficients),
-        found.depth,
-        dents.pace,
-        b.radius,
-    )
+    along = keys.damping, keys.friction, keys.creep
+    curve = tuple(c / first for c in found.coefficients)
+    stiffness = first / found.depth**1.5
+    return Normal(stiffness, 1.5, *along, curve, found.depth, dents.pace, b.radius)
 
 
 def hat_forces(part: Part, scene: Scene, force: float) -> np.ndarray:
@@ -458,7 +419,7 @@ def hat_forces(part: Part, scene: Scene, force: float) -> np.ndarray:
     return np.asarray(force / found.sum() * found)
 
 
-def _dents(part: Part, scene: Scene, shape: Hats) -> Dents:
+def _dents(part: Part, scene: Scene, shape: PressureBasis) -> LocalCompliance:
     """Of both sides together, which follow the pressure within the mean of their times."""
     a, b = sides(part, scene)
     assert a.dents is not None
@@ -473,7 +434,7 @@ def _dents(part: Part, scene: Scene, shape: Hats) -> Dents:
     whole = found.compliance + other.compliance
     share = float(np.trace(other.compliance) / np.trace(whole))
     pace = (1 - share) * found.pace + share * other.pace
-    return Dents(whole, found.patch + other.patch, pace)
+    return LocalCompliance(whole, found.patch + other.patch, pace)
 
 
 def spacing_error(part: Part, scene: Scene) -> float:
@@ -488,7 +449,9 @@ def spacing_error(part: Part, scene: Scene) -> float:
         shape = hats(wider * part.keys.spacing, a.patch)
         found = _dents(part, scene, shape)
         law = _dented(shape.nodes.tobytes(), (found.compliance + found.patch).tobytes(), b.radius)
-        depth = np.linspace(0.5, 1.0, 50) * min(reach(part, scene).depth or math.inf, law.depth)
+        depth = np.linspace(0.5, 1.0, 50) * min(
+            largest_penetration(part, scene).depth or math.inf, law.depth
+        )
         forces.append(law.force(depth))
     return float(np.abs(forces[1] / forces[0] - 1).max())
 
@@ -499,48 +462,30 @@ def unresolved(part: Part, scene: Scene) -> float:
 
 
 @lru_cache(maxsize=8)
-def _dented(nodes: bytes, compliance: bytes, radius: float) -> Dented:
-    from kc2spice.bodies.pressure import Hats, dented
+def _dented(nodes: bytes, compliance: bytes, radius: float) -> Indented:
+    from kc2spice.bodies.pressure import PressureBasis, dented
 
-    shape = Hats(np.frombuffer(nodes))
+    shape = PressureBasis(np.frombuffer(nodes))
     matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)
     return dented(shape, matrix, ring_gaps(shape.distances, radius))
 
 
 def _pressure_problems(part: Part, a: Surface, b: Surface) -> Iterator[UsageError]:
-    where, rings = f"{part.name}.shape", 'shape = "rings" takes ports as they are'
+    hint = 'shape = "rings" takes ports as they are'
     if a.dents is None:
-        yield UsageError(
-            "no port of pressure on this body",
-            where=where,
-            got=a.ports[0],
-            expected="a piezo_stack, whose contact names no port",
-            hint=rings,
-        )
+        expected = "a piezo_stack, whose contact names no port"
+        yield part.wrong("shape", "no port of pressure on this body", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
-        yield UsageError(
-            "hats of pressure wider than the patch that they are in",
-            where=f"{part.name}.spacing",
-            got=f"{part.keys.spacing:g} m",
-            expected=f"less than {a.patch / 4:g} m",
-        )
+        got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
+        problem = "hats of pressure wider than the patch that they are in"
+        yield part.wrong("spacing", problem, got, expected)
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
-        yield UsageError(
-            "pressure is that under a sphere",
-            where=where,
-            got=got,
-            expected=f"a sphere of more than {a.patch:g} m, the outermost ring",
-            hint=rings,
-        )
+        expected = f"a sphere of more than {a.patch:g} m, the outermost ring"
+        yield part.wrong("shape", "pressure is that under a sphere", got, expected, hint)
     for key, usual in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != usual:
-            yield UsageError(
-                f"pressure has its own law, without {key}",
-                where=f"{part.name}.{key}",
-                got=got,
-                hint=rings,
-            )
+            yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)
 
 
 def _modulus(part: Part, scene: Scene) -> float:
@@ -548,16 +493,11 @@ def _modulus(part: Part, scene: Scene) -> float:
     if part.keys.modulus is not None:
         return float(part.keys.modulus)
     compliance = 0.0
-    for name, _ in _names(part, scene):
-        body = scene.parts.get(name)
-        modulus = None if body is None else body.type.indentation_modulus(body)
-        if modulus is None:
-            raise UsageError(
-                f"no modulus of {name} is known",
-                where=f"{part.name}.modulus",
-                expected='a pressure such as "110 GPa", or a material of both sides',
-            )
-        compliance += 1 / modulus
+    for side in sides(part, scene):
+        if side.modulus is None:
+            expected = 'a pressure such as "110 GPa", or a material of both sides'
+            raise part.wrong("modulus", f"no modulus of {side.part} is known", expected=expected)
+        compliance += 1 / side.modulus
     return 1 / compliance
 
 
@@ -572,97 +512,77 @@ def gaps(part: Part, scene: Scene, *, every: bool = False) -> np.ndarray:
 
 def sides(part: Part, scene: Scene) -> tuple[Surface, Surface]:
     """What both parts offer: the side of several ports, and the other."""
-    (_, a), (_, b) = _names(part, scene)
-    return a, b
+    return _side(part, scene, "a", round_=False), _side(part, scene, "b", round_=True)
 
 
-def _names(part: Part, scene: Scene) -> tuple[tuple[str, Surface], tuple[str, Surface]]:
-    """Names and surfaces of both sides."""
-    keys = part.keys
-    return _side(part, scene, "a", keys.a, False), _side(part, scene, "b", keys.b, True)
-
-
-def _side(
-    part: Part, scene: Scene, key: str, chosen: str | tuple[str, ...] | None, round_: bool
-) -> tuple[str, Surface]:
-    where = f"{part.name}.{key}"
+def _side(part: Part, scene: Scene, key: str, *, round_: bool) -> Surface:
+    chosen: str | tuple[str, ...] | None = getattr(part.keys, key)
     if chosen is None:
-        offers = [
-            (other.name, surface)
-            for other in scene.parts.values()
-            if other is not part
-            and (surface := other.type.surface(other, scene)) is not None
-            and (surface.radius is not None) == round_
-        ]
+        others = (other for other in scene.parts.values() if other is not part)
+        every = (other.type.surface(other, scene) for other in others)
+        offers = [each for each in every if each and (each.radius is not None) == round_]
         if len(offers) != 1:
-            kind = "a sphere" if round_ else "a body with a surface"
-            raise UsageError(
+            kind, table = ("a sphere", "sphere") if round_ else ("a body with a surface", "kick")
+            raise part.wrong(
+                key,
                 f"{part.name} needs to know what touches",
-                where=where,
-                got=", ".join(name for name, _ in offers) or f"no part that is {kind}",
-                expected=f'{key} = "PART" or "PART.PORT"',
-                hint=None
-                if offers
-                else f"add [{'sphere' if round_ else 'kick'}]; an empty table takes the defaults",
+                ", ".join(each.part for each in offers) or f"no part that is {kind}",
+                f'{key} = "PART" or "PART.PORT"',
+                None if offers else f"add [{table}]; an empty table takes the defaults",
             )
         return offers[0]
     if chosen == GROUND:
-        return GROUND, Surface((FLOOR,), (FLOOR,), (FLOOR,), (0.0,))
-    targets = (chosen,) if isinstance(chosen, str) else chosen
-    names = {target.partition(".")[0] for target in targets}
+        return Surface(GROUND, (FLOOR,), (0.0,))
+    targets = [t.partition(".") for t in ((chosen,) if isinstance(chosen, str) else chosen)]
+    names = {name for name, _, _ in targets}
     if len(names) != 1:
-        raise UsageError("one body on each side", where=where, got=", ".join(sorted(names)))
-    other = scene.part(names.pop(), where)
-    ports = tuple(target.partition(".")[2] for target in targets if "." in target)
-    surface = other.type.surface(other, scene, ports)
+        raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
+    other = scene.part(names.pop(), f"{part.name}.{key}")
+    surface = other.type.surface(other, scene, tuple(port for _, dot, port in targets if dot))
     if surface is None:
-        raise UsageError(
-            f"{other.type.name} offers nothing to touch",
-            where=where,
-            got=repr(other.name),
-            expected="a body, a sphere or a mass",
-        )
-    return other.name, surface
+        problem = f"{other.type.name} offers nothing to touch"
+        raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
+    return surface
+
+
+def _meets(pins: Iterable[str], side: Surface, scene: Scene) -> dict[str, str]:
+    """What its pins are joined to on one side: those of the part that moves it."""
+    if side.part == GROUND:
+        return dict.fromkeys(pins, GROUND)
+    owner = mover(side.part, scene) or side.part
+    ends = (*side.pushed, *side.ports) if side.rigid else side.ports
+    return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
 
 def kept_ports(part: Part, scene: Scene) -> tuple[str, ...]:
     """Ports of ``a`` that get a spring, the nearest to the axis first."""
     a, _ = sides(part, scene)
     rings = part.keys.rings
-    if rings == "all" or len(a.ports) == 1 or not _nested(a):
+    if rings == "all" or len(a.ports) == 1 or list(a.distance) != sorted(a.distance):
         return a.ports
     if rings != "needed":
         return a.ports[: min(rings, len(a.ports))]
-    near = int(np.count_nonzero(gaps(part, scene, every=True) < reach(part, scene).depth))
+    near = int(
+        np.count_nonzero(gaps(part, scene, every=True) < largest_penetration(part, scene).depth)
+    )
     return a.ports[: max(1, near)]
 
 
-def _nested(a: Surface) -> bool:
-    return list(a.distance) == sorted(a.distance)
-
-
-def moved_by(name: str, scene: Scene) -> str:
-    """The part that sets the motion of ``name``; ``name`` itself where it moves freely."""
-    movers = [p.name for p in scene.parts.values() if name in p.type.drives(p, scene)]
-    return movers[0] if movers else name
-
-
-def reach(part: Part, scene: Scene) -> Reach:
+def largest_penetration(part: Part, scene: Scene) -> Penetration:
     """The largest of what the parts of the scene can do; a prescribed one beats all."""
-    found = [each for other in scene.parts.values() for each in other.type.reach(other, scene)]
+    found = [
+        each for other in scene.parts.values() for each in other.type.penetrations(other, scene)
+    ]
     for each in found:
         if each.prescribed:
             return each
-    return max([Reach(0.0, "its weight"), *found], key=lambda each: each.depth)
+    return max([Penetration(0.0, "its weight"), *found], key=lambda each: each.depth)
 
 
 def thrown(part: Part, scene: Scene) -> bool:
     """Whether one side starts with a prescribed velocity, or each may."""
-    (_, a), (other, _) = _names(part, scene)
-    if other == GROUND:  # a ceiling stays where it is
-        return True
-    kind = scene.parts[other].type
-    return a.rigid or kind.without_operating_point(scene.parts[other], scene)
+    a, b = sides(part, scene)  # a ceiling stays where it is
+    return b.part == GROUND or a.rigid or b.part in begins(scene)
 
 
 # --- what the waveforms say -----------------------------------------------------------------------
@@ -734,67 +654,61 @@ def _loaded(force: np.ndarray) -> slice:
     return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
-def _height(
-    name: str, surface: Surface, port: str, build: Build, waves: Waveforms
-) -> np.ndarray | None:
+def _height(side: Surface, port: str, waves: Waveforms) -> np.ndarray | None:
     """Position [m] of one side at a port, zero where it touches."""
+    name = side.part
     if name == GROUND:
         return np.zeros(next(iter(waves.data.values())).size)
-    if surface.radius is not None and surface.rigid:
+    if side.radius is not None and side.rigid:
         y = waves.data.get(f"{name}.y")
-        return None if y is None else y - surface.radius
+        return None if y is None else y - side.radius
     return waves.data.get(f"{name}.u.{port}", waves.data.get(f"{name}.x"))
+
+
+def _depth(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
+    """How deep [m] another part pushes side ``b``; None where it moves freely."""
+    _, b = sides(part, scene)
+    return waves.data.get(f"{mover(b.part, scene)}.depth")
 
 
 def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
     """Position [m] of side ``b`` at its lowest point, zero where it touches."""
-    (_, _), (other, b) = _names(part, build.scene)
-    if "imprint.depth" in waves:
-        found: np.ndarray | None = -waves["imprint.depth"]
-    else:
-        found = _height(other, b, b.place[0], build, waves)
+    _, b = sides(part, build.scene)
+    depth = _depth(part, build.scene, waves)
+    found = _height(b, b.ports[0], waves) if depth is None else -depth
     if not b.elastic or found is None:
         return found
     dent_ = waves.data.get(f"{b.elastic}.u.{PATCH}")
     return None if dent_ is None else found + dent_
 
 
-def _balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
+def _balance(part: Part, build: Build, waves: Waveforms) -> Balance | None:
     """Work that closes the springs against what they store, and what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
     is the work that went into the springs, or what they hold where nothing moves.
     """
-    (one, a), (other, _) = _names(part, build.scene)
+    (a, b), own = sides(part, build.scene), normal(part, build.scene)
     place, ports = _place(part, build, waves), kept_ports(part, build.scene)
-    found = [_height(one, a, port, build, waves) for port in ports]
-    if place is None or any(each is None for each in found):
-        return {}
-    own = normal(part, build.scene)
-    missing, resting = np.zeros(waves["time"].size), 0.0
-    turnover, stored, damped = 0.0, 0.0, 0.0
-    for port, height, gap in zip(ports, found, gaps(part, build.scene), strict=True):
-        assert height is not None
-        f, p = waves[f"{part.name}.force.{port}"], own.power
-        elastic = f
-        energy = f ** (1 + 1 / p) / ((p + 1) * own.stiffness ** (1 / p))
-        if own.damping or own.radius:  # the force is not that of the depth alone
-            x = height - place - gap
-            elastic, energy = own.force(x), own.energy(x)
-        closing = integral(elastic, height - place)
-        resting = max(resting, float(energy.max()))
-        energy = energy - energy[0]
-        missing += closing - energy
-        turnover += float(np.abs(np.diff(energy)).sum())
-        stored += float(energy[-1])
-        damped += float(integral(f - elastic, height - place)[-1])
-    net = float(np.abs(missing).max())
-    scale = max(turnover, resting, _kinetic(other, build, waves))
-    advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-    entries = {"stored in the contact": stored}
+    heights = [each for port in ports if (each := _height(a, port, waves)) is not None]
+    if place is None or len(heights) < len(ports):
+        return None
+    closing = np.array(heights) - place  # as all of these (ports, n)
+    force, p = np.array([waves[f"{part.name}.force.{port}"] for port in ports]), own.power
+    elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * own.stiffness ** (1 / p))
+    if own.damping or own.radius:  # the force is not that of the depth alone
+        x = closing - gaps(part, build.scene)[:, None]
+        elastic, energy = own.force(x), own.energy(x)
+    resting, gained = float(energy.max()), energy - energy[:, :1]
+    missing = (running(elastic, closing) - gained).sum(axis=0)
+    turnover = float(np.abs(np.diff(gained)).sum())
+    entries = {"stored in the contact": float(gained[:, -1].sum())}
     if own.damping or own.pace:
-        entries["damped in the contact"] = damped
-    return {part.name: Balance(entries, net, scale, MISSING, advice)}
+        lost = running(force - elastic, closing)[:, -1]
+        entries["damped in the contact"] = float(lost.sum())
+    scale = max(turnover, resting, _kinetic(b.part, build, waves))
+    advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
+    return Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
 
 
 def _kinetic(other: str, build: Build, waves: Waveforms) -> float:
@@ -807,20 +721,17 @@ def _kinetic(other: str, build: Build, waves: Waveforms) -> float:
 
 def _start(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
-    (one, _), (other, b) = _names(part, build.scene)
+    a, b = sides(part, build.scene)
+    other = b.part
     place, force = _place(part, build, waves), waves.data.get(f"{part.name}.force")
-    free = moved_by(other, build.scene) == other and not thrown(part, build.scene)
+    free = mover(other, build.scene) is None and not thrown(part, build.scene)
     if b.radius is None or place is None or force is None or not free:
         return
-    yield Check(
-        f"{other} starts at rest on {one}",
-        0.0 if force[0] > 0 else float(place[0]) + part.keys.gap,
-        ALOFT,
-        "m above it",
-        f"forces on {other} balance there before anything moves: change them (magnets: polarity, "
-        f"remanence or position), or give {other}.height and velocity at t = 0",
-        build.scene.checks.start,
-    )
+    above = 0.0 if force[0] > 0 else float(place[0]) + part.keys.gap
+    advice = f"forces on {other} balance there before anything moves: change them (magnets: "
+    advice += f"polarity, remanence or position), or give {other}.height and velocity at t = 0"
+    name, action = f"{other} starts at rest on {a.part}", build.scene.checks.start
+    yield Check(name, above, ALOFT, "m above it", advice, action)
 
 
 def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -830,20 +741,16 @@ def _penetration(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         return
     ports = kept_ports(part, build.scene)
     deepest = max(float(waves[f"{part.name}.force.{r}"].max()) for r in ports)
-    yield Check(
-        "penetration",
-        deepest / normal(part, build.scene).stiffness,
-        float(every[1]),
-        "m",
-        f"the penalty springs give more than the surfaces curve: raise {part.name}.penalty",
-        build.scene.checks.penetration,
-    )
+    depth = deepest / normal(part, build.scene).stiffness
+    advice = f"the penalty springs give more than the surfaces curve: raise {part.name}.penalty"
+    limit, action = float(every[1]), build.scene.checks.penetration
+    yield Check("penetration", depth, limit, "m", advice, action)
 
 
 def _events(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     """Contacts of the port that has most of them, while the drive moves."""
-    (one, _), _ = _names(part, build.scene)
-    body = build.scene.parts.get(one)
+    a, _ = sides(part, build.scene)
+    body = build.scene.parts.get(a.part)
     drive = getattr(body.keys, "drive", None) if body else None
     if drive is None:
         return
@@ -853,16 +760,10 @@ def _events(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     closed = [waves[f"{part.name}.force.{ring}"][during] > 0.0 for ring in ports]
     most = max(int(np.count_nonzero(now[1:] & ~now[:-1])) for now in closed)
     reltol = waves.stats.get("reltol", build.scene.solver.reltol)
-    yield Check(
-        "touches",
-        most,
-        max(FEW, EVENTS / reltol),
-        "contact events",
-        "so many decide the launch that the errors of their steps add up: lower solver.reltol; "
-        "a launch after hundreds of contact events may be ill-conditioned",
-        build.scene.checks.touches,
-        coarse=True,
-    )
+    advice = "so many decide the launch that the errors of their steps add up: lower "
+    advice += "solver.reltol; a launch after hundreds of contact events may be ill-conditioned"
+    limit, action = max(FEW, EVENTS / reltol), build.scene.checks.touches
+    yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
 
 
 def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -875,29 +776,21 @@ def _open_ports(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     ring does at worst, and never more than 5 % of its gap below.
     """
     scene = build.scene
-    (one, a), (_, b) = _names(part, scene)
-    place = _place(part, build, waves)
+    (a, b), place = sides(part, scene), _place(part, build, waves)
     if b.radius is None or len(a.ports) < 2 or place is None:
         return
     ports, action = kept_ports(part, scene), scene.checks.range
     force = np.array([waves[f"{part.name}.force.{name}"] for name in ports])
-    compliance = getattr(scene.parts[one].type, "static_compliance", None)
+    compliance = getattr(scene.parts[a.part].type, "static_compliance", None)
     if len(ports) < len(a.ports) and compliance is not None:
-        static = compliance(scene.parts[one], build, ports)[:, -1]
-        rise = waves[f"{one}.u.{ports[-1]}"] + static @ force - place
+        static = compliance(scene.parts[a.part], build, ports)[:, -1]
+        rise = waves[f"{a.part}.u.{ports[-1]}"] + static @ force - place
         gap = float(gaps(part, scene, every=True)[len(ports)])
         advice = f"set {part.name}.rings to more than {len(ports)}, or to 'all'"
-        ours = part.keys.rings == "needed"
-        yield Check(
-            "ring_left_out",
-            float(rise.max()),
-            OPEN * gap,
-            "m",
-            advice,
-            action,
-            mend=(f"{part.name}.rings", len(ports) + 1) if ours else None,
-        )
-    elif "imprint.depth" not in waves:
+        mend = (f"{part.name}.rings", len(ports) + 1) if part.keys.rings == "needed" else None
+        highest = float(rise.max())
+        yield Check("ring_left_out", highest, OPEN * gap, "m", advice, action, mend=mend)
+    elif _depth(part, scene, waves) is None:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
@@ -907,30 +800,19 @@ def _within_law(part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
     little of one that a few hats carry (:data:`CARRYING`)."""
     if part.keys.shape != "pressure":
         return
-    (one, a), (_, b) = _names(part, build.scene)
+    a, b = sides(part, build.scene)
     own, place = normal(part, build.scene), _place(part, build, waves)
-    height = _height(one, a, a.place[0], build, waves)
+    height = _height(a, a.ports[0], waves)
     if place is None or height is None:
         return
-    deepest = float((height - place - part.keys.gap).max())
-    yield Check(
-        "depth of the contact",
-        deepest,
-        own.depth,
-        "m",
-        f"no law of the pressure is known so deep: more {one}.mesh.rings, or wider ones",
-        build.scene.checks.range,
-    )
+    deepest, checks = float((height - place - part.keys.gap).max()), build.scene.checks
+    advice = f"no law of the pressure is known so deep: more {a.part}.mesh.rings, or wider ones"
+    yield Check("depth of the contact", deepest, own.depth, "m", advice, checks.range)
     if deepest > 0.0 and b.radius is not None:
-        widest = math.sqrt(deepest * b.radius) / CARRYING
-        yield Check(
-            "hats of the contact",
-            part.keys.spacing,
-            widest,
-            "m",
-            f"so few of them carry that the force is more than 5e-3 off: lower {part.name}.spacing",
-            build.scene.checks.penetration,
-        )
+        widest, spacing = math.sqrt(deepest * b.radius) / CARRYING, part.keys.spacing
+        advice = "so few of them carry that the force is more than 5e-3 off: lower "
+        advice += f"{part.name}.spacing"
+        yield Check("hats of the contact", spacing, widest, "m", advice, checks.penetration)
 
 
 # --- the subcircuit -------------------------------------------------------------------------------
@@ -956,13 +838,7 @@ def contact_subcircuit(
     has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
     ``b``. A rigid one that is ``elastic`` carries a patch, whose displacement adds to it.
     """
-    first = tuple(Pin(ring, "um", "N") for ring in rings)
-    if rigid[0]:
-        first = (Pin("va", "m/s", "N"), Pin("a", "um", "-"))
-    side = (Pin("v", "m/s", "N"), Pin("bottom", "um", "-")) if rigid[1] else (Pin("b", "um", "N"),)
-    along = (Pin("slide", "um", "N"), Pin("rail", "um", "N")) if law.friction else ()
-    carried = (Pin(CARRIED, "um", "N"),) if elastic else ()
-    pins = (*first, *side, *carried, *along, Pin("base", "um", "N"))
+    pins = _terminals(rings, rigid, elastic, bool(law.friction))
     distinct([pin.name for pin in pins], _inner(rings), where=name)
     radii = () if under is None else under[1][: len(rings)]
     sphere = (
@@ -990,34 +866,43 @@ def contact_subcircuit(
             for ring, gap in zip(rings, gaps, strict=True)
         ),
         *([positive("damping", law.damping, "s/m", damping)] if law.damping else []),
-        *([positive("friction", law.friction, "1", friction)] if along else []),
-        *([positive("creep", law.creep, "m/s", "speed of full friction")] if along else []),
+        *([positive("friction", law.friction, "1", friction)] if law.friction else []),
+        *([positive("creep", law.creep, "m/s", "speed of full friction")] if law.friction else []),
     )
-    text = render(
-        "contact.j2",
-        header=part_header(
-            header,
-            f"{name}: penalty contact",
-            pins,
-            params,
-            rating=RATING,
-            validity=_validity(law),
-        ),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
+    return library(
+        "contact",
+        header,
+        name,
+        "penalty contact",
+        pins,
+        params,
+        rating=RATING,
+        validity=_validity(law),
+        no_module=SLIPS if law.friction else "",
         rings=rings,
         ends={ring: ("va", "a") if rigid[0] else (ring, ring) for ring in rings},
         squares=[] if law.radius else [float(r) ** 2 for r in radii],
-        force=side[0].name,
-        place=side[-1].name,
+        force="v" if rigid[1] else "b",
+        place="bottom" if rigid[1] else "b",
         carried=CARRIED if elastic else "",
         law=law,
         series=[c / (1e6 * law.depth) ** (k / 2) for k, c in enumerate(law.curve)],
         rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
         rate="v" if rigid[1] else "rateb",
     )
-    return Subcircuit(name, pins, params, text, no_module=SLIPS if law.friction else "")
+
+
+def _terminals(
+    rings: tuple[str, ...], rigid: tuple[bool, bool], elastic: bool, friction: bool
+) -> tuple[Terminal, ...]:
+    """Pins of a contact: both sides, what a rigid one that is elastic carries, along, the base."""
+    speeds = Terminal("va", "m/s", "N"), Terminal("v", "m/s", "N")
+    heights = Terminal("a", "um", "-"), Terminal("bottom", "um", "-")
+    pins = [speeds[0], heights[0]] if rigid[0] else [Terminal(ring, "um", "N") for ring in rings]
+    pins += [speeds[1], heights[1]] if rigid[1] else [Terminal("b", "um", "N")]
+    pins += [Terminal(CARRIED, "um", "N")] if elastic else []
+    slide, rail = Terminal("slide", "um", "N", required=True), Terminal("rail", "um", "N", "gnd")
+    return (*pins, *([slide, rail] if friction else []), Terminal("base", "um", "N", "gnd"))
 
 
 def _inner(rings: Iterable[str]) -> str:
@@ -1051,16 +936,14 @@ def fall(height: float, gravity: float) -> float:
     return math.sqrt(max(0.0, 2 * gravity * height))
 
 
-def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Reach]:
+def landing(sphere: Part, scene: Scene, speed: float, why: str) -> Iterator[Penetration]:
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches."""
     for contact in scene.of("contact"):
-        (one, _), (other, b) = _names(contact, scene)
-        body = scene.parts.get(one)
-        modulus = body.type.indentation_modulus(body) if body else None
-        if other == sphere.name and b.radius and modulus is not None:
+        a, b = sides(contact, scene)
+        if b.part == sphere.name and b.radius and (modulus := a.modulus) is not None:
             if b.elastic:
                 modulus = 1 / (1 / modulus + 1 / made_of(sphere).indentation_modulus)
-            yield Reach(dent(modulus, sphere.keys.mass, speed, b.radius), why)
+            yield Penetration(dent(modulus, sphere.keys.mass, speed, b.radius), why)
 
 
 register(Contact())

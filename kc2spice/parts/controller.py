@@ -15,10 +15,9 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, Time
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Sampled, Vector, register
+from kc2spice.scene.parttype import Build, PartType, Sampled, Vector, register
 
 Function = Callable[[float, Mapping[str, float]], float]
-UNITS = {"um": 1e-6, "V": 1.0, "m/s": 1.0}
 
 
 class ControllerKeys(Section):
@@ -44,6 +43,7 @@ class Controller(PartType):
     name = "controller"
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
+    source = "Python function"
     controls = True
     example = """
 [controller]
@@ -77,26 +77,13 @@ wiring = "parallel"
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys = part.keys
         if keys.delay >= keys.period:
-            yield UsageError(
-                "answers come after the next sample",
-                where=f"{part.name}.delay",
-                got=f"{keys.delay:g} s",
-                expected=f"less than the period, {keys.period:g} s",
-            )
-        if scene.analysis.type != "transient":
-            yield UsageError(
-                "a function is asked in time",
-                where=part.name,
-                got=scene.analysis.type,
-                expected="the analysis transient",
-            )
+            got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
+            yield part.wrong("delay", "answers come after the next sample", got, expected)
+        if (kind := scene.analysis.type) != "transient":
+            yield part.wrong("", "a function is asked in time", kind, "the analysis transient")
         if not keys.inputs:
-            yield UsageError(
-                "sees nothing",
-                where=f"{part.name}.inputs",
-                got="no input",
-                expected='names of its input pins, such as inputs = ["y"]',
-            )
+            expected = 'names of its input pins, such as inputs = ["y"]'
+            yield part.wrong("inputs", "sees nothing", "no input", expected)
 
     def own_names(self, part: Part, scene: Scene) -> tuple[tuple[str, ...], ...]:
         return ((part.name.lower(), "held"),)
@@ -109,64 +96,47 @@ wiring = "parallel"
         return (f"V{part.name} {held} 0 EXTERNAL", f"G{part.name} {ret} {out} {held} 0 1")
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {}
-        for name in part.keys.inputs:
-            unit = part.keys.units.get(name, "um")
-            node = build.net(part, name)
-            si = {"um": "m"}.get(unit, unit)
-            found[f"{part.name}.{name}"] = Vector(f"v({node})", UNITS[unit], si)
-        return found
+        return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
-    def sampled(self, part: Part, build: Build) -> Sampled:
-        """What the simulator calls."""
+    def settable(self, part: Part, build: Build) -> Mapping[str, Sampled]:
         keys = part.keys
         function = build.functions.get(part.name) or self._function(part, build)
         nodes = {name: build.net(part, name) for name in keys.inputs}
-        factors = {name: UNITS[keys.units.get(name, "um")] for name in keys.inputs}
+        factors = {name: build.across(part, name).factor for name in keys.inputs}
 
         def call(time: float, values: Mapping[str, float]) -> float:
             inputs = {name: factors[name] * values[node] for name, node in nodes.items()}
             return float(function(time, inputs))
 
-        return Sampled(f"v{part.name}".lower(), keys.period, keys.delay, call)
+        return {"out": Sampled(f"v{part.name}".lower(), keys.period, keys.delay, call)}
 
     def _function(self, part: Part, build: Build) -> Function:
         keys = part.keys
-        where = f"{part.name}.file"
         if keys.file is None:
-            raise UsageError(
-                "no function",
-                where=where,
-                expected="a Python file, or a function handed over",
-                hint=f"kc.simulate(scene, functions={{'{part.name}': function}})",
-            )
+            expected = "a Python file, or a function handed over"
+            hint = f"kc.simulate(scene, functions={{'{part.name}': function}})"
+            raise part.wrong("file", "no function", expected=expected, hint=hint)
         if not build.trust:
-            raise UsageError(
-                "runs a Python file of the scene",
-                where=where,
-                got=keys.file,
-                hint="read the file; if you trust every line of it, repeat with --trust",
-            )
+            hint = "read the file; if you trust every line of it, repeat with --trust"
+            problem = "runs a Python file of the scene"
+            raise part.wrong("file", problem, keys.file, hint=hint)
         path = build.scene.home / keys.file
         spec = importlib.util.spec_from_file_location(f"kc2spice_{part.name}", path)
         if spec is None or spec.loader is None or not path.is_file():
-            raise UsageError("no such Python file", where=where, got=str(path))
+            raise part.wrong("file", "no such Python file", str(path))
         module = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
         except Exception as error:
-            raise UsageError("the file fails", where=where, got=repr(error)) from error
+            raise part.wrong("file", "the file fails", repr(error)) from error
         found = getattr(module, keys.function, None)
         if not callable(found):
-            raise UsageError(
-                "the file has no such function", where=f"{part.name}.function", got=keys.function
-            )
+            raise part.wrong("function", "the file has no such function", keys.function)
         return found
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        detail = f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
-        return Modelled(part.name, "Python function", detail)
+        return f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
 
 
 register(Controller())

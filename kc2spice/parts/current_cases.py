@@ -12,12 +12,11 @@ from kc2spice.core import laws
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
-from kc2spice.scene.gates import PAIRS, Gate
-from kc2spice.scene.judge import Check
+from kc2spice.parts.ring_magnet_coils import force_table, sphere_of
+from kc2spice.scene.judge import PAIRS, Check, Gate
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, PartType, Swept, Vector, register
 
-FINER = 4  # field solutions per interval of the table that the lookup is compared with
 HEIGHTS = 2001  # at which the lookup is read: five per segment
 
 
@@ -31,22 +30,17 @@ class CurrentCases(PartType):
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
-    analysis_type = "dc"
+    source = "ideal sources"
+    fixed = (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
         return Analysis(type="dc", sweep=f"{part.name}.height", points=HEIGHTS)
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("y", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
+    def moves(self, part: Part, scene: Scene) -> Mapping[str, None]:
+        return {_sphere(part, scene): None}
 
-    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (_sphere(part, scene),)
-
-    def coil_currents(self, part: Part, scene: Scene) -> float | None:
-        return max(abs(current) for current in part.keys.currents)
-
-    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
-        return {_coils(part, build.scene).name: ()}
+    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (_coils(part, scene).name,)
 
     def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
         yield ("Vheight",)
@@ -71,15 +65,13 @@ class CurrentCases(PartType):
             ]
         return tuple(cards)
 
-    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
-        return (build.own(part, "Vheight"), 1e6) if key == "height" else None
-
-    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
-        keys = _coils(part, scene).keys
-        return (keys.y_min + keys.shift, keys.y_max + keys.shift)
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+        keys = _coils(part, build.scene).keys
+        heights = keys.y_min + keys.shift, keys.y_max + keys.shift
+        return {"height": Swept(build.own(part, "Vheight"), 1e6, heights)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        found = {f"{_sphere(part, build.scene)}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m")}
+        found = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k in range(len(cases(part))):
             name, node = _coils(part, build.scene).name, build.own(part, f"force{k}")
             found[f"{name}.force.{k}"] = Vector(f"v({node})", 1.0, "N")
@@ -103,8 +95,6 @@ class CurrentCases(PartType):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
-        from kc2spice.parts.ring_magnet_coils import force_table
-
         n, coils = part.name, _coils(part, build.scene)
         table, still = force_table(build.model(coils)), laws.Line.constant
         found: list[laws.Law] = [laws.Source(n, "displacement", still(0.0))]
@@ -129,17 +119,12 @@ class CurrentCases(PartType):
         forces = np.array([waves[f"{coils}.force.{k}"] for k in range(len(cases(part)))])
         slope = np.diff(forces, axis=1) / np.diff(y)
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
-        yield Check(
-            "jump of the lookup's slope",
-            jump,
-            build.scene.gates.lookup_slope,
-            "of the largest slope",
-            f"raise {coils}.points",
-            "warn",
-        )
+        limit, advice = build.scene.gates.lookup_slope, f"raise {coils}.points"
+        name, unit = "jump of the lookup's slope", "of the largest slope"
+        yield Check(name, jump, limit, unit, advice, "warn")
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        return Modelled(part.name, "ideal sources", f"{len(cases(part))} pairs of currents")
+    def detail(self, part: Part, scene: Scene) -> str:
+        return f"{len(cases(part))} pairs of currents"
 
 
 def cases(part: Part) -> list[tuple[float, float]]:
@@ -153,10 +138,7 @@ def _coils(part: Part, scene: Scene) -> Part:
 
 
 def _sphere(part: Part, scene: Scene) -> str:
-    coils = _coils(part, scene)
-    from kc2spice.parts.ring_magnet_coils import sphere_of
-
-    return sphere_of(coils, scene).name
+    return sphere_of(_coils(part, scene), scene).name
 
 
 register(CurrentCases())

@@ -7,22 +7,11 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.core.quantities import (
-    Capacitance,
-    Current,
-    Ratio,
-    Resistance,
-    Section,
-    Time,
-    Voltage,
-)
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.render import render
+from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.netlist.circuit import Param
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, LeftOut, Modelled, PartType, Vector, register
-from kc2spice.spice.header import parameter_list, part_header
-
-_PINS = (Pin("anode", "V", "A"), Pin("cathode", "V", "A"))
+from kc2spice.scene.parttype import Build, Neglected, PartType, Vector, register
+from kc2spice.spice.library import library
 
 
 class DiodeKeys(Section):
@@ -43,12 +32,10 @@ class Diode(PartType):
     name = "diode"
     title = "junction diode"
     schema = DiodeKeys
-
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return tuple(Terminal(pin.name, "V", "A", required=True) for pin in _PINS)
+    fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name, keys = build.libraries[part.name], part.keys
+        keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
             Param("n", keys.emission, "-", "emission coefficient"),
@@ -57,21 +44,17 @@ class Diode(PartType):
             Param("tt", keys.transit_time, "s", "transit time"),
             Param("bv", keys.breakdown_voltage, "V", "breakdown voltage"),
         )
-        text = render(
-            "diode.j2",
-            header=part_header(
-                header,
-                f"{name}: junction diode",
-                _PINS,
-                params,
-                rating="it breaks through at bv; its largest current is in the diode's data sheet",
-                validity="27 C, or what .options temp says; it does not heat up",
-            ),
-            name=name,
-            pins=[pin.name for pin in _PINS],
-            parameters=parameter_list(params),
+        made = library(
+            "diode",
+            header,
+            build.libraries[part.name],
+            self.title,
+            self.fixed,
+            params,
+            rating="it breaks through at bv; its largest current is in the diode's data sheet",
+            validity="27 C, or what .options temp says; it does not heat up",
         )
-        return (Subcircuit(name, _PINS, params, text),)
+        return (made,)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.i": Vector(f"@d.x{part.name.lower()}.djunction[id]", 1.0, "A")}
@@ -80,13 +63,12 @@ class Diode(PartType):
         sign = -1.0 if pin == "anode" else 1.0
         return Vector(f"@d.x{part.name.lower()}.djunction[id]", sign, "A")
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        detail = f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
-        return Modelled(part.name, "circuit", detail)
+        return f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
 
-    def left_out(self, part: Part, scene: Scene) -> tuple[LeftOut, ...]:
-        return (LeftOut("heating of diodes", "27 °C throughout", "not estimated"),)
+    def neglected(self, part: Part, scene: Scene) -> tuple[Neglected, ...]:
+        return (Neglected("heating of diodes", "27 °C throughout", "not estimated"),)
 
 
 register(Diode())

@@ -8,8 +8,8 @@ from kc2spice.bodies import disc
 from kc2spice.bodies.device import Device
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import depoling_voltage, layer_problems, layered
-from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._linear_body import depoling_voltage, layer_problems
+from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -35,15 +35,15 @@ class Disc(MeshedBody):
     def by_material(self, part: Part) -> float | None:
         return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring == "series")
 
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        yield from super().implausible(part, scene)
+    def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         yield from layer_problems(part, [layer.diameter for layer in part.keys.layers], plate=True)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        yield from layered(part, [layer.diameter for layer in part.keys.layers])
+        yield from side_view(part.name, disc.blocks(part.keys, part.name))
 
     def device(self, part: Part, scene: Scene) -> Device:
-        return disc.device(self.body_keys(part), where=part.name)
+        return disc.device(part.keys, where=part.name)
 
 
 register(Disc())

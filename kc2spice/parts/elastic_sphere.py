@@ -15,11 +15,11 @@ from kc2spice.parts.contact import PATCH, normal, sides
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Dents, LeftOut, Surface, register
+from kc2spice.scene.parttype import LocalCompliance, Neglected, Surface, register
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Hats, Pressed
+    from kc2spice.bodies.pressure import Pressed, PressureBasis
     from kc2spice.bodies.sphere import Sphere
 
 BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
@@ -55,33 +55,26 @@ elastic = true
         return (Port(PATCH, "mechanical"),)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         _contact(part, scene)  # says what it cannot be
-        stuff = made_of(scene.parts[part.keys.of])
+        owner, stuff = scene.parts[part.keys.of], made_of(scene.parts[part.keys.of])
         if stuff.piezoelectric:
-            yield UsageError(
-                "a sphere has no electrodes",
-                where=f"{part.keys.of}.material",
-                got=stuff.name,
-                expected="a material that is not piezoelectric",
-            )
+            expected = "a material that is not piezoelectric"
+            yield owner.wrong("material", "a sphere has no electrodes", stuff.name, expected)
         if part.keys.damping.per_material:
-            yield UsageError(
-                "a sphere has one material",
-                where=f"{part.keys.of}.elastic.damping.per_material",
-                got=True,
-                expected="ratio, quality or loss_factor",
-            )
+            key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
+            yield owner.wrong(key, "a sphere has one material", True, expected)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface | None:
         """None by itself: its sphere is touched, and carries the patch that a contact names."""
         if ports != (PATCH,):
             return None
 
-        def dents(shape: Hats) -> Dents:
+        def dents(shape: PressureBasis) -> LocalCompliance:
             found = self._pressed(part, scene, shape)
-            return Dents(found.compliance, found.patch, _body(part, scene).rayleigh[1])
+            return LocalCompliance(found.compliance, found.patch, _body(part, scene).rayleigh[1])
 
-        return Surface(ports, ports, ports, (0.0,), dents=dents)
+        return Surface(part.name, ports, (0.0,), dents=dents)
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         body, own = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
@@ -114,20 +107,20 @@ elastic = true
         megahertz through the flight, eight times as many."""
         return True
 
-    def unfollowed(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def unfollowed(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
-        yield LeftOut(f"free ringing of {part.keys.of}", why, "none of the path")
+        yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
-        yield from super().left_out(part, scene)
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
         deep = normal(_contact(part, scene), scene).depth / _body(part, scene).radius
-        yield LeftOut(
+        yield Neglected(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
             f"at most {deep:.1g} of the dent, by its depth over the radius",
         )
 
-    def _pressed(self, part: Part, scene: Scene, shape: Hats) -> Pressed:
+    def _pressed(self, part: Part, scene: Scene, shape: PressureBasis) -> Pressed:
         from kc2spice.bodies.pressure import Pressed
         from kc2spice.bodies.sphere import pressed
 
@@ -149,7 +142,7 @@ def _body(part: Part, scene: Scene) -> Sphere:
     return Sphere(owner.keys.radius, made_of(owner), part.keys.damping)
 
 
-def _hats(part: Part, scene: Scene) -> Hats:
+def _hats(part: Part, scene: Scene) -> PressureBasis:
     """Those of its contact."""
     from kc2spice.bodies.pressure import hats
 
@@ -159,31 +152,20 @@ def _hats(part: Part, scene: Scene) -> Hats:
 
 def _contact(part: Part, scene: Scene) -> Part:
     """The one contact of the sphere, by pressure."""
-    of = part.keys.of
+    owner = scene.parts[part.keys.of]
     found = [c for c in scene.of("contact") if part.name in (s.elastic for s in sides(c, scene))]
     if len(found) != 1:
-        raise UsageError(
-            "an elastic sphere has one contact",
-            where=f"{of}.elastic",
-            got=", ".join(c.name for c in found) or "none",
-            expected='one, with shape = "pressure" and a body in a',
-        )
+        got = ", ".join(c.name for c in found) or "none"
+        expected = 'one, with shape = "pressure" and a body in a'
+        raise owner.wrong("elastic", "an elastic sphere has one contact", got, expected)
     (contact,) = found
     if contact.keys.shape != "pressure":
-        raise UsageError(
-            "forces on rings dent an elastic sphere without limit as meshes get finer",
-            where=f"{contact.name}.shape",
-            got=contact.keys.shape,
-            expected="pressure",
-            hint=f'set {contact.name}.shape = "pressure", or {of}.elastic = false',
-        )
-    if contact.keys.damping:
-        raise UsageError(
-            "an elastic sphere has its own damping",
-            where=f"{contact.name}.damping",
-            got=contact.keys.damping,
-            expected=f"0, and {of}.elastic.damping",
-        )
+        problem = "forces on rings dent an elastic sphere without limit as meshes get finer"
+        hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'
+        raise contact.wrong("shape", problem, contact.keys.shape, "pressure", hint)
+    if damping := contact.keys.damping:
+        expected = f"0, and {owner.name}.elastic.damping"
+        raise contact.wrong("damping", "an elastic sphere has its own damping", damping, expected)
     return contact
 
 

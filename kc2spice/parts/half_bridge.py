@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.quantities import (
-    Capacitance,
-    Current,
-    Resistance,
-    Section,
-    Voltage,
-)
-from kc2spice.netlist.circuit import Subcircuit
+from kc2spice.core.quantities import Capacitance, Current, Resistance, Section, Voltage
 from kc2spice.parts import _driver_checks as driver
-from kc2spice.parts._drivers import (
-    Driver,
-    driver_part,
-)
+from kc2spice.parts._drivers import Driver
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build, register
-from kc2spice.spice.header import Header
 
 GATE, THRESHOLD, GATES = 12.0, 3.0, 5.2e-10  # V, V, F: of each transistor
 DIODE, SATURATED = 0.03, 1e-14  # V for a factor e of current (75 C), A: of its diode
@@ -34,20 +22,20 @@ SETTLED, OHMIC = 10.0, 0.9  # time constants of a gate; of the current that satu
 class HalfBridgeKeys(Section):
     """Two transistors from a charged capacitor; the high one is on during the kick pulse."""
 
-    rail: Voltage = Field(100.0, gt=0)
-    resistance: Resistance = Field(2.0, gt=0, description="between the bridge and the chip")
-    gate_resistance: Resistance = Field(10.0, gt=0)
+    rail: Voltage = Field(100.0, gt=0, description="supply")
+    resistance: Resistance = Field(2.0, gt=0, description="between bridge and chip")
+    gate_resistance: Resistance = Field(10.0, gt=0, description="of both gates")
     current_limit: Current = Field(15.0, gt=0, description="at which a transistor saturates")
-    reservoir: Capacitance = Field(10e-6, gt=0, description="limits the charge of a pulse")
-    supply_resistance: Resistance = Field(100.0, gt=0, description="that refills the reservoir")
+    reservoir: Capacitance = Field(
+        10e-6, gt=0, description="capacitor that the pulse's charge comes from"
+    )
+    supply_resistance: Resistance = Field(100.0, gt=0, description="through which it is refilled")
 
 
 class HalfBridge(Driver):
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
     schema = HalfBridgeKeys
-
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        return (half_bridge_subcircuit(header, part.keys, build.libraries[part.name]),)
+    circuit, heading, opamp = "half_bridge", "half-bridge for the chip", None
 
     def limits(
         self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]
@@ -85,21 +73,6 @@ class HalfBridge(Driver):
 def _since(time: np.ndarray, on: np.ndarray) -> np.ndarray:
     """How long [s] it is on, at every time."""
     return np.asarray(time - np.maximum.accumulate(np.where(on, time[0], time)))
-
-
-def half_bridge_subcircuit(
-    header: Header, drive: HalfBridgeKeys, name: str = "half_bridge"
-) -> Subcircuit:
-    """Two transistors, gate resistors, reservoir; ``command`` switches at half the rail."""
-    docs = {
-        "rail": "supply",
-        "resistance": "between bridge and chip",
-        "gate_resistance": "of both gates",
-        "current_limit": "at which a transistor saturates",
-        "reservoir": "capacitor that the pulse's charge comes from",
-        "supply_resistance": "through which it is refilled",
-    }
-    return driver_part(header, "half_bridge", name, "half-bridge for the chip", drive, docs)
 
 
 register(HalfBridge())

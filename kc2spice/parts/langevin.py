@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
 
 from kc2spice.bodies import langevin
 from kc2spice.bodies.device import Device
 from kc2spice.core.figure import Shape
 from kc2spice.fem.materials import material
-from kc2spice.parts._meshed import FieldKeys, MeshedBody
+from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
@@ -55,41 +54,10 @@ stop = "100 kHz"
         return (anode, *(Port(name, "mechanical") for name in faces))
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        keys, y = part.keys, 0.0
-        rings = keys.rings
-        stack = [(c, c.diameter, 0.0, c.length, "front") for c in reversed(keys.front)]
-        stack += [(rings, rings.outer, rings.inner, rings.thickness, "ring")] * rings.count
-        stack += [(c, c.diameter, 0.0, c.length, "back") for c in keys.back]
-        for k, (one, width, hole, high, what) in enumerate(stack):
-            label = f"{part.name}: {what}, {material(one.material, part.name).name}, "
-            label += f"{1e3 * width:g} mm by {1e3 * high:g} mm"
-            named = label if k == 0 or stack[k - 1][0] is not one else ""
-            kind: Literal["ceramic", "metal"] = "ceramic" if one is rings else "metal"
-            if hole:
-                for side in (-1, 1):
-                    yield Shape(
-                        side * (width + hole) / 4,
-                        y - high / 2,
-                        (width - hole) / 2,
-                        high,
-                        kind,
-                        named if side > 0 else "",
-                    )
-            else:
-                yield Shape(0.0, y - high / 2, width, high, kind, named)
-            y -= high
-        bolt = keys.bolt
-        first = sum(c.length for c in keys.front)
-        deep = bolt.depth if bolt.depth is not None else keys.front[0].length
-        top, end = deep - first, y
-        label = f"{part.name}: bolt, {material(bolt.material, part.name).name}, "
-        label += f"{1e3 * bolt.diameter:g} mm"
-        yield Shape(0.0, (top + end) / 2, bolt.diameter, top - end, "metal", label)
-        if bolt.head_length is not None:
-            yield Shape(0.0, end - bolt.head_length / 2, bolt.head_diameter, bolt.head_length)
+        yield from side_view(part.name, langevin.blocks(part.keys, part.name))
 
     def device(self, part: Part, scene: Scene) -> Device:
-        return langevin.device(self.body_keys(part), where=part.name)
+        return langevin.device(part.keys, where=part.name)
 
 
 register(Langevin())

@@ -12,15 +12,20 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.render import render
+from kc2spice.netlist.circuit import Param, positive
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Surface, Vector, register
+from kc2spice.scene.parttype import (
+    Build,
+    PartType,
+    Rest,
+    Surface,
+    Vector,
+    begins,
+    register,
+)
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rest import free, rigid
-from kc2spice.spice.header import parameter_list, part_header
-
-_PINS = (Pin("a", "um", "N"), Pin("base", "um", "N"))
+from kc2spice.spice.library import library
 
 
 class MassKeys(Section):
@@ -36,6 +41,8 @@ class MassKeys(Section):
 
 class PointMass(PartType):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+    source = "closed form"
+    fixed = (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
     heavy = True
     example = """
 [mass]
@@ -49,39 +56,27 @@ kind = "force"
 pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
 """
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
-
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
-        return (("base", GROUND),)
-
-    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return ("a",) if part.keys.weight and scene.gravity else ()
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        falls = part.keys.weight and scene.gravity
+        return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         if _given(part) and scene.analysis.type != "transient":
-            yield UsageError(
-                "a position or velocity at t = 0 begins a transient",
-                where=part.name,
-                got=f"analysis {scene.analysis.type}",
-                expected="neither of them",
-            )
-
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
+            problem = "a position or velocity at t = 0 begins a transient"
+            yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
         yield from dimensions(part.name, part.keys)
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
-        begins = start(part, build)
-        if begins is None:
+        state = start(part, build)
+        if state is None:
             return {}
         inner = f"x{part.name.lower()}"
-        return {f"{inner}.pos": 1e6 * begins[0], f"{inner}.v": begins[1]}
+        return {f"{inner}.pos": 1e6 * state[0], f"{inner}.v": state[1]}
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
-        return Surface(("a",), ("a",), ("a",), (0.0,))
+        return Surface(part.name, ("a",), (0.0,))
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name = build.libraries[part.name]
         gravity = build.scene.gravity if part.keys.weight else 0.0
         params = (
             positive("mass", part.keys.mass, "kg", "mass"),
@@ -89,28 +84,25 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
             Param("position", part.keys.position, "m", "at t = 0, used with uic"),
             Param("velocity", part.keys.velocity, "m/s", "at t = 0, used with uic"),
         )
-        text = render(
-            "mass.j2",
-            header=part_header(
-                header,
-                f"{name}: point mass",
-                _PINS,
-                params,
-                rating="none: rigid",
-                sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
-                validity="rigid, in vacuum, at any temperature",
-            ),
-            name=name,
-            pins=[pin.name for pin in _PINS],
-            parameters=parameter_list(params),
+        made = library(
+            "mass",
+            header,
+            build.libraries[part.name],
+            "point mass",
+            self.fixed,
+            params,
+            rating="none: rigid",
+            sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
+            validity="rigid, in vacuum, at any temperature",
         )
-        return (Subcircuit(name, _PINS, params, text),)
+        return (made,)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        n, inner = part.name, f"x{part.name.lower()}"
         return {
-            f"{part.name}.x": Vector(f"v({build.net(part, 'a')})", 1e-6, "m"),
-            f"{part.name}.v": Vector(f"v(x{part.name.lower()}.v)", 1.0, "m/s"),
-            f"{part.name}.force": Vector(f"i(v.x{part.name.lower()}.vmass)", 1.0, "N"),
+            f"{n}.x": build.across(part, "a"),
+            f"{n}.v": Vector(f"v({inner}.v)", 1.0, "m/s"),
+            f"{n}.force": Vector(f"i(v.{inner}.vmass)", 1.0, "N"),
         }
 
     def law(self, part: Part, build: Build) -> laws.Equations | None:
@@ -118,11 +110,8 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
             return None
         n = part.name
         gravity = build.scene.gravity if part.keys.weight else 0.0
-        results = {
-            f"{n}.x": laws.reading(f"{n}.a"),
-            f"{n}.v": laws.reading(f"{n}.a.rate"),
-            f"{n}.force": laws.reading(f"{n}.a.through"),
-        }
+        words = {"x": "a", "v": "a.rate", "force": "a.through"}
+        results = {f"{n}.{word}": laws.reading(f"{n}.{of}") for word, of in words.items()}
         position, velocity = start(part, build) or (None, 0.0)
         law = laws.Mass(n, part.keys.mass, gravity, position, velocity)
         return laws.Equations((law,), (("a", f"{n}.a"),), results)
@@ -143,8 +132,8 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
             f"{part.name}_speed_m_s": float(np.abs(v).max()),
         }
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        return Modelled(part.name, "closed form", f"mass {part.keys.mass:g}")
+    def detail(self, part: Part, scene: Scene) -> str:
+        return f"mass {part.keys.mass:g}"
 
 
 def _given(part: Part) -> bool:
@@ -161,34 +150,26 @@ def start(part: Part, build: Build) -> tuple[float, float] | None:
     UsageError : a state is given, but what it is fixed to has its own.
     """
     scene, keys = build.scene, part.keys
-    begins = keys.position, keys.velocity
+    given = keys.position, keys.velocity
     if _given(part):
         for name, pin in scene.joined(part.name, "a"):
             other = scene.parts[name]
-            if (
-                other.type.name == part.type.name
-                or other.type.reduced
-                or other.type.prescribes(other)
-            ):
-                raise UsageError(
-                    "begins where and as fast as what it is fixed to",
-                    where=part.name,
-                    got=f"{name}.{pin} on the same net",
-                    expected="neither position nor velocity",
-                    hint="a stiff spring between both lets each have its own",
-                )
-        return begins
-    if scene.analysis.type == "transient" and any(
-        p.type.without_operating_point(p, scene) for p in scene.parts.values()
-    ):
-        return begins
+            moved = other.type.name == part.type.name or other.type.reduced
+            if moved or other.type.at_rest(other, scene).ideal:
+                problem = "begins where and as fast as what it is fixed to"
+                hint = "a stiff spring between both lets each have its own"
+                got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
+                raise part.wrong("", problem, got, expected, hint)
+        return given
+    if scene.analysis.type == "transient" and begins(scene):
+        return given
     net = scene.nets[part.name, "a"]
     group = next((group for group in free(build) if net in group.nets), None)
     if group is None or group.bodies:
         return None
     fixed = next(nets for nets in rigid(scene) if net in nets)
     masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
-    return begins if next(masses) == part.name else None
+    return given if next(masses) == part.name else None
 
 
 register(PointMass())

@@ -18,14 +18,13 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
-from kc2spice.netlist.included import included_netlists, looked_at
+from kc2spice.netlist.foreign import included_netlist, looked_at
 from kc2spice.netlist.scope import Scope, circuit, has_vector
-from kc2spice.netlist.statements import statements
-from kc2spice.parts import _driver_checks as driver
+from kc2spice.parts._driver_checks import SLACK, slewing, within
 from kc2spice.parts._drivers import potentials
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.parttype import Build, PartType, Vector, register
 
 # Letter of an element and its parameter that is its current; "" for those that have a branch.
 _CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
@@ -61,9 +60,7 @@ class Netlist(PartType):
     name = "netlist"
     title = "the user's own subcircuit"
     schema = NetlistKeys
-
-    def uses_netlists(self, part: Part) -> bool:
-        return True
+    source = "yours"
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return (part.keys.file,)
@@ -76,7 +73,7 @@ class Netlist(PartType):
             found.append(Terminal(name, unit, flow, "gnd" if ground else None, required=not ground))
         return tuple(found)
 
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """As the driver of another part's table its ``command`` is what a controller asks for."""
         control = scene.only("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
@@ -88,12 +85,8 @@ class Netlist(PartType):
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in KINDS:
-                yield UsageError(
-                    "not a kind of a pin",
-                    where=f"{part.name}.units.{name}",
-                    got=repr(kind),
-                    expected=f"one of {', '.join(KINDS)} for one of {', '.join(pins)}",
-                )
+                expected = f"one of {', '.join(KINDS)} for one of {', '.join(pins)}"
+                yield part.wrong(f"units.{name}", "not a kind of a pin", repr(kind), expected)
         scope = None
         for name, node in _probed(part, scene):
             scope = scope or _scope(part, scene)
@@ -118,9 +111,7 @@ class Netlist(PartType):
             )
         for name in part.keys.ratings:
             if name not in pins:
-                yield UsageError(
-                    "no such pin", where=f"{part.name}.ratings", got=name, expected=", ".join(pins)
-                )
+                yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
     def excites(self, part: Part, scene: Scene) -> bool:
         """Whether a source of the file has an ``AC`` value."""
@@ -130,10 +121,9 @@ class Netlist(PartType):
         return str(part.keys.subckt)
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        found = included_netlists((part.keys.file,), build.scene.home, trust=build.trust)
-        (name, text), *_ = found.items()
+        found = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in self.pins(part, build.scene))
-        return (Subcircuit(part.keys.subckt, pins, (), text, file=name),)
+        return (Subcircuit(part.keys.subckt, pins, (), found.text, file=found.file),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
@@ -144,16 +134,14 @@ class Netlist(PartType):
         found = potentials(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
         for node in (n for n in probed if n not in volts):
+            name = f"{part.name}.{node}"
             if node in pins:
-                factor, unit = {"um": (1e-6, "m")}.get(pins[node].unit, (1.0, pins[node].unit))
-                ends = f"v({build.net(part, node)})"
+                found[name] = build.across(part, node)
             elif node.lower().startswith("i("):
-                factor, unit, ends = 1.0, "A", _inside(node, part.name)
+                found[name] = Vector(_inside(node, part.name), 1.0, "A")
             else:
-                factor, unit = 1.0, "V"
-                ends = f"v(x{part.name.lower()}.{node.lower()})"
-                ends += "" if base == "0" else f"-v({base})"
-            found[f"{part.name}.{node}"] = Vector(ends, factor, unit)
+                inner = f"v(x{part.name.lower()}.{node.lower()})"
+                found[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
         return found
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
@@ -161,31 +149,41 @@ class Netlist(PartType):
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
             if volts is None or "time" not in waves:
                 continue
-            slack = driver.SLACK * float(np.abs(volts).max())
+            slack = SLACK * float(np.abs(volts).max())
             low = -np.inf if rating.low is None else rating.low
             high = np.inf if rating.high is None else rating.high
-            yield driver.within(name, volts, low, high, slack, RATED)
+            yield within(name, volts, low, high, slack, RATED)
             if rating.slew is not None:
-                yield driver.slewing(name, waves["time"], volts, rating.slew, slack, RATED)
+                yield slewing(name, waves["time"], volts, rating.slew, slack, RATED)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        detail = f".subckt {part.keys.subckt} of {part.keys.file}"
-        return Modelled(part.name, "yours", detail)
+    def detail(self, part: Part, scene: Scene) -> str:
+        return f".subckt {part.keys.subckt} of {part.keys.file}"
 
 
-def first_netlist(where: str, data: Mapping[str, Any]) -> str:
-    """The first file of a scene's ``include``, for drivers that name none.
+def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dict[str, Any]:
+    """Table of the one part that the key ``driver`` names, of a type ``known`` by a user's word.
+
+    The first file of the scene's ``include`` is that of a netlist which names none.
 
     Raises
     ------
-    UsageError : the scene includes none.
+    UsageError : not one driver, none of that type, no file.
     """
-    include = data.get("include")
-    if not isinstance(include, (list, tuple)) or not include:
-        raise UsageError(
-            "needs a netlist", where=where, expected='include = ["FILE"], a file beside the scene'
-        )
-    return str(include[0])
+    given: dict[str, dict[str, Any]] = part.keys.driver
+    expected = "one table of " + ", ".join(known)
+    if len(given) != 1:
+        raise part.wrong("driver", "needs one driver", ", ".join(given), expected)
+    ((kind, table),) = given.items()
+    if kind not in {*known, *known.values()}:
+        raise part.wrong("driver", "no such driver", repr(kind), expected)
+    chosen = known.get(kind, kind)
+    if chosen == "netlist" and not table.get("file"):
+        include = data.get("include")
+        if not isinstance(include, (list, tuple)) or not include:
+            expected = 'include = ["FILE"], a file beside the scene'
+            raise part.wrong(f"driver.{kind}", "needs a netlist", expected=expected)
+        table = {**table, "file": str(include[0])}
+    return {**table, "part": chosen, "at": (part.name, "driver", kind)}
 
 
 def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
@@ -198,12 +196,12 @@ def _pins(part: Part, scene: Scene) -> tuple[str, ...]:
     known = _read(part.keys.file, scene.home, _stamp(part, scene)).pins
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
-        raise UsageError(
+        raise part.wrong(
+            "subckt",
             "no such subcircuit",
-            where=f"{part.name}.subckt",
-            got=repr(part.keys.subckt),
-            expected=", ".join(known) or f"a .subckt in {part.keys.file}",
-            hint=did_you_mean(part.keys.subckt, known),
+            repr(part.keys.subckt),
+            ", ".join(known) or f"a .subckt in {part.keys.file}",
+            did_you_mean(part.keys.subckt, known),
         )
     for pin in pins:
         checked(pin, where=f"{part.name}.subckt")
@@ -242,11 +240,11 @@ def _inside(node: str, part: str = "") -> str:
 
 def _scope(part: Part, scene: Scene) -> Scope:
     """Its subcircuit as elements with nodes."""
-    files = looked_at(part.keys.file, scene.home)
-    deck = {"": f"* its first line is a card\n.include {next(iter(files))}"}
-    found = circuit("", deck | files).find(part.keys.subckt)
+    read = looked_at(part.keys.file, scene.home)
+    deck = {"": f"* its first line is a card\n.include {read.file}", read.file: read.text}
+    found = circuit("", deck).find(part.keys.subckt)
     if found is None:
-        raise UsageError("no such subcircuit", where=f"{part.name}.subckt", got=part.keys.subckt)
+        raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
     return found
 
 
@@ -267,9 +265,8 @@ class _File:
 @lru_cache(maxsize=64)
 def _read(file: str, home: Path, stamp: int) -> _File:
     """What a scene must know of a file, which is of the age ``stamp``."""
-    ((name, text),) = looked_at(file, home).items()
     found, excites = {}, False
-    for card in statements(text, name):
+    for card, _ in looked_at(file, home).cards():
         words = [word.lower() for word in card.words]
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:

@@ -13,26 +13,23 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.naming import self_contained
-from kc2spice.netlist.render import render
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts import sphere
 from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
 COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
 SUPPLY = 400.0  # V, of the output stage; more where the coils need it
 HEADROOM = 1.2  # of a supply over what it must give
-# Largest deviation of the flight from that under an ideal PID, of its 1.5 mm, with the usual gains
-# and limits of 0.1 to 1 A; the launch differs by 6e-6 at most.
-OPAMPS, HIGHEST = 6.5e-5, 1.0
 EDGE = 1e-8  # s, of the enabling signal
-SETTLING_BAND = 0.05  # of the step from rest to set point
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
 
 
@@ -76,14 +73,28 @@ def _gains(control: Control) -> tuple[Param, ...]:
             got=f"kp={control.kp}, ki={control.ki}, kd={control.kd}",
             expected="no gain below zero and at least one above",
         )
-    params = (
-        positive("kp", control.kp, "A/m", "proportional gain, above zero"),
-        positive("ki", control.ki, "A/(m.s)", "integral gain, above zero"),
-        positive("kd", control.kd, "A.s/m", "derivative gain, above zero"),
-        positive("rolloff", control.rolloff, "s", "time constant of the differentiator's pole"),
+    rows = (
+        (control.kp, "kp", "A/m", "proportional gain, above zero"),
+        (control.ki, "ki", "A/(m.s)", "integral gain, above zero"),
+        (control.kd, "kd", "A.s/m", "derivative gain, above zero"),
+        (control.kd, "rolloff", "s", "time constant of the differentiator's pole"),
     )
-    present = {"kp": control.kp, "ki": control.ki, "kd": control.kd, "rolloff": control.kd}
-    return tuple(param for param in params if present[param.name])
+    return tuple(
+        positive(name, getattr(control, name), unit, doc)
+        for there, name, unit, doc in rows
+        if there
+    )
+
+
+def _terminals(output: bool) -> tuple[Terminal, ...]:
+    """Pins with an output stage of its own, or with the command to a driver."""
+    ends = ("drive", "sense") if output else ("command",)
+    return (
+        Terminal("y", "um", "-", required=True),
+        Terminal("enable", "V", "-"),
+        *(Terminal(end, "V", "A") for end in ends),
+        Terminal("ref", "V", "A", "gnd"),
+    )
 
 
 def sense_resistance(control: Control, *, output: bool = True) -> float:
@@ -118,10 +129,6 @@ def pid_subcircuit(
     ``command``, 100 V for each ampere that it wants.
     """
     sense = sense_resistance(control, output=output)
-    ends = (
-        (Pin("drive", "V", "A"), Pin("sense", "V", "A")) if output else (Pin("command", "V", "A"),)
-    )
-    pins = (Pin("y", "um", "-"), Pin("enable", "V", "-"), *ends, Pin("ref", "V", "A"))
     supply = positive("compliance", compliance(control, load), "V", "supply of the output stage")
     rail = max(15.0, HEADROOM * sense * control.current_limit)
     ideal = control.form == "ideal"
@@ -137,19 +144,14 @@ def pid_subcircuit(
         *(() if ideal else amplifiers),
     )
     gains = [param.name for param in params]
-    text = render(
-        "pid_ideal.j2" if ideal else "pid.j2",
-        header=part_header(
-            header,
-            f"{name}: controller of the sphere's height",
-            pins,
-            params,
-            rating="its output stays within current_limit"
-            + " and compliance" * (output and not ideal),
-        ),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
+    part = library(
+        "pid_ideal" if ideal else "pid",
+        header,
+        name,
+        "controller of the sphere's height",
+        _terminals(output),
+        params,
+        rating="its output stays within current_limit" + " and compliance" * (output and not ideal),
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
         sensor=SENSOR,
@@ -158,7 +160,6 @@ def pid_subcircuit(
         pi=math.pi,
         output=output,
     )
-    part = Subcircuit(name, pins, params, text)
     return part if ideal else self_contained(part, [opamp_subcircuit(header)])
 
 
@@ -180,63 +181,41 @@ class Pid(PartType):
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        ends = (
-            (Terminal("command", "V", "A"),)
-            if _remote(part, scene)
-            else (Terminal("drive", "V", "A"), Terminal("sense", "V", "A"))
-        )
-        return (
-            Terminal("y", "um", "-", required=True),
-            Terminal("enable", "V", "-"),
-            *ends,
-            Terminal("ref", "V", "A", "gnd"),
-        )
+        return _terminals(not _remote(part, scene))
 
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        joins = {}
-        ball = part.keys.of or getattr(scene.only("sphere"), "name", None)
-        if ball is not None:
-            joins["y"] = f"{ball}.y"
-        coils = _coils(part, scene)
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        ball = sphere.controlled(part, scene)
+        joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _remote(part, scene):
-            joins |= {"drive": f"{coils.name}.drive", "sense": f"{coils.name}.ret"}
+            coils = _coils(part, scene).name
+            joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
-    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        coils = _coils(part, scene)
-        return () if _remote(part, scene) else (f"{coils.name}.drive", f"{coils.name}.ret")
+    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
+        return dict.fromkeys(self.default_joins(part, scene).values(), False)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, coils = part.keys, _coils(part, scene)
-        if not coils.keys.y_min < keys.setpoint < coils.keys.y_max:
-            yield UsageError(
-                "outside the force table",
-                where=f"{part.name}.setpoint",
-                got=f"height {keys.setpoint:g} m",
-                expected=f"between {coils.keys.y_min:g} and {coils.keys.y_max:g} m",
-                hint=f"{coils.name}.y_min and {coils.name}.y_max set the table's range",
-            )
+        low, high = coils.keys.y_min, coils.keys.y_max
+        if not low < keys.setpoint < high:
+            got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
+            hint = f"{coils.name}.y_min and {coils.name}.y_max set the table's range"
+            yield part.wrong("setpoint", "outside the force table", got, expected, hint)
         times = [time for time, _ in keys.switching]
         states = [state for _, state in keys.switching]
-        if min(times) < 0 or states != [1.0, 0.0] * (len(states) // 2) + [1.0] * (len(states) % 2):
-            yield UsageError(
-                "enable and disable times do not alternate",
-                where=f"{part.name}.enable_at",
-                got=f"{keys.enable_at}, disabled at {keys.disable_at}",
-                expected="an enable time, then a disable time, and so on, all from 0 on",
-            )
+        if min(times) < 0 or states != ([1.0, 0.0] * len(states))[: len(states)]:
+            problem = "enable and disable times do not alternate"
+            got = f"{keys.enable_at}, disabled at {keys.disable_at}"
+            expected = "an enable time, then a disable time, and so on, all from 0 on"
+            yield part.wrong("enable_at", problem, got, expected)
         if scene.analysis.type == "transient" and times[0] >= scene.stop:
-            yield UsageError(
-                "the controller starts after the simulation ends",
-                where=f"{part.name}.enable_at",
-                got=f"{times[0]:g} s",
-                expected=f"before the end of the simulation, {scene.stop:g} s",
-            )
+            problem = "the controller starts after the simulation ends"
+            expected = f"before the end of the simulation, {scene.stop:g} s"
+            yield part.wrong("enable_at", problem, f"{times[0]:g} s", expected)
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         local = not _remote(part, build.scene)
-        table = build.model(_coils(part, build.scene))
-        load = float(table.resistance.sum())
+        load = float(build.model(_coils(part, build.scene)).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
@@ -254,29 +233,19 @@ class Pid(PartType):
         if _remote(part, scene) or not own or build.net(part, "ref") != "0":
             return None
         on = tuple(t for t, state in keys.switching if state)
-        law = laws.Pid(
-            n,
-            keys.kp,
-            keys.ki,
-            keys.kd,
-            keys.rolloff,
-            keys.current_limit,
-            keys.setpoint,
-            sphere.offset(part, "y", scene),
-            on,
-            tuple(keys.disable_at),
-        )
+        gains, height = (keys.kp, keys.ki, keys.kd), sphere.offset(part, "y", scene)
+        limits = keys.rolloff, keys.current_limit, keys.setpoint
+        law = laws.Pid(n, *gains, *limits, height, on, tuple(keys.disable_at))
         pins = (("y", f"{n}.y"), ("drive", f"{n}.out"))
         return laws.Equations((law,), pins, {f"{n}.error": laws.reading(f"{n}.error")})
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
-        ball = _ball(part, build.scene)
+        ball = sphere.controlled(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
-        step = abs(setpoint - ball.keys.radius)
-        settled = settling_time(t, y, setpoint, SETTLING_BAND * step)
-        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
+        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
         return {
             "settling_time_s": settled,
             "final_error_m": float(setpoint - y[-1]),
@@ -284,36 +253,21 @@ class Pid(PartType):
             "caught": settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0])),
         }
 
-    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterator[tuple[float, float, str]]:
-        if _ball(part, scene) is moved:
-            step = abs(part.keys.setpoint - moved.keys.radius)
-            yield part.keys.setpoint, SETTLING_BAND * step, "set point, ±5 % of the step"
-
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
-        current = waves.data.get(f"{_label(part, build.scene)}.upper.current")
+        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
         if current is None or "time" not in waves:
             return
         t, start = waves["time"], part.keys.switching[0][0]
         limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
-        yield Check(
-            "saturation",
-            share,
-            SATURATED,
-            "of the time",
-            f"the coils cannot give what the controller asks for: raise {part.name}.current_limit",
-            build.scene.checks.saturation,
-        )
+        advice = "the coils cannot give what the controller asks for: raise "
+        advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
+        yield Check("saturation", share, SATURATED, "of the time", advice, action)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         coils = "real coils" if _remote(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
-        detail = f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
-        return Modelled(part.name, "circuit", detail)
-
-
-def _ball(part: Part, scene: Scene) -> Part | None:
-    return scene.parts.get(part.keys.of) if part.keys.of else scene.only("sphere")
+        return f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
 def _coils(part: Part, scene: Scene) -> Part:
@@ -323,17 +277,8 @@ def _coils(part: Part, scene: Scene) -> Part:
 
 def _remote(part: Part, scene: Scene) -> bool:
     """Whether another circuit drives the coils, so that it ends at ``command``."""
-    targets = [t for other in scene.parts.values() for t in other.pins.values()]
-    return (
-        bool(_coils(part, scene).keys.driver)
-        or f"{part.name}.command" in targets
-        or "command" in part.pins
-    )
-
-
-def _label(part: Part, scene: Scene) -> str:
-    coils = _coils(part, scene)
-    return "coil" if coils.name == "catch" else coils.name
+    told = scene.named(part.name, "command") or "command" in part.pins
+    return told or bool(_coils(part, scene).keys.driver)
 
 
 def tail_mean(t: np.ndarray, values: np.ndarray) -> float:

@@ -5,31 +5,30 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, model_validator
 
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveform import Waveform, pulse
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
-from kc2spice.fem.piezo.keys import PATCH, SECTORS, Chip
-from kc2spice.parts._linear_body import SOURCES
+from kc2spice.fem.piezo.keys import PATCH, SECTORS, Ceramic, Chip
+from kc2spice.parts._linear_body import SOURCES, aim, wanted
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
-from kc2spice.parts.netlist import first_netlist
+from kc2spice.parts.netlist import driver
 from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import (
     Build,
-    Dents,
-    LeftOut,
-    Modelled,
-    Reach,
+    LocalCompliance,
+    Neglected,
+    Penetration,
     Surface,
     TimeScale,
     register,
@@ -41,7 +40,7 @@ from kc2spice.spice.realize import STRIKING, Watch
 # What builds is imported where it builds: most runs find their models in the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Device
-    from kc2spice.bodies.pressure import Hats, Pressed
+    from kc2spice.bodies.pressure import Pressed, PressureBasis
 
 USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
 # Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:
@@ -55,6 +54,17 @@ SWING = 2.0  # an elastic body overshoots a step of its load by as much again
 FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
 
 
+DRIVERS = {  # types by the words of the key driver
+    "half_bridge": "half_bridge",
+    "amplifier": "amplifier",
+    "charge": "charge_drive",
+    "user": "netlist",
+}
+HELD = {  # what key mounting says, in words
+    "roller": "frictionless roller under its bottom face",
+    "glued": "bottom face glued down, u = 0",
+    "free": "nothing holds its bottom face",
+}
 PAPER_ORDER = 30
 GEOMETRY = (  # what makes it the paper's chip
     "side",
@@ -102,6 +112,15 @@ class Stack(Chip, FieldKeys):
         None, description="electronics between the pulse and the chip: { TYPE = { keys } }"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _kicks(cls, data: Any, info: ValidationInfo) -> Any:
+        """In a scene of the paper's tables the chip is driven, unless unit loads are its drive."""
+        short = (info.context or {}).get("short", ())
+        if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
+            return data
+        return {"drive": {}, **data}
+
 
 class PiezoStack(MeshedBody):
     name = "piezo_stack"
@@ -109,36 +128,24 @@ class PiezoStack(MeshedBody):
     schema = Stack
     source = "FE (piezoelectric, linear)"
 
-    def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-        driven = table.get("electrical", "driven") == "driven"
-        return {"drive": {}} if driven and "harmonic" not in others else {}
-
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         keys: Stack = part.keys
+        anode = f"{part.name}.anode"
         if keys.electrical == "short":
-            pins = {"out": f"{part.name}.anode"}
-            return {f"{part.name}_drive": {"part": "source", "dc": 0.0, "pins": pins}}
+            return {f"{part.name}_drive": {"part": "source", "dc": 0.0, "pins": {"out": anode}}}
         if keys.drive is None or keys.electrical == "open":
             return {}
-        found: dict[str, Mapping[str, Any]] = {}
-        target = f"{part.name}.anode"
-        if keys.driver is not None:
-            if len(keys.driver) != 1:
-                raise UsageError(
-                    "needs one driver",
-                    where=f"{part.name}.driver",
-                    got=", ".join(keys.driver),
-                    expected="one table of half_bridge, amplifier, charge, user",
-                )
-            ((kind, table),) = keys.driver.items()
-            name, chosen = f"{part.name}_driver", _driver_type(part, kind)
-            at = (part.name, "driver", kind)
-            found[name] = {**_driver(part, kind, table, data), "part": chosen, "at": at}
-            target = f"{name}.command"
         d = keys.drive
         wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
-        source = {"part": "source", "pulse": wave, "pins": {"out": target}}
-        return {f"{part.name}_drive": source} | found
+        source: dict[str, Any] = {"part": "source", "pulse": wave, "pins": {"out": anode}}
+        if keys.driver is None:
+            return {f"{part.name}_drive": source}
+        table, name = driver(part, DRIVERS, data), f"{part.name}_driver"
+        pins = {"out": anode}
+        if table["part"] == "charge_drive":
+            pins = {"anode": anode, "cathode": f"{part.name}.cathode"}
+        source["pins"] = {"out": f"{name}.command"}
+        return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         names = [f"ring{k}" for k in range(rings(part))]
@@ -149,7 +156,7 @@ class PiezoStack(MeshedBody):
 
     def kept(self, part: Part, scene: Scene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
-        if pressure_hats(part, scene) is not None:
+        if scene.ports == "all" or pressure_hats(part, scene) is not None:
             return super().kept(part, scene)
         *own, anode = self.ports(part, scene)
         return (*own[: kept_rings(part, scene)], anode)
@@ -157,8 +164,6 @@ class PiezoStack(MeshedBody):
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         yield from _problems(part, scene)
-
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
         made = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
@@ -172,30 +177,29 @@ class PiezoStack(MeshedBody):
             why = f"{keys.drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
-        yield from super().implausible(part, scene)
-
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         if part.keys.poling == "x":
-            raise UsageError(
+            raise part.wrong(
+                "poling",
                 "the top of a stack that shears moves sideways: nothing can press on it",
-                where=f"{part.name}.poling",
-                got="x",
-                expected="z under a contact",
+                "x",
+                "z under a contact",
             )
         shape, radii = pressure_hats(part, scene), ring_radii(part.keys)
-        if shape is not None:
-            return Surface(
-                (PATCH,),
-                (PATCH,),
-                (PATCH,),
-                (0.0,),
-                sectors=SECTORS,
-                patch=float(shape.nodes[-1]),
-                dents=lambda hats: _dents(part, hats),
-            )
-        names = ports or tuple(f"ring{k}" for k in range(len(radii)))
-        distance = tuple(float(radii[_ring(part, name)]) for name in names)
-        return Surface(names, names, names, distance, sectors=SECTORS)
+        modulus = self.indentation_modulus(part)
+        if shape is None:
+            names = ports or tuple(f"ring{k}" for k in range(len(radii)))
+            distance = tuple(float(radii[_ring(part, name)]) for name in names)
+            return Surface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
+        return Surface(
+            part.name,
+            (PATCH,),
+            (0.0,),
+            sectors=SECTORS,
+            patch=float(shape.nodes[-1]),
+            dents=partial(_dents, part),
+            modulus=modulus,
+        )
 
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.
@@ -223,12 +227,12 @@ class PiezoStack(MeshedBody):
     def watch(self, part: Part, scene: Scene) -> Watch:
         return STRIKING if _downwards(part) else super().watch(part, scene)
 
-    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
             why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
-            yield Reach(SWING * stroke, why)
+            yield Penetration(SWING * stroke, why)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         keys = part.keys
@@ -282,7 +286,7 @@ class PiezoStack(MeshedBody):
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             found["kick_voltage_peak_v"] = float(np.abs(waves[f"{part.name}.voltage"]).max())
             if current is not None:
-                charge = np.cumsum(np.diff(waves["time"]) * (current[1:] + current[:-1]) / 2)
+                charge = running(current, waves["time"])
                 found["kick_current_peak_a"] = float(np.abs(current).max())
                 found["kick_charge_peak_c"] = float(np.abs(charge).max())
         return found
@@ -310,53 +314,35 @@ class PiezoStack(MeshedBody):
     def indentation_modulus(self, part: Part) -> float:
         return top_material(part.keys).indentation_modulus
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys, rom = part.keys, self.reduction(part, scene)
-        target = (
-            f"order {rom.order}"
-            if rom.order is not None
-            else f"as many states as keep the error below {rom.tolerance:g}"
-        )
-        low, high = rom.band
         ports = f"{kept_rings(part, scene)} rings as ports"
         if pressure_hats(part, scene) is not None:
             ports = "a patch of pressure as port"
-        detail = (
-            f"quarter chip, {keys.layers} layers, {mounted(keys)}, "
-            f"reduced to {target}, band {low:g} … {high:g} Hz, anode {keys.electrical}, "
-            f"{ports}"
-        )
-        return Modelled(part.name, "FE (piezoelectric, linear)", detail)
+        detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
+        return f"{detail}anode {keys.electrical}, {ports}"
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         yield from self.unfollowed(part, scene)
-        yield LeftOut("electrodes, coating and glue", "thin and compliant", "not estimated")
+        yield Neglected("electrodes, coating and glue", "thin and compliant", "not estimated")
         if part.keys.mounting == "roller":
-            yield LeftOut(
-                f"what holds {part.name}",
-                "its bottom face slides without friction on a plane",
-                f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, first "
-                "resonance +14 %",
-            )
-        yield LeftOut("hysteresis and depolarisation", "linear material law", "not estimated")
+            why = "its bottom face slides without friction on a plane"
+            error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
+            yield Neglected(f"what holds {part.name}", why, error + "first resonance +14 %")
+        yield Neglected("hysteresis and depolarisation", "linear material law", "not estimated")
         if part.keys.fields and pressure_hats(part, scene) is not None:
-            yield LeftOut(
-                f"tension around the contact on {part.name}",
-                "its own mesh is too coarse for it; pressure and shear are those of a graded one",
-                "not estimated",
-            )
+            why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
+            yield Neglected(f"tension around the contact on {part.name}", why, "not estimated")
         if (several := part.keys.mesh.layers_per_element) > 1:
-            yield LeftOut(
-                f"layers of {part.name} within an element",
-                f"{several} layers share one: mesh.layers_per_element",
-                f"{(several / part.keys.layers) ** 2:.2g} of the first resonances, at most; stroke "
-                "and capacitance are those of the layers",
-            )
+            why = f"{several} layers share one: mesh.layers_per_element"
+            error = f"{(several / part.keys.layers) ** 2:.2g} of the first resonances, at most; "
+            error += "stroke and capacitance are those of the layers"
+            yield Neglected(f"layers of {part.name} within an element", why, error)
         kept, every = kept_rings(part, scene), rings(part)
         if kept < every and pressure_hats(part, scene) is None:
             effect = f"{part.name}: ports at ring{kept}"
             effect += f" to ring{every - 1}" if kept + 1 < every else ""
-            yield LeftOut(effect, "nothing of the scene needs them", "checked after the run")
+            yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
 def _kick_speed(part: Part, scene: Scene) -> float | None:
@@ -392,7 +378,9 @@ def _damped(part: Part) -> float:
 
 def mounted(keys: Chip) -> str:
     """What holds the bottom face, and what else is not the plain stack, in words."""
-    said = [_held(keys)]
+    said = [HELD.get(str(keys.mounting), "")]
+    if isinstance(keys.mounting, float):
+        said = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
     if keys.poling == "x":
         said.append("poled along x: it shears")
     for place, cap in (("below", keys.bottom_cap), ("on top", keys.top_cap)):
@@ -405,25 +393,14 @@ def mounted(keys: Chip) -> str:
     return ", ".join(said)
 
 
-def _held(keys: Chip) -> str:
-    if isinstance(keys.mounting, float):
-        return f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"
-    words = {
-        "roller": "frictionless roller under its bottom face",
-        "glued": "bottom face glued down, u = 0",
-        "free": "nothing holds its bottom face",
-    }
-    return words[keys.mounting]
-
-
 def chip_of(keys: Stack) -> Chip:
     """What the FE model depends on: pulse, driver and electrical boundary act on the circuit."""
     given = Chip.model_fields.keys() & keys.model_fields_set
     return Chip(**{name: getattr(keys, name) for name in given})
 
 
-def pressure_hats(part: Part, scene: Scene) -> Hats | None:
-    """Hats of pressure on the top where a contact wants them, as far out as the rings are."""
+def pressure_hats(part: Part, scene: Scene) -> PressureBasis | None:
+    """Pressure on the top where a contact asks for it, as far out as the rings are."""
     for contact in scene.of("contact"):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import hats
@@ -439,19 +416,9 @@ def ring_radii(keys: Chip) -> np.ndarray:
 
 def kept_rings(part: Part, scene: Scene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants."""
-    wanted = [
-        _ring(part, name.partition(".")[2])
-        for other in scene.parts.values()
-        for name in (*other.pins.values(), *other.type.wants(other, scene))
-        if name.startswith(f"{part.name}.ring")
-    ]
-    wanted += [_ring(part, pin) for pin in part.pins if pin.startswith("ring")]
-    wanted += [
-        _ring(part, probe.of.rpartition(".")[2])
-        for probe in scene.probes.values()
-        if probe.of.startswith((f"{part.name}.u.ring", f"{part.name}.ring"))
-    ]
-    return 1 + max(wanted, default=-1)
+    probed = {p.of.split(".")[1] for p in scene.probes.values() if p.of.startswith(f"{part.name}.")}
+    names = wanted(part, scene) | probed
+    return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
 
 
 def rings(part: Part) -> int:
@@ -462,11 +429,8 @@ def rings(part: Part) -> int:
 def _ring(part: Part, name: str) -> int:
     match, count = re.fullmatch(r"ring(\d{1,3})", name), rings(part)
     if match is None or int(match[1]) >= count:
-        raise UsageError(
-            f"{part.name} has no such port",
-            where=part.name,
-            got=repr(name),
-            expected=f"ring0 to ring{count - 1}",
+        raise part.wrong(
+            "", f"{part.name} has no such port", repr(name), f"ring0 to ring{count - 1}"
         )
     return int(match[1])
 
@@ -476,10 +440,8 @@ def highest_voltage(part: Part, scene: Scene) -> float:
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
-    sources = [p for p in scene.of("source") if p.keys.kind == "voltage"]
-    tops = [
-        float(np.abs(np.array(p.keys.waveform(scene.home).points)[:, 1]).max()) for p in sources
-    ]
+    waves = [p.keys.waveform(scene.home) for p in scene.of("source") if p.keys.kind == "voltage"]
+    tops = [float(np.abs(np.array(wave.points)[:, 1]).max()) for wave in waves]
     rails = [p.keys.rail for p in scene.of("half_bridge", "amplifier", "charge_drive")]
     return max([*tops, *rails], default=0.0)
 
@@ -487,100 +449,57 @@ def highest_voltage(part: Part, scene: Scene) -> float:
 def free_stroke(keys: Chip, voltage: float) -> float:
     """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
     one that shears."""
-    C, e, _ = keys.material.tensors()
     axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
-    return keys.layers * abs(np.linalg.solve(C, e[axis])[strain] * voltage)
+    return keys.layers * abs(_ceramic(keys.material).d[axis, strain] * voltage)
 
 
 def top_material(keys: Chip) -> Material:
     """What something on the top face presses on."""
     if keys.top_cap is not None and keys.top_cap.material is not None:
         return material(keys.top_cap.material, "top_cap.material")
-    return Material("ceramic", keys.material.density, *keys.material.tensors())
+    return _ceramic(keys.material)
 
 
-def _driver(
-    part: Part, kind: str, table: Mapping[str, Any], data: Mapping[str, Any]
-) -> dict[str, Any]:
-    pins = {"out": f"{part.name}.anode"}
-    if kind == "charge":
-        pins = {"anode": f"{part.name}.anode", "cathode": f"{part.name}.cathode"}
-    if kind in ("user", "netlist"):
-        file = table.get("file") or first_netlist(f"{part.name}.driver.{kind}", data)
-        return {**table, "file": file, "pins": pins}
-    return {**table, "pins": pins}
-
-
-def _driver_type(part: Part, kind: str) -> str:
-    known = {"charge": "charge_drive", "user": "netlist"}
-    known |= {name: name for name in ("half_bridge", "amplifier", "charge_drive", "netlist")}
-    if kind not in known:
-        raise UsageError(
-            "no such driver",
-            where=f"{part.name}.driver",
-            got=repr(kind),
-            expected="one of half_bridge, amplifier, charge, user",
-        )
-    return known[kind]
+@lru_cache(maxsize=8)
+def _ceramic(material: Ceramic) -> Material:
+    """For stress and coupling alone, whatever its permittivity."""
+    return material.model_copy(update={"permittivity_at": "strain"}).build()
 
 
 def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
-    keys = part.keys
-    outermost = keys.mesh.rings * keys.mesh.ring_spacing
-    half = min(keys.half)
+    keys, drive = part.keys, part.keys.drive
+    outermost, half = keys.mesh.rings * keys.mesh.ring_spacing, min(keys.half)
     if outermost >= half:
-        yield UsageError(
-            f"the outermost of {keys.mesh.rings} contact rings lies beyond the chip",
-            where=f"{part.name}.mesh.ring_spacing",
-            got=f"ring radius {outermost:g} m",
-            expected=f"less than half the chip's smaller side, {half:g} m",
-        )
+        problem = f"the outermost of {keys.mesh.rings} contact rings lies beyond the chip"
+        expected = f"less than half the chip's smaller side, {half:g} m"
+        yield part.wrong("mesh.ring_spacing", problem, f"ring radius {outermost:g} m", expected)
     c11, c12, c13, c33, c44, c66 = keys.material.stiffness
     if min(c11 - c12, (c11 + c12) * c33 - 2 * c13**2, c33, c44, c66) <= 0:
         limit = "C11 > |C12|, (C11 + C12) C33 > 2 C13^2, C33, C44 and C66 > 0"
-        yield UsageError(
-            "no such material", where=f"{part.name}.material.stiffness", expected=limit
-        )
+        yield part.wrong("material.stiffness", "no such material", expected=limit)
     if keys.mounting == "free" and scene.of("contact") and scene.analysis.type == "transient":
-        yield UsageError(
-            "nothing holds the chip under what rests on it",
-            where=f"{part.name}.mounting",
-            got="free",
-            expected="roller, glued or a stiffness per area",
-        )
-    mesh = keys.mesh
-    if keys.fields and (mesh.order != 1 or mesh.layers_per_element != 1):
-        yield UsageError(
-            "fields need linear elements of one layer each",
-            where=f"{part.name}.mesh",
-            got=f"order {mesh.order}, layers_per_element {mesh.layers_per_element}",
-            expected="order = 1, layers_per_element = 1",
-        )
-    drive = keys.drive
+        problem = "nothing holds the chip under what rests on it"
+        yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
+    order, several = keys.mesh.order, keys.mesh.layers_per_element
+    if keys.fields and (order != 1 or several != 1):
+        problem = "fields need linear elements of one layer each"
+        got = f"order {order}, layers_per_element {several}"
+        yield part.wrong("mesh", problem, got, "order = 1, layers_per_element = 1")
     if keys.driver and keys.electrical != "driven":
-        yield UsageError(
-            "the chip's electrodes are not driven",
-            where=f"{part.name}.driver",
-            got=keys.electrical,
-            expected=f"{part.name}.electrical = 'driven'",
-        )
+        expected = f"{part.name}.electrical = 'driven'"
+        problem = "the chip's electrodes are not driven"
+        yield part.wrong("driver", problem, keys.electrical, expected)
     if drive is None:
         return
     if drive.edge > drive.width:
-        yield UsageError(
-            "the edges of the pulse are longer than the pulse",
-            where=f"{part.name}.drive.edge",
-            got=f"{drive.edge:g} s",
-            expected=f"at most {part.name}.drive.width, {drive.width:g} s",
-        )
+        problem = "the edges of the pulse are longer than the pulse"
+        expected = f"at most {part.name}.drive.width, {drive.width:g} s"
+        yield part.wrong("drive.edge", problem, f"{drive.edge:g} s", expected)
     late = scene.analysis.type == "transient" and drive.start >= scene.stop
     if keys.electrical == "driven" and late:
-        yield UsageError(
-            "the kick starts after the simulation ends",
-            where=f"{part.name}.drive.start",
-            got=f"{drive.start:g} s",
-            expected=f"before the end of the simulation, {scene.stop:g} s",
-        )
+        expected = f"before the end of the simulation, {scene.stop:g} s"
+        problem = "the kick starts after the simulation ends"
+        yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
 
 
 # The last chip stays in memory: the next scene often asks for another reduction of the same one.
@@ -591,12 +510,12 @@ def _device(chip: Chip, breakdown: float) -> Device:
     return stack_device(chip, breakdown)
 
 
-def _dents(part: Part, shape: Hats) -> Dents:
+def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:
     found = _pressed(chip_of(part.keys), shape)
-    return Dents(found.compliance, found.patch, part.keys.damping.beta)
+    return LocalCompliance(found.compliance, found.patch, part.keys.damping.beta)
 
 
-def _pressed(chip: Chip, shape: Hats) -> Pressed:
+def _pressed(chip: Chip, shape: PressureBasis) -> Pressed:
     from kc2spice.bodies.pressure import Pressed, pressed
 
     found, _ = cached(
@@ -609,7 +528,7 @@ def _pressed(chip: Chip, shape: Hats) -> Pressed:
     return found
 
 
-def _hatted(chip: Chip, shape: Hats) -> dict[str, Any]:
+def _hatted(chip: Chip, shape: PressureBasis) -> dict[str, Any]:
     """What the statics of a chip under hats depend on."""
     own = chip.model_dump(mode="json", exclude={"damping"})
     return {"chip": own, "hats": shape.nodes.tolist()}

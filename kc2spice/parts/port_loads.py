@@ -16,9 +16,9 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
-from kc2spice.scene.gates import Gate
-from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
+from kc2spice.scene.judge import PAIRS, Gate
+from kc2spice.scene.model import Analysis, Part, Scene
+from kc2spice.scene.parttype import Build, PartType, Vector, register
 
 SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
 
@@ -36,7 +36,7 @@ class PortLoads(PartType):
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
-    analysis_type = "ac"
+    source = "unit loads"
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
         keys = part.keys
@@ -46,26 +46,24 @@ class PortLoads(PartType):
     def excites(self, part: Part, scene: Scene) -> bool:
         return True
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return ()
-
-    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
+    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
         body = body_of(part, scene)
         surface = body.type.surface(body, scene)
-        return tuple(f"{body.name}.{port}" for port in (surface.ports if surface else ()))
+        ports = surface.ports if surface else ()
+        return {f"{body.name}.{port}": False for port in ports}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
-            yield UsageError(
+            yield part.wrong(
+                "stop",
                 "empty frequency range",
-                where=f"{part.name}.stop",
-                got=f"{part.keys.start:g} … {part.keys.stop:g} Hz",
-                expected="start < stop",
+                f"{part.keys.start:g} … {part.keys.stop:g} Hz",
+                "start < stop",
             )
 
-    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
-        return {body_of(part, build.scene).name: ()}
+    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        return (body_of(part, scene).name,)
 
     def own_names(self, part: Part, scene: Scene) -> Iterator[tuple[str, ...]]:
         rings = _rings(body_of(part, scene), scene)
@@ -129,11 +127,7 @@ class PortLoads(PartType):
         """What was asked of the reduction bounds what it may cost."""
         gates, asked = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, asked.tolerance or gates.harmonic_rom)
-        limits = {
-            "rom_vs_fom": rom,
-            "ngspice_vs_rom": gates.harmonic_ngspice,
-            "ngspice_vs_fom": rom,
-        }
+        limits = dict.fromkeys(PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
@@ -182,10 +176,9 @@ class PortLoads(PartType):
             results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(found), (), results, nets=tuple(nets))
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        detail = f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
-        return Modelled(part.name, "unit loads", detail)
+        return f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
 
 
 def body_of(part: Part, scene: Scene) -> Part:
@@ -199,13 +192,9 @@ def body_of(part: Part, scene: Scene) -> Part:
         return scene.part(part.keys.of, f"{part.name}.of")
     found = [p for p in scene.parts.values() if p.type.reduced]
     if len(found) != 1:
-        raise UsageError(
-            f"{part.name} needs to know which body it loads",
-            where=f"{part.name}.of",
-            got=", ".join(p.name for p in found) or "no body",
-            expected="the name of a body",
-            hint="add [kick]; an empty table takes the defaults",
-        )
+        problem = f"{part.name} needs to know which body it loads"
+        got, hint = ", ".join(p.name for p in found) or "no body", "add [kick]; an empty table "
+        raise part.wrong("of", problem, got, "the name of a body", hint + "takes the defaults")
     return found[0]
 
 

@@ -13,9 +13,9 @@ from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.contact import unresolved
 from kc2spice.parts.throw import sectors, sphere
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.judge import Gate, Measure
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, Vector, register
+from kc2spice.scene.parttype import Build, PartType, Penetration, Swept, Vector, register
 
 
 class PushKeys(Section):
@@ -30,20 +30,15 @@ class Push(PartType):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
-    analysis_type = "dc"
+    source = "prescribed"
+    fixed = (Terminal("bottom", "um", "-", signal_out=True), Terminal("v", "m/s", "N", "gnd"))
 
     def analysis(self, part: Part, scene: Scene) -> Analysis:
         points = part.keys.steps + 1
         return Analysis(type="dc", sweep=f"{part.name}.depth", points=points)
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (
-            Terminal("bottom", "um", "-", signal_out=True),
-            Terminal("v", "m/s", "N", "gnd"),
-        )
-
-    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return (sphere(part, scene).name,)
+    def moves(self, part: Part, scene: Scene) -> Mapping[str, None]:
+        return {sphere(part, scene).name: None}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         ball = sphere(part, scene)
@@ -54,39 +49,35 @@ class Push(PartType):
                 hint="add [contact]; an empty table takes the defaults",
             )
         if part.keys.depth >= ball.keys.radius:
-            yield UsageError(
+            yield part.wrong(
+                "depth",
                 "deeper than the sphere's radius",
-                where=f"{part.name}.depth",
-                got=f"{part.keys.depth:g} m",
-                expected=f"less than {ball.keys.radius:g} m",
+                f"{part.keys.depth:g} m",
+                f"less than {ball.keys.radius:g} m",
             )
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return (f"V{part.name} {build.net(part, 'bottom')} 0 0",)
 
-    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
-        return (f"V{part.name}", -1e6) if key == "depth" else None
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+        return {"depth": Swept(f"V{part.name}", -1e6, (0.0, part.keys.depth))}
 
-    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float]:
-        return (0.0, part.keys.depth)
-
-    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
-        yield Reach(part.keys.depth, f"{part.name}.depth", prescribed=True)
+    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
+        yield Penetration(part.keys.depth, f"{part.name}.depth", prescribed=True)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
 
     def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+        contact = scene.only("contact")
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
-        if _pressed(scene):
+        if contact is not None and contact.keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"
+        pivots = "rings close during the sweep; pivots of an open ring lose half the digits"
         return {
             "reltol": last,
             "vntol": ("1e-12", "displacements to a picometre's millionth"),
-            "pivrel": (
-                "0.9",
-                "rings close during the sweep; pivots of an open ring lose half the digits",
-            ),
+            "pivrel": ("0.9", pivots),
         }
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
@@ -111,13 +102,8 @@ class Push(PartType):
             "ngspice_vs_rom": gates.imprint_ngspice,
             "ngspice_vs_fom": max(gates.imprint_ngspice, hats),
         }
-        yield Gate(
-            "static force",
-            f"{contact.name}.force",
-            limits,
-            "largest" if hats else "relative",
-            leads=True,
-        )
+        measure: Measure = "largest" if hats else "relative"
+        yield Gate("static force", f"{contact.name}.force", limits, measure, leads=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n = part.name
@@ -125,14 +111,9 @@ class Push(PartType):
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        return Modelled(part.name, "prescribed", f"{keys.steps} steps down to {keys.depth:g} m")
-
-
-def _pressed(scene: Scene) -> bool:
-    contact = scene.only("contact")
-    return contact is not None and contact.keys.shape == "pressure"
+        return f"{keys.steps} steps down to {keys.depth:g} m"
 
 
 register(Push())

@@ -9,21 +9,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from kc2spice.core.quantities import (
-    Frequency,
-    Resistance,
-    Section,
-    Time,
-    Voltage,
-)
-from kc2spice.netlist.circuit import Subcircuit, positive
+from kc2spice.core.quantities import Frequency, Resistance, Section, Time, Voltage
+from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.parts import _driver_checks as driver
-from kc2spice.parts._drivers import (
-    CARRIER,
-    CoilDriver,
-    Load,
-    rendered_driver,
-)
+from kc2spice.parts._drivers import CARRIER, CoilDriver, Load, parameters
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
@@ -38,7 +27,7 @@ DUTY = 0.1  # of the rail, on average: an edge lies anywhere within a time step
 class PwmKeys(Section):
     """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
 
-    rail: Voltage = Field(100.0, gt=0)
+    rail: Voltage = Field(100.0, gt=0, description="supply of the bridge")
     frequency: Frequency = Field(100e3, gt=0, description="of the carrier")
     bandwidth: Frequency = Field(10e3, gt=0, description="of the current loop")
     resistance: Resistance = Field(0.5, gt=0, description="of each switch when on")
@@ -48,13 +37,23 @@ class PwmKeys(Section):
 class PwmDrive(CoilDriver):
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
+    circuit, heading, opamp = "pwm", "H-bridge for the coils", "pole"
 
-    def library(self, part: Part, scene: Scene) -> str:
-        return "pwm" if len(scene.of(self.name)) == 1 else part.name
-
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name, load = build.libraries[part.name], self.load(part, build)
-        return (pwm_subcircuit(header, part.keys, load, name),)
+    def for_load(self, header: Header, keys: Any, load: Load, name: str) -> Subcircuit:
+        resistance = load.resistance + 2 * keys.resistance + SHUNT
+        r2 = 1e5 * 2 * math.pi * keys.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
+        return self.subcircuit(
+            header,
+            name,
+            parameters(keys, "rail", "frequency", "resistance", "edge"),
+            sense=SENSE,
+            inductance=load.inductance,
+            resistance=resistance,
+            bandwidth=keys.bandwidth,
+            carrier=CARRIER,
+            r2=r2,
+            c1=load.inductance / resistance / r2,
+        )
 
     def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
         f, edge = part.keys.frequency, part.keys.edge
@@ -91,40 +90,16 @@ class PwmDrive(CoilDriver):
         resistance = load.resistance + 2 * keys.resistance + SHUNT
         lasting = (1 + 1 / ratio) * load.inductance / resistance
         seen, command, rails = SENSE * SHUNT * wave["i"], wave["command"], HEADROOM * CARRIER
+        wanted = (1 + ratio) * command - ratio * seen
+        # Middles of the steps: an integral of their beginnings drifts away with the ripple.
+        meant, mean = ((v + np.append(v[1:], v[-1])) / 2 for v in (wanted, seen))
         u, held = np.empty_like(time), 0.0  # V, of the integral's capacitor
         for k, step in enumerate(np.diff(time, append=time[-1])):
-            u[k] = np.clip((1 + ratio) * command[k] - ratio * seen[k] - held, -rails, rails)
-            held += step * (seen[k] - u[k] - held) / lasting
+            u[k] = np.clip(wanted[k] - held, -rails, rails)
+            held += step * (mean[k] - np.clip(meant[k] - held, -rails, rails) - held) / lasting
         triangle = 2 * CARRIER / math.pi * np.arcsin(np.sin(2 * math.pi * keys.frequency * time))
         steep = 2 * CARRIER * keys.frequency * keys.edge
         return np.asarray(0.5 + 0.5 * np.clip((u - triangle) / steep, -1.0, 1.0))
-
-
-def pwm_subcircuit(header: Header, drive: PwmKeys, load: Load, name: str = "pwm") -> Subcircuit:
-    """Coil current ``V(command) / 100 Ohm`` from an H-bridge."""
-    resistance = load.resistance + 2 * drive.resistance + 1.0
-    r2 = 1e5 * 2 * math.pi * drive.bandwidth * load.inductance * CARRIER / SENSE  # Ohm V
-    params = (
-        positive("rail", drive.rail, "V", "supply of the bridge"),
-        positive("frequency", drive.frequency, "Hz", "of the carrier"),
-        positive("resistance", drive.resistance, "Ohm", "of each switch when on"),
-        positive("edge", drive.edge, "s", "of the switched voltage"),
-    )
-    return rendered_driver(
-        header,
-        "pwm",
-        name,
-        "H-bridge for the coils",
-        params,
-        ("drive", "ret"),
-        sense=SENSE,
-        inductance=load.inductance,
-        resistance=resistance,
-        bandwidth=drive.bandwidth,
-        carrier=CARRIER,
-        r2=r2,
-        c1=load.inductance / resistance / r2,
-    )
 
 
 register(PwmDrive())

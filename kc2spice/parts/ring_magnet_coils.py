@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -24,31 +25,31 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnetics.cubics import cubic_spline
 from kc2spice.fem.magnetics.keys import Catch, Ring
 from kc2spice.fem.magnetics.table import (
+    FORCE,
     EMTable,
-    current_pairs,
-    em_cases,
     force,
     inductances,
 )
 from kc2spice.netlist.cards import number
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.render import render
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.parts import sphere as spheres
-from kc2spice.parts.contact import fall, landing, moved_by
-from kc2spice.parts.netlist import first_netlist
+from kc2spice.parts._pictures import impedances
+from kc2spice.parts.contact import fall, landing
+from kc2spice.parts.netlist import driver
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    LeftOut,
-    Modelled,
+    Neglected,
     PartType,
-    Reach,
+    Penetration,
     Vector,
+    mover,
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 MU_0 = 4e-7 * np.pi  # H/m
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
@@ -57,7 +58,6 @@ UNRATED = "not known; compare the coils' currents with what their wire stands"
 DENSER = 4  # heights of the table that the shipped one is compared with, per interval
 POINTS = 201  # of each lookup: 6e-6 of the largest force between them
 COARSE = 1e-2  # of the largest force; the spline between the table's heights may miss as much
-FINE = 40  # places in every cell of a lookup at which its error is measured
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
 NEGLIGIBLE = 1e-6  # share of the largest force below which a coefficient is left out
 
@@ -78,51 +78,54 @@ class Coils(Catch):
 class Term:
     """One summand of the force: a function of height times ``currents``.
 
-    The function is the sum of the table's coefficients, each times its entry in ``weights``.
+    The function is the sum of the table's coefficients, each times its entry in ``weights`` (6,).
     """
 
     name: str
     currents: tuple[str, ...]
-    weights: dict[str, float]
+    weights: tuple[float, ...]
 
     def of(self, values: np.ndarray) -> np.ndarray:
-        """The function where the table's coefficients are ``values``, (positions, 6)."""
-        return np.asarray(
-            sum(w * values[:, COEFFICIENTS.index(k)] for k, w in self.weights.items())
-        )
+        """The function where the table's coefficients are ``values`` (positions, 6)."""
+        parts = (w * values[:, k] for k, w in enumerate(self.weights) if w)
+        return np.asarray(sum(parts))
+
+    @property
+    def factor(self) -> str:
+        """The currents on a card, in front of the function."""
+        return "".join(f"V({i})*" for i in self.currents)
 
 
-COEFFICIENTS = ("c0", "c1", "c2", "c11", "c12", "c22")
-SEPARATE = (
-    Term("c0", (), {"c0": 1.0}),
-    Term("c1", ("i1",), {"c1": 1.0}),
-    Term("c2", ("i2",), {"c2": 1.0}),
-    Term("c11", ("i1", "i1"), {"c11": 1.0}),
-    Term("c12", ("i1", "i2"), {"c12": 1.0}),
-    Term("c22", ("i2", "i2"), {"c22": 1.0}),
+PRODUCTS = ((), ("i1",), ("i2",), ("i1", "i1"), ("i1", "i2"), ("i2", "i2"))
+SEPARATE = tuple(
+    Term(name, currents, tuple(row))
+    for name, currents, row in zip(FORCE, PRODUCTS, np.eye(6), strict=True)
 )
 # One current i through both coils, i2 = i and i1 = -i, as the control loop wires them.
 SERIES = (
-    Term("c0", (), {"c0": 1.0}),
-    Term("d1", ("i",), {"c2": 1.0, "c1": -1.0}),
-    Term("d2", ("i", "i"), {"c11": 1.0, "c12": -1.0, "c22": 1.0}),
+    Term("c0", (), (1, 0, 0, 0, 0, 0)),
+    Term("d1", ("i",), (0, -1, 1, 0, 0, 0)),
+    Term("d2", ("i", "i"), (0, 0, 0, 1, -1, 1)),
+)
+UNITS = {"c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m"} | dict.fromkeys(
+    ("c11", "c12", "c22"), "N/A^2"
 )
 
-PLACE = (Pin("y", "um", "-"), Pin("v", "m/s", "N"), Pin("base", "um", "N"))
-PINS = (
-    Pin("lp", "V", "A"), Pin("ln", "V", "A"), Pin("up", "V", "A"), Pin("un", "V", "A"), *PLACE,
-)  # fmt: skip
-SERIES_PINS = (Pin("drive", "V", "A"), Pin("ret", "V", "A"), *PLACE)
+PLACE = Terminal("y", "um", "-"), Terminal("v", "m/s", "N"), Terminal("base", "um", "N", "gnd")
+ENDS = ("lp", "ln", "up", "un")  # of the lower and the upper coil
+PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
+SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 
 
 @dataclass(frozen=True)
-class _Coefficient:
-    """One B source: its name, the currents in front of it, the lines of its two lookups."""
+class Lookup:
+    """A function of the height as the lines of its two tables, see :func:`smooth`."""
 
     name: str
-    factor: str
     values: list[str]
     bends: list[str]
+    factor: str = ""  # in front of it
+    doc: str = ""
 
 
 def _validity(table: EMTable) -> str:
@@ -147,9 +150,14 @@ def _rating(keys: Coils) -> str:
     )
 
 
+def coefficients(table: EMTable) -> np.ndarray:
+    """The force's coefficients (positions, 6) in the order of :data:`FORCE`."""
+    return np.column_stack([getattr(table, name) for name in FORCE])
+
+
 def significant(table: EMTable, current: float, terms: tuple[Term, ...]) -> list[Term]:
     """The terms that matter up to ``current`` [A], in their order."""
-    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    values = coefficients(table)
     share = [float(np.abs(t.of(values)).max()) * current ** len(t.currents) for t in terms]
     return [t for t, size in zip(terms, share, strict=True) if size > NEGLIGIBLE * max(share)]
 
@@ -174,35 +182,32 @@ def catch_subcircuit(
     current : largest coil current [A] that the circuit drives; decides what is negligible.
     points : heights of the resampled lookups, equally spaced over the table.
     """
-    params, pins = coil_resistances(table), SERIES_PINS if series else PINS
-    title = f"{name}: electromagnetic catch actuator"
     terms = SERIES if series else SEPARATE
     kept = significant(table, current, terms)
     height = np.linspace(table.y[0], table.y[-1], points)
     values = table.splines(height)
-    text = render(
-        "catch.j2",
-        header=part_header(header, title, pins, params, validity=_validity(table), rating=rating),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
+    return library(
+        "catch",
+        header,
+        name,
+        "electromagnetic catch actuator",
+        SERIES_PINS if series else PINS,
+        coil_resistances(table),
+        validity=_validity(table),
+        rating=rating,
         series=series,
-        points=points,
-        lowest=1e6 * height[0],
-        spacing=1e6 * (height[1] - height[0]),
+        **_grid(height),
         law=" + ".join(" ".join((f"{term.name}(y)", *term.currents)) for term in terms),
         left_out=[term.name for term in terms if term not in kept],
         negligible=NEGLIGIBLE,
-        coefficients=[
-            _Coefficient(
-                term.name,
-                "".join(f"V({i})*" for i in term.currents),
-                *smooth(term.of(values)),
-            )
-            for term in kept
-        ],
+        coefficients=[Lookup(t.name, *smooth(t.of(values)), t.factor) for t in kept],
     )
-    return Subcircuit(name, pins, params, text)
+
+
+def _grid(height: np.ndarray) -> dict[str, Any]:
+    """Heights of the lookups [um], as the templates ask for them."""
+    spacing = 1e6 * (height[1] - height[0])
+    return {"points": height.size, "lowest": 1e6 * height[0], "spacing": spacing}
 
 
 def coil_resistances(table: EMTable) -> tuple[Param, ...]:
@@ -266,31 +271,6 @@ def _corners(f: np.ndarray, tolerance: float) -> list[int]:
     return [*kept, f.size - 1]
 
 
-_MEANING = {
-    "c0": "N", "c1": "N/A and V s/m", "c2": "N/A and V s/m",
-    "c11": "N/A^2", "c12": "N/A^2", "c22": "N/A^2",
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Coil:
-    k: int
-    name: str
-    plus: str
-    minus: str
-    own: float  # mean of henry times the inverse of L on the diagonal
-
-
-@dataclass(frozen=True)
-class _Function:
-    """A function of the height on its own node, so that force and back-EMF share it."""
-
-    name: str
-    doc: str
-    values: list[str]
-    bends: list[str]
-
-
 def coil_subcircuit(
     header: Header,
     table: EMTable,
@@ -305,113 +285,79 @@ def coil_subcircuit(
     the magnets' part of the flux enters as ``c_k(y) v`` with the force's own coefficient, which
     closes the energy balance whatever the lookup's error. Pins as those of the ideal catch.
     """
-    params = coil_resistances(table)
     height = np.linspace(table.y[0], table.y[-1], points)
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(inductances(table, height))
-    splines = dict(zip(COEFFICIENTS, table.splines(height).T, strict=True))
-    functions = [_Function(n, f"{n}(y): {_MEANING[n]}", *smooth(splines[n])) for n in COEFFICIENTS]
-    usual = inverse.mean(axis=0)
-    functions += [
-        _Function(
-            f"g{k}{l}",
-            f"g{k}{l}(y): {henry:.6g} H times the inverse of L, less its mean",
-            *smooth((inverse - usual)[:, k - 1, l - 1]),
-        )
-        for k, l in ((1, 1), (1, 2), (2, 2))
+    usual, splines = inverse.mean(axis=0), table.splines(height)
+    functions = [
+        Lookup(n, *smooth(splines[:, k]), doc=f"{n}(y): {UNITS[n]}") for k, n in enumerate(FORCE)
     ]
-    text = render(
-        "coil.j2",
-        header=part_header(
-            header,
-            f"{name}: catch actuator with real coils",
-            PINS,
-            params,
-            validity=_validity(table),
-            rating=rating,
-        ),
-        name=name,
-        pins=[pin.name for pin in PINS],
-        parameters=parameter_list(params),
-        points=points,
-        lowest=1e6 * height[0],
-        spacing=1e6 * (height[1] - height[0]),
+    for k, l in ((0, 0), (0, 1), (1, 1)):
+        g = f"g{k + 1}{l + 1}"
+        doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
+        functions.append(Lookup(g, *smooth((inverse - usual)[:, k, l]), doc=doc))
+    return library(
+        "coil",
+        header,
+        name,
+        "catch actuator with real coils",
+        PINS,
+        coil_resistances(table),
+        validity=_validity(table),
+        rating=rating,
+        **_grid(height),
         henry=henry,
         coils=[
-            _Coil(1, "lower", "lp", "ln", usual[0, 0]),
-            _Coil(2, "upper", "up", "un", usual[1, 1]),
+            {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": usual[0, 0]},
+            {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": usual[1, 1]},
         ],
         mutual=usual[0, 1],
         functions=functions,
     )
-    return Subcircuit(name, PINS, params, text)
 
 
 class RingMagnetCoils(PartType):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
+    source = "FE (magnetostatic, axisymmetric)"
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if part.keys.driver is None:
             return {}
-        driver: dict[str, dict[str, Any]] = part.keys.driver
-        kind, table = next(iter(driver.items()), ("", {}))
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
-        if len(driver) != 1 or kind not in {*known, *known.values()}:
-            raise UsageError(
-                "needs one driver",
-                where=f"{part.name}.driver",
-                got=", ".join(driver),
-                expected="one of " + ", ".join(known),
-            )
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
-        file = {}
-        if kind in ("user", "netlist"):
-            where = f"{part.name}.driver.{kind}"
-            file = {"file": table.get("file") or first_netlist(where, data)}
-        at = (part.name, "driver", kind)
-        chosen = {**table, **file, "part": known.get(kind, kind), "pins": pins, "at": at}
-        return {f"{part.name}_driver": chosen}
+        return {f"{part.name}_driver": {**driver(part, known, data), "pins": pins}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        coils: tuple[Terminal, ...]
-        if real(part, scene):
-            coils = (
-                Terminal("lp", "V", "A"),
-                Terminal("ln", "V", "A", f"{part.name}.un"),
-                Terminal("up", "V", "A"),
-                Terminal("un", "V", "A"),
-            )
-        else:
+        if not real(part, scene):
             rest = None if _driven(part, scene) else "gnd"
-            coils = (Terminal("drive", "V", "A", rest), Terminal("ret", "V", "A", rest))
-        place = (Terminal("y", "um", "-"), Terminal("v", "m/s", "N"))
-        return (*coils, *place, Terminal("base", "um", "N", "gnd"))
+            return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
+        return tuple(
+            replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
+        )
 
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
-        ball = moved_by(sphere_of(part, scene).name, scene)
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
+        ball = sphere_of(part, scene).name
+        ball = mover(ball, scene) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from _problems(part, scene)
-
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
         for coil in ("lower", "upper"):
             body = getattr(keys, coil)
             fill = float(copper / (body.height * (body.outer - body.inner)))
-            why = (
-                f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into {name}.{coil}"
-            )
+            why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
+            why += f"{name}.{coil}"
             yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
         magnet = "no permanent magnet has more"
         yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
         long = "field and force fall off with the fourth power of the distance"
         yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
-    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         sphere = sphere_of(part, scene)
         speed = fall(part.keys.y_max - sphere.keys.radius, scene.gravity)
         yield from landing(sphere, scene, speed, f"fall from {part.name}.y_max")
@@ -427,14 +373,8 @@ class RingMagnetCoils(PartType):
         for kind, ring, text in rows:
             for side in (-1, 1):
                 label = f"{part.name}: {text}" if side > 0 else ""
-                yield Shape(
-                    side * (ring.inner + ring.outer) / 2,
-                    ring.y + keys.shift,
-                    ring.outer - ring.inner,
-                    ring.height,
-                    kind,
-                    label,
-                )
+                x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
+                yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         apart = {"remanence", "shift", "points", "driver", "of", "rated_rise"}
@@ -443,6 +383,9 @@ class RingMagnetCoils(PartType):
 
     def build(self, part: Part, scene: Scene, clock: Any) -> EMTable:
         return self._table(part, scene, clock, part.keys.positions)
+
+    def sources(self) -> tuple[str, ...]:
+        return ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
     def full_model(self, part: Part, build: Build, clock: Any) -> EMTable:
         """A table so dense that its splines interpolate ``DENSER**4`` times better."""
@@ -467,7 +410,7 @@ class RingMagnetCoils(PartType):
             {**key, "catch": {**key["catch"], "positions": count}},
             build,
             classes=(EMTable,),
-            sources=("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__),
+            sources=self.sources(),
         )
         return mounted(table, keys.remanence, keys.shift)
 
@@ -476,35 +419,29 @@ class RingMagnetCoils(PartType):
 
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         table, name = build.model(part), build.libraries[part.name]
-        told: dict[str, Any] = {
-            "points": part.keys.points,
-            "name": name,
-            "rating": _rating(part.keys),
-        }
+        told: dict[str, Any] = {"points": part.keys.points, "rating": _rating(part.keys)}
         if real(part, build.scene):
-            return (coil_subcircuit(header, table, **told),)
-        for other in build.scene.parts.values():
-            pairs = other.type.coil_currents(other, build.scene)
-            if pairs is not None:
-                return (catch_subcircuit(header, table, pairs, **told),)
+            return (coil_subcircuit(header, table, name=name, **told),)
+        for cases in build.scene.of("current_cases"):  # which feeds both coils on their own
+            pairs = max(map(abs, cases.keys.currents))
+            return (catch_subcircuit(header, table, pairs, name=name, **told),)
         current = largest_current(part, build.scene)
-        return (catch_subcircuit(header, table, current, series=True, **told),)
+        return (catch_subcircuit(header, table, current, series=True, name=name, **told),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
             return {}
         prefix, inst = label(part), f"x{part.name.lower()}"
-        if real(part, build.scene):
-            up, lp = build.net(part, "up"), build.net(part, "lp")
-            return {
-                f"{prefix}.lower.current": Vector(f"v({inst}.i1)", 1.0, "A"),
-                f"{prefix}.upper.current": Vector(f"v({inst}.i2)", 1.0, "A"),
-                f"{prefix}.voltage": Vector(f"v({up})-v({lp})", 1.0, "V"),
-            }
-        return {
+        found = {
             f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
         }
+        if real(part, build.scene):
+            for k, name in enumerate(found, 1):
+                found[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
+            up, lp = build.net(part, "up"), build.net(part, "lp")
+            found[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
+        return found
 
     def force_on(self, part: Part, pin: str, build: Build, waves: Waveforms) -> np.ndarray | None:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
@@ -520,13 +457,8 @@ class RingMagnetCoils(PartType):
         prefix, offset = label(part), spheres.offset(part, "y", scene)
         currents = (f"{prefix}.lower.current", f"{prefix}.upper.current")
         if real(part, scene):
-            law = laws.CoilForce(
-                n,
-                force_table(table),
-                np.asarray(table.resistance),
-                np.asarray(table.inductance[0]),
-                offset,
-            )
+            ohms, henries = np.asarray(table.resistance), np.asarray(table.inductance[0])
+            law = laws.CoilForce(n, force_table(table), ohms, henries, offset)
             ends = (("lp", "a1"), ("ln", "b1"), ("up", "a2"), ("un", "b2"), ("y", "y"))
             results = {c: laws.reading(f"{n}.i{k}") for k, c in enumerate(currents, 1)}
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.a2", f"{n}.a1")
@@ -559,39 +491,20 @@ class RingMagnetCoils(PartType):
             advice = "the coils overheat: less current, or thicker wire, or shorter"
             limit = rated_heating(part.keys)
             yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
-        yield Check(
-            f"field of {part.name} between its positions",
-            interpolation_error(build.model(part), largest_current(part, build.scene)),
-            COARSE,
-            "of the largest force",
-            f"too few heights: raise {part.name}.positions",
-            build.scene.checks.range,
-        )
-        advice = "the sphere left the field table: widen {0}.y_min and {0}.y_max, or kick it less"
-        yield Check(
-            "table_left",
-            beyond(build.model(part), y),
-            0.0,
-            "m",
-            advice.format(part.name),
-            build.scene.checks.range,
-        )
+        coarse = interpolation_error(build.model(part), largest_current(part, build.scene))
+        name, action = f"field of {part.name} between its positions", build.scene.checks.range
+        advice = f"too few heights: raise {part.name}.positions"
+        yield Check(name, coarse, COARSE, "of the largest force", advice, action)
+        advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
+        advice += "or kick it less"
+        yield Check("table_left", beyond(build.model(part), y), 0.0, "m", advice, action)
 
-    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
+    def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> tuple[str, ...]:
         table = build.model(part)
-        return {
-            "unknowns": table.unknowns,
-            "force_max_n": float(abs(em_cases(table, current_pairs())).max()),
-            "coil_resistance_ohm": float(table.resistance[0]),
-            "coil_inductance_h": float(table.inductance[:, 0, 0].mean()),
-            "coil_mutual_h": float(table.inductance[:, 0, 1].mean()),
-        }
-
-    def arrays(self, part: Part, build: Build) -> Mapping[str, Mapping[str, Any]]:
-        table = build.model(part)
-        names = ("y", *COEFFICIENTS)
         file = "em_table.npz" if len(build.scene.of(self.name)) == 1 else f"{part.name}_table.npz"
-        return {file: {name: getattr(table, name) for name in names}}
+        arrays = {name: getattr(table, name) for name in ("y", *FORCE)}
+        np.savez_compressed(folder / file, **arrays)
+        return (file,)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         prefix = label(part)
@@ -612,28 +525,28 @@ class RingMagnetCoils(PartType):
             yield coil_impedance(part, build)
         yield force_map(part, build)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         detail = f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if real(part, scene):
             detail += "; coils with R, L(y), M(y) and back-EMF"
-        return Modelled(part.name, "FE (magnetostatic, axisymmetric)", detail)
+        return detail
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
         keys, radius = part.keys, sphere_of(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
-        yield LeftOut(
+        yield Neglected(
             "eddy currents in the sphere",
             f"a poor conductor, {MAGNET_CONDUCTIVITY:g} S/m",
             f"force lags by about {diffusion:.2g} s",
         )
-        yield LeftOut(
+        yield Neglected(
             "the field beyond the air box",
             f"A = 0 at radius {keys.air_radius:g} m",
             f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
         )
         if _driven(part, scene) and not real(part, scene):
-            yield LeftOut(
+            yield Neglected(
                 "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
                 f"real coils must slew {largest_current(part, scene):g} A against L di/dt; L and R "
@@ -671,29 +584,14 @@ def coil_impedance(part: Part, build: Build) -> Figure:
     matrix = inductances(table, 0.5 * (table.y[0] + table.y[-1]))
     each = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
     f = np.geomspace(10.0, 1e5, 201)
-    z = {
-        name: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i)
-        for name, i in each.items()
-    }
-    size = tuple(Curve(name, 1e-3 * f, np.abs(v)) for name, v in z.items())
-    phase = tuple(Curve(name, 1e-3 * f, np.angle(v, deg=True)) for name, v in z.items())
-    return Figure(
-        f"{part.name}_impedance",
-        f"Impedance of {part.name}",
-        f"Magnitude and phase of the coils of {part.name}, the sphere held in the middle of their "
-        "field, capacitance of the windings left out.",
-        (
-            Panel("", "|Z| in Ω", size, log_x=True, log_y=True),
-            Panel("frequency in kHz", "phase in °", phase, log_x=True),
-        ),
-    )
+    z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in each.items()}
+    how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
+    return impedances(part.name, f, z, how + "of the windings left out.")
 
 
 def force_table(table: EMTable) -> laws.ForceTable:
     """The table as the integrator takes it."""
-    return laws.ForceTable(
-        table.y, np.column_stack([getattr(table, name) for name in COEFFICIENTS]), 2
-    )
+    return laws.ForceTable(table.y, coefficients(table), 2)
 
 
 def label(part: Part) -> str:
@@ -708,21 +606,16 @@ def sphere_of(part: Part, scene: Scene) -> Part:
 
 def real(part: Part, scene: Scene) -> bool:
     """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
-    pins = {"lp", "ln", "up", "un"}
-    named = any(
-        target in {f"{part.name}.{pin}" for pin in pins}
-        for other in scene.parts.values()
-        for target in other.pins.values()
-    )
-    return bool(part.keys.driver) or named or bool(pins & set(part.pins))
+    named = any(scene.named(part.name, pin) or pin in part.pins for pin in ENDS)
+    return bool(part.keys.driver) or named
 
 
 def _driven(part: Part, scene: Scene) -> bool:
-    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", "up", "lp", "un", "ln")}
+    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
     joined = (
         target
         for other in scene.parts.values()
-        for target in (*other.pins.values(), *other.type.wants(other, scene))
+        for target in (*other.pins.values(), *other.type.required_joins(other, scene))
     )
     return bool(part.pins) or any(target in targets for target in joined)
 
@@ -732,12 +625,7 @@ def largest_current(part: Part, scene: Scene) -> float:
 
     1 A where something drives the coils that tells no limit, 0 where nothing does.
     """
-    limits = [
-        limit
-        for other in scene.parts.values()
-        if (limit := getattr(other.keys, "current_limit", None)) is not None
-        and other.type.name == "pid"
-    ]
+    limits = [pid.keys.current_limit for pid in scene.of("pid")]
     return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
 
 
@@ -749,7 +637,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
     an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
     or less of a fall where every fourth height shows less, and none where these are too few.
     """
-    values = np.column_stack([getattr(table, name) for name in COEFFICIENTS])
+    values = coefficients(table)
 
     def missed(step: int) -> float:
         found = cubic_spline(table.y[::step], values[::step])(table.y)
@@ -763,14 +651,11 @@ def interpolation_error(table: EMTable, current: float) -> float:
 def _share(missed: np.ndarray, values: np.ndarray, current: float) -> float:
     """``missed`` coefficients (heights, 6) as a force up to ``current`` [A] in both coils, of the
     largest force by ``values``."""
-    term = {t.name: t for t in SERIES}
 
-    def pull(v: np.ndarray) -> np.ndarray:
-        return np.array(
-            [term["c0"].of(v), current * term["d1"].of(v), current**2 * term["d2"].of(v)]
-        )
+    def pulls(v: np.ndarray) -> np.ndarray:
+        return np.array([current ** len(term.currents) * term.of(v) for term in SERIES])
 
-    return float(np.abs(pull(missed)).sum(axis=0).max() / np.abs(pull(values)).max())
+    return float(np.abs(pulls(missed)).sum(axis=0).max() / np.abs(pulls(values)).max())
 
 
 def beyond(table: EMTable, y: np.ndarray) -> float:
@@ -779,64 +664,36 @@ def beyond(table: EMTable, y: np.ndarray) -> float:
 
 
 def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
-    keys, radius = part.keys, sphere_of(part, scene).keys.radius
-    sphere = sphere_of(part, scene).name
+    keys, ball = part.keys, sphere_of(part, scene)
+    radius = ball.keys.radius
     if keys.y_min >= keys.y_max:
         got = f"{keys.y_min:g} … {keys.y_max:g} m"
-        yield UsageError(
-            "empty range of positions",
-            where=f"{part.name}.y_min",
-            got=got,
-            expected="y_min < y_max",
-        )
+        yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
     bodies: dict[str, Ring] = {name: getattr(keys, name) for name in ("ring", "lower", "upper")}
     for name, body in bodies.items():
-        yield from _body(f"{part.name}.{name}", body, keys, radius, sphere)
+        # what, its key, what it is, and whether less or more than what of whom is right
+        rules = (
+            ("no material left", "inner", body.inner < body.outer, "less than outer", body.outer),
+            ("the sphere does not fit through", "inner", body.inner > radius,
+             f"more than {ball.name}.radius", radius),
+            ("reaches beyond the modelled air", "height", body.height < keys.air_height,
+             f"less than {part.name}.air_height", keys.air_height),
+            ("reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
+             f"less than {part.name}.air_radius", keys.air_radius),
+        )  # fmt: skip
+        for problem, key, right, limit, value in rules:
+            if not right:
+                got = f"{getattr(body, key):g} m"
+                yield part.wrong(f"{name}.{key}", problem, got, f"{limit}, {value:g} m")
     for (name, body), (other_name, other) in combinations(bodies.items(), 2):
         radial = body.inner < other.outer and other.inner < body.outer
         if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-            where = f"{part.name}.{other_name}"
-            yield UsageError(f"overlaps {part.name}.{name}", where=where)
+            yield part.wrong(other_name, f"overlaps {part.name}.{name}")
     resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
     if resting and not keys.y_min < radius < keys.y_max:
-        yield UsageError(
-            "outside the force table",
-            where=f"{sphere}.radius",
-            got=f"rest height {radius:g} m",
-            expected=f"between {keys.y_min:g} and {keys.y_max:g} m",
-            hint=f"{part.name}.y_min and {part.name}.y_max set the table's range",
-        )
-
-
-def _body(key: str, body: Ring, catch: Catch, radius: float, sphere: str) -> Iterator[UsageError]:
-    if body.inner >= body.outer:
-        yield UsageError(
-            "no material left",
-            where=f"{key}.inner",
-            got=f"{body.inner:g} m",
-            expected=f"less than outer, {body.outer:g}",
-        )
-    if body.inner <= radius:
-        yield UsageError(
-            "the sphere does not fit through",
-            where=f"{key}.inner",
-            got=f"{body.inner:g} m",
-            expected=f"more than {sphere}.radius, {radius:g} m",
-        )
-    if body.height >= catch.air_height:
-        yield UsageError(
-            "reaches beyond the modelled air",
-            where=f"{key}.height",
-            got=f"{body.height:g} m",
-            expected=f"less than {key.partition('.')[0]}.air_height, {catch.air_height:g} m",
-        )
-    if body.outer >= catch.air_radius:
-        yield UsageError(
-            "reaches beyond the modelled air",
-            where=f"{key}.outer",
-            got=f"{body.outer:g} m",
-            expected=f"less than {key.partition('.')[0]}.air_radius, {catch.air_radius:g} m",
-        )
+        got, expected = f"rest height {radius:g} m", f"between {keys.y_min:g} and {keys.y_max:g} m"
+        hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
+        yield ball.wrong("radius", "outside the force table", got, expected, hint)
 
 
 def mounted(table: EMTable, factor: float, shift: float) -> EMTable:

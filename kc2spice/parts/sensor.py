@@ -9,13 +9,10 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Frequency, Length, Section
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.render import render
+from kc2spice.netlist.circuit import Param
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Vector, register
-from kc2spice.spice.header import Header, parameter_list, part_header
-
-_PINS = (Pin("of", "um", "-"), Pin("out", "um", "-"), Pin("ref", "V", "A"))
+from kc2spice.scene.parttype import Build, PartType, Vector, register
+from kc2spice.spice.library import library
 
 
 class SensorKeys(Section):
@@ -34,6 +31,12 @@ class Sensor(PartType):
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
+    source = "closed form"
+    fixed = (
+        Terminal("of", "um", "-", required=True),
+        Terminal("out", "um", "-", signal_out=True),
+        Terminal("ref", "V", "A", "gnd"),
+    )
     example = """
 [sensor]
 part = "sensor"
@@ -46,53 +49,38 @@ kind = "displacement"
 dc = "1 um"
 """
 
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return (
-            Terminal("of", "um", "-", required=True),
-            Terminal("out", "um", "-", signal_out=True),
-            Terminal("ref", "V", "A", "gnd"),
-        )
-
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         if part.keys.noise and scene.analysis.type != "transient":
-            yield UsageError(
-                "noise is drawn in time",
-                where=f"{part.name}.noise",
-                got=scene.analysis.type,
-                expected="a transient, or no noise",
+            yield part.wrong(
+                "noise", "noise is drawn in time", scene.analysis.type, "a transient, or no noise"
             )
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Any, ...]:
-        keys, name = part.keys, build.libraries[part.name]
+    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+        keys = part.keys
         params = (
             Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
             Param("offset", keys.offset, "m", "added to the reading"),
         )
-        text = render(
-            "sensor.j2",
-            header=part_header(
-                header,
-                f"{name}: position sensor",
-                _PINS,
-                params,
-                rating="no range: compare the reading with that of your sensor",
-                validity="linear, one pole, constant temperature",
-            ),
-            name=name,
-            pins=[pin.name for pin in _PINS],
-            parameters=parameter_list(params),
+        made = library(
+            "sensor",
+            header,
+            build.libraries[part.name],
+            "position sensor",
+            self.fixed,
+            params,
+            rating="no range: compare the reading with that of your sensor",
+            validity="linear, one pole, constant temperature",
             noise=keys.noise,
             step=0.5 / keys.bandwidth,
         )
-        return (Subcircuit(name, _PINS, params, text),)
+        return (made,)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        return {f"{part.name}.y": Vector(f"v({build.net(part, 'out')})", 1e-6, "m")}
+        return {f"{part.name}.y": build.across(part, "out")}
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        detail = f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
-        return Modelled(part.name, "closed form", detail)
+        return f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
 
 
 register(Sensor())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ValidationInfo, model_validator
@@ -22,15 +22,41 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.cards import number
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, TimeScale, Vector, register
+from kc2spice.scene.parttype import (
+    Build,
+    PartType,
+    Rest,
+    Swept,
+    TimeScale,
+    Vector,
+    register,
+)
 
-# SI unit, unit and flow of the pins, netlist units per SI unit, letter of the card
+
+class Kind(NamedTuple):
+    """``unit`` in SI, unit and flow of the pins, netlist units per SI unit, letter of the card, and
+    the names of what is ``across`` its pins and ``through`` them, with SI units of both."""
+
+    unit: str
+    pins: tuple[str, str]
+    scale: float
+    letter: str
+    across: tuple[str, str]
+    through: tuple[str, str]
+
+    @property
+    def sets(self) -> str:
+        """Name of the result that it sets."""
+        return self.across[0] if self.letter == "V" else self.through[0]
+
+
+_VOLT, _AMPERE, _NEWTON, _METRE = ("v", "V"), ("i", "A"), ("force", "N"), ("x", "m")
 KINDS = {
-    "voltage": ("V", "V", "A", 1.0, "V"),
-    "current": ("A", "V", "A", 1.0, "I"),
-    "force": ("N", "um", "N", 1.0, "I"),
-    "displacement": ("m", "um", "N", 1e6, "V"),
-    "acceleration": ("m/s2", "m/s2", "N", 1.0, "V"),
+    "voltage": Kind("V", ("V", "A"), 1.0, "V", _VOLT, _AMPERE),
+    "current": Kind("A", ("V", "A"), 1.0, "I", _VOLT, _AMPERE),
+    "force": Kind("N", ("um", "N"), 1.0, "I", _METRE, _NEWTON),
+    "displacement": Kind("m", ("um", "N"), 1e6, "V", _METRE, _NEWTON),
+    "acceleration": Kind("m/s2", ("m/s2", "N"), 1.0, "V", ("a", "m/s2"), _NEWTON),
 }
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # of a file
@@ -69,7 +95,7 @@ class SourceKeys(Section):
     @property
     def unit(self) -> str:
         """SI unit of its values."""
-        return KINDS[self.kind][0]
+        return KINDS[self.kind].unit
 
     def waveform(self, home: Path) -> Waveform:
         """Values over time in SI; ``file`` is looked for in ``home``.
@@ -104,10 +130,11 @@ class Source(PartType):
     name = "source"
     title = "independent source: voltage, current, force, displacement or acceleration"
     schema = SourceKeys
+    source = "ideal source"
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        _, unit, flow, _, _ = KINDS[part.keys.kind]
-        return (Terminal("out", unit, flow, required=True), Terminal("ret", unit, flow, "gnd"))
+        pins = KINDS[part.keys.kind].pins
+        return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return () if part.keys.file is None else (part.keys.file,)
@@ -115,55 +142,49 @@ class Source(PartType):
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
 
-    def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
-        return (("out", "ret"),) if KINDS[part.keys.kind][4] == "V" else ()
-
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
-        return self.prescribes(part)
-
-    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        if part.keys.kind != "force" or not part.keys.waveform(scene.home)(np.zeros(1))[0]:
-            return ()
-        return ("out", "ret")
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        pair = (("out", "ret"),)
+        if KINDS[part.keys.kind].letter == "V":
+            shape = next((s for s in SHAPES if getattr(part.keys, s) is not None), "dc")
+            wave = part.keys.waveform(scene.home)
+            moves = wave.amplitude or np.ptp([value for _, value in wave.points])
+            kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
+            return Rest(pair, pair, kinked=shape if kinked else "")
+        constant = part.keys.kind == "force" and part.keys.waveform(scene.home)(np.zeros(1))[0]
+        return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
-        unit, _, _, scale, letter = KINDS[part.keys.kind]
-        plus, minus = build.net(part, "out"), build.net(part, "ret")
-        if letter == "I":  # what leaves the source at "out" flows from "ret" through it
-            plus, minus = minus, plus
-        text = part.keys.waveform(build.scene.home).spice(scale)
-        size = scale * quantity(part.keys.ac, unit)
+        kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
+        if kind.letter == "I":  # what leaves the source at "out" flows from "ret" through it
+            ends.reverse()
+        text = part.keys.waveform(build.scene.home).spice(kind.scale)
+        size = kind.scale * quantity(part.keys.ac, kind.unit)
         ac = f" AC {number(size)}" if size else ""
-        return (f"{letter}{part.name} {plus} {minus} {text}{ac}",)
+        return (f"{kind.letter}{part.name} {' '.join(ends)} {text}{ac}",)
 
     def excites(self, part: Part, scene: Scene) -> bool:
         return quantity(part.keys.ac, part.keys.unit) != 0
 
-    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
-        _, _, _, scale, letter = KINDS[part.keys.kind]
-        return (f"{letter}{part.name}", scale) if key == "dc" else None
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+        kind = KINDS[part.keys.kind]
+        return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
-        _, unit_of_pin, _, _, letter = KINDS[part.keys.kind]
-        found = {}
-        if letter == "V":
-            found[f"{part.name}.i"] = Vector(f"i(v{part.name.lower()})", -1.0, "A")
-            if part.keys.kind != "voltage":
-                found = {f"{part.name}.force": Vector(f"i(v{part.name.lower()})", -1.0, "N")}
+        n, kind, found = part.name, KINDS[part.keys.kind], {}
+        word, si = kind.through
+        if kind.letter == "V":
+            found[f"{n}.{word}"] = Vector(f"i(v{n.lower()})", -1.0, si)
         elif build.scene.analysis.type == "transient":
-            through, si = {"current": ("i", "A"), "force": ("force", "N")}[part.keys.kind]
-            found[f"{part.name}.{through}"] = Vector(f"@i{part.name.lower()}[current]", 1.0, si)
+            found[f"{n}.{word}"] = Vector(f"@i{n.lower()}[current]", 1.0, si)
         out, ret = build.net(part, "out"), build.net(part, "ret")
-        if out != ret and (letter == "V" or ret == "0"):
-            across = {"V": "v", "um": "x", "m/s2": "a"}[unit_of_pin]
-            factor = {"v": 1.0, "x": 1e-6, "a": 1.0}[across]
-            si = {"v": "V", "x": "m", "a": "m/s2"}[across]
-            ends = "".join(f"{s}v({n})" for s, n in (("", out), ("-", ret)) if n != "0")
-            found[f"{part.name}.{across}"] = Vector(ends, factor, si)
+        if out != ret and (kind.letter == "V" or ret == "0"):
+            word, si = kind.across
+            ends = "".join(f"{s}v({net})" for s, net in (("", out), ("-", ret)) if net != "0")
+            found[f"{n}.{word}"] = Vector(ends, 1e-6 if si == "m" else 1.0, si)
         return found
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        if KINDS[part.keys.kind][4] != "V":
+        if KINDS[part.keys.kind].letter != "V":
             return None
         sign = -1.0 if pin == "out" else 1.0
         return Vector(f"i(v{part.name.lower()})", sign, "A")
@@ -174,61 +195,42 @@ class Source(PartType):
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""
-        sets = {
-            "voltage": "v",
-            "current": "i",
-            "force": "force",
-            "displacement": "x",
-            "acceleration": "a",
-        }[part.keys.kind]
-        found = waves.data.get(f"{part.name}.{sets}")
+        found = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
         if found is None or "time" not in waves:
             return
         wave = part.keys.waveform(build.scene.home)
         wanted = wave(waves["time"])
         swing = float(np.ptp(wanted)) or float(np.abs(wanted).max()) or 1.0
-        yield Check(
-            f"{part.name} drives as defined",
-            float(np.abs(found - wanted).max()) / swing,
-            DEVIATION,
-            "of its swing",
-            "the netlist's source is not the scene's: please report it",
-            wiring=True,
-        )
+        off, name = float(np.abs(found - wanted).max()) / swing, f"{part.name} drives as defined"
+        advice = "the netlist's source is not the scene's: please report it"
+        yield Check(name, off, DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         shape = part.keys.waveform(build.scene.home)
         told = keys.kind == "voltage" and _unloaded(part, build)
-        law = laws.Source(
-            n,
-            "signal" if told else keys.kind,
-            smooth_pieces(shape, build.scene.stop),
-            complex(quantity(keys.ac, keys.unit)),
-        )
+        ac, wave = quantity(keys.ac, keys.unit), smooth_pieces(shape, build.scene.stop)
+        law = laws.Source(n, "signal" if told else keys.kind, wave, complex(ac))
         signal = told or keys.kind == "acceleration"
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
-        across = {"voltage": "v", "current": "v", "acceleration": "a"}.get(keys.kind, "x")
-        results = {f"{n}.{across}": laws.reading(f"{n}.out")}
+        across = f"{n}.{KINDS[keys.kind].across[0]}"
+        results = {across: laws.reading(f"{n}.out")}
         if not signal:
-            results = {f"{n}.{across}": laws.difference(f"{n}.out", f"{n}.ret")}
+            results = {across: laws.difference(f"{n}.out", f"{n}.ret")}
             results[f"{n}.i"] = results[f"{n}.force"] = laws.reading(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         shape = next((name for name in SHAPES if getattr(part.keys, name) is not None), "dc")
-        return Modelled(part.name, "ideal source", f"{part.keys.kind}, {shape}")
+        return f"{part.keys.kind}, {shape}"
 
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[TimeScale]:
     """A sine that is switched on excites more than its own frequency; of an edge see ``EDGE``."""
     if wave.kind == "sine":
         f = wave.frequency
-        yield TimeScale(
-            f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz",
-            1 / (PER_PERIOD * f),
-            HARMONICS * f,
-        )
+        what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
+        yield TimeScale(what, 1 / (PER_PERIOD * f), HARMONICS * f)
     elif wave.kind == "linear":
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]

@@ -14,27 +14,30 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Density, Length, Section, Velocity
-from kc2spice.core.waveforms import Waveforms
+from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
-from kc2spice.netlist.circuit import Param, Pin, Subcircuit, positive
-from kc2spice.netlist.render import render
-from kc2spice.scene.gates import Gate, stepping
-from kc2spice.scene.judge import Balance
+from kc2spice.netlist.circuit import Param, Subcircuit, positive
+from kc2spice.scene.judge import Balance, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    LeftOut,
-    Modelled,
+    Neglected,
     PartType,
+    Rest,
+    State,
     Surface,
     Vector,
+    begins,
+    mover,
     register,
 )
 from kc2spice.scene.plausible import within
-from kc2spice.spice.header import Header, parameter_list, part_header
+from kc2spice.spice.header import Header
+from kc2spice.spice.library import library
 
 AIR_DENSITY = 1.204  # kg/m^3, 20 degC
 AIR_VISCOSITY = 1.825e-5  # Pa s
+SETTLING_BAND = 0.05  # of the step from rest to set point
 WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
 
 
@@ -79,6 +82,13 @@ class Sphere(PartType):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
+    source = "closed form"
+    fixed = (
+        Terminal("v", "m/s", "N"),
+        Terminal("bottom", "um", "-", signal_out=True),
+        Terminal("y", "um", "-", signal_out=True),
+        Terminal("base", "um", "N", "gnd"),
+    )
     heavy = True
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
@@ -88,18 +98,10 @@ class Sphere(PartType):
         return {_carried(part): table if given is True else {**given, **table}}
 
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        if _moved(part, scene):
-            return ()
-        return (
-            Terminal("v", "m/s", "N"),
-            Terminal("bottom", "um", "-", signal_out=True),
-            Terminal("y", "um", "-", signal_out=True),
-            Terminal("base", "um", "N", "gnd"),
-        )
+        return () if _moved(part, scene) else self.fixed
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
-        others = (other for other in scene.parts.values() if other is not part)
-        bodies = [other.name for other in others if other.type.reduced]
+        bodies = [p.name for p in scene.parts.values() if p.type.reduced]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
                 "nothing touches the sphere",
@@ -108,8 +110,6 @@ class Sphere(PartType):
                 expected=f"one between {part.name} and {', '.join(bodies)}",
                 hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
             )
-
-    def implausible(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, name = part.keys, part.name
         small = "grains below stick by adhesion, no transducer moves balls above"
         yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
@@ -117,18 +117,11 @@ class Sphere(PartType):
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
-        return Surface(
-            ("bottom",),
-            ("v",),
-            ("bottom",),
-            (0.0,),
-            radius=part.keys.radius,
-            elastic=_carried(part),
-        )
-
-    def indentation_modulus(self, part: Part) -> float | None:
-        rigid = part.keys.material is None and part.keys.elastic is None
-        return None if rigid else made_of(part).indentation_modulus
+        keys, carried = part.keys, _carried(part)
+        known = keys.material is not None or carried
+        modulus = made_of(part).indentation_modulus if known else None
+        place = part.name, ("bottom",), (0.0,), "v"
+        return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
     def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
@@ -137,20 +130,21 @@ class Sphere(PartType):
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return () if _moved(part, build.scene) else super().cards(part, build)
 
-    def without_operating_point(self, part: Part, scene: Scene) -> bool:
-        return start(part, scene) is not None
+    def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
+        keys = part.keys
+        given = keys.velocity or keys.height
+        return {part.name: State(keys.velocity, keys.height)} if given else {}
 
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> tuple[tuple[str, str], ...]:
-        return () if _moved(part, scene) else (("base", GROUND),)
-
-    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        return ("v",) if scene.gravity and not _moved(part, scene) else ()
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        if _moved(part, scene):
+            return Rest()
+        return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else ())
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
         if _moved(part, build.scene):
             return {}
         held = build.scene.joined(part.name, "v")
-        if held or build.scene.joined(part.name, "bottom") or start(part, build.scene):
+        if held or build.scene.joined(part.name, "bottom") or part.name in begins(build.scene):
             return {}
         # nothing holds the sphere: it starts at rest where it would touch
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
@@ -158,82 +152,83 @@ class Sphere(PartType):
     def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
         if _moved(part, build.scene):
             return ()
-        velocity, height = start(part, build.scene) or (0.0, 0.0)
-        keys = part.keys
-        return (
-            sphere_subcircuit(
-                header,
-                keys.mass,
-                keys.radius,
-                build.scene.gravity,
-                velocity=velocity,
-                height=height,
-                name=build.libraries[part.name],
-            ),
-        )
+        keys, begin = part.keys, begins(build.scene).get(part.name, State(0.0, 0.0))
+        numbers = keys.mass, keys.radius, build.scene.gravity
+        name, at = build.libraries[part.name], {"velocity": begin.velocity, "height": begin.height}
+        return (sphere_subcircuit(header, *numbers, **at, name=name),)
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if _moved(part, build.scene):
             return {}
-        return {
-            f"{part.name}.y": Vector(f"v({build.net(part, 'y')})", 1e-6, "m"),
-            f"{part.name}.v": Vector(f"v({build.net(part, 'v')})", 1.0, "m/s"),
-        }
+        return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         y = waves.data.get(f"{part.name}.y")
-        if y is None or "time" not in waves or start(part, build.scene):
+        if y is None or "time" not in waves or part.name in begins(build.scene):
             return {}
         found = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
         v = waves.data.get(f"{part.name}.v")
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
         return found | {"still_rising": True} if rising else found
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+        """Work of all forces on the sphere against its kinetic energy.
+
+        The scale is all work that was turned over, in whichever direction.
+        """
         if "time" not in waves or f"{part.name}.v" not in waves:
-            return {}
-        return work_balance(part, build, waves)
+            return None
+        t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
+        forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
+        for name, pin in build.scene.joined(part.name, "v"):
+            other = build.scene.parts[name]
+            found = other.type.force_on(other, pin, build, waves)
+            if found is None:
+                return None
+            forces[name] = found
+        work = {name: running(f * v, t) for name, f in forces.items()}
+        kinetic = mass * (v**2 - v[0] ** 2) / 2
+        turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
+        entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
+        gap = kinetic - sum(work.values())
+        entries["kinetic"] = float(kinetic[-1])
+        advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
+        return Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
-        goals = [
-            (1e3 * goal, 1e3 * band, label)
-            for other in build.scene.parts.values()
-            for goal, band, label in other.type.goals(other, build.scene, part)
-        ]
-        panel = Panel(
-            "time in ms",
-            "height of the centre in mm",
-            (Curve(part.name, 1e3 * waves["time"], 1e3 * y),),
-            levels=tuple((goal, label) for goal, _, label in goals),
-            bands=tuple((goal - band, goal + band, "") for goal, band, _ in goals),
-        )
+        aims = [pid for pid in build.scene.of("pid") if controlled(pid, build.scene) is part]
+        goals = [(1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)) for pid in aims]
+        levels = tuple((goal, "set point, ±5 % of the step") for goal, _ in goals)
+        bands = tuple((goal - band, goal + band, "") for goal, band in goals)
+        path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
+        panel = Panel("time in ms", "height of the centre in mm", (path,), levels, bands)
         caption = f"Vertical position of {part.name}."
         yield Figure(f"{part.name}_trajectory", f"Path of {part.name}", caption, (panel,))
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
-        if build.scene.analysis.type == "transient" and not start(part, build.scene):
-            words, of = f"height of {part.name}", f"{part.name}.y"
-            given = build.scene.gates.trajectory
-            if given is not None:
-                yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
-            else:
-                limits = {"ngspice_vs_rom": stepping(build.scene.solver)}
-                yield Gate(f"{words} over its way", of, limits, "travel")
+        scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
+        if scene.analysis.type != "transient" or part.name in begins(scene):
+            return
+        if (given := scene.gates.trajectory) is not None:
+            yield Gate(words, of, {"ngspice_vs_rom": given}, "absolute", "m")
+        else:
+            yield Gate(
+                f"{words} over its way", of, {"ngspice_vs_rom": stepping(scene.solver)}, "travel"
+            )
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """Its coordinate is the height of its lowest point over touching."""
         n, scene = part.name, build.scene
         if _moved(part, scene):
             return laws.Equations()
-        thrown = start(part, scene)
-        if any(p.type.without_operating_point(p, scene) for p in scene.parts.values()):
-            thrown = thrown or (0.0, 0.0)
+        states = begins(scene)
+        begin = states.get(n, State(0.0, 0.0))
         held = scene.joined(n, "v") or scene.joined(n, "bottom")
-        speed, height = thrown if thrown else (0.0, None if held else 0.0)
-        law = laws.Mass(n, part.keys.mass, scene.gravity, height, speed)
+        height = None if held and not states else begin.height
+        law = laws.Mass(n, part.keys.mass, scene.gravity, height, begin.velocity)
         results = {
             f"{n}.y": laws.reading(f"{n}.a", constant=part.keys.radius),
             f"{n}.v": laws.reading(f"{n}.a.rate"),
@@ -241,20 +236,19 @@ class Sphere(PartType):
         pins = tuple((pin, f"{n}.a") for pin in ("v", "bottom", "y"))
         return laws.Equations((law,), pins, results)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        detail = f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
-        return Modelled(part.name, "closed form", detail)
+        return f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
 
-    def left_out(self, part: Part, scene: Scene) -> Iterator[LeftOut]:
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
         linear = any(contact.keys.law == "linear" for contact in scene.of("contact"))
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
-            yield LeftOut("elasticity of the sphere", why, _softer(part, scene))
+            yield Neglected("elasticity of the sphere", why, _softer(part, scene))
         if scene.analysis.type == "transient":
             yield _air_drag(part.keys)
             why = "the part moves along one axis"
-            yield LeftOut("rotation and sideways motion of the sphere", why, "not estimated")
+            yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
 
 def made_of(part: Part) -> Material:
@@ -267,19 +261,19 @@ def _carried(part: Part) -> str:
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
+def controlled(pid: Part, scene: Scene) -> Part | None:
+    """The sphere whose height a controller controls."""
+    return scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
+
+
+def settling_band(pid: Part, ball: Part) -> float:
+    """Half the width [m] of the band around the set point in which it has settled."""
+    return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
+
+
 def _moved(part: Part, scene: Scene) -> bool:
     """Whether another part prescribes its motion, so that it has none of its own."""
-    return any(part.name in each.type.drives(each, scene) for each in scene.parts.values())
-
-
-def start(part: Part, scene: Scene) -> tuple[float, float] | None:
-    """Velocity [m/s] and height of the lowest point [m] at t = 0, where they are prescribed."""
-    for other in scene.parts.values():
-        thrown = other.type.starts(other, scene).get(part.name)
-        if thrown is not None:
-            return thrown
-    keys = part.keys
-    return (keys.velocity, keys.height) if keys.velocity or keys.height else None
+    return mover(part.name, scene) is not None
 
 
 def offset(part: Part, pin: str, scene: Scene) -> float:
@@ -289,46 +283,17 @@ def offset(part: Part, pin: str, scene: Scene) -> float:
     return float(spheres[0].keys.radius) if spheres else 0.0
 
 
-def work_balance(part: Part, build: Build, waves: Waveforms) -> dict[str, Balance]:
-    """Work of all forces on the sphere against its kinetic energy.
-
-    The scale is all work that was turned over, in whichever direction.
-    """
-    t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
-    forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
-    for name, pin in build.scene.joined(part.name, "v"):
-        other = build.scene.parts[name]
-        found = other.type.force_on(other, pin, build, waves)
-        if found is None:
-            return {}
-        forces[name] = found
-    work = {name: integral(f * v, t) for name, f in forces.items()}
-    kinetic = mass * (v**2 - v[0] ** 2) / 2
-    turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
-    entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
-    gap = kinetic - sum(work.values())
-    entries["kinetic"] = float(kinetic[-1])
-    advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-    return {part.name: Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)}
-
-
-def integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Running trapezoidal integral of ``values`` d ``over``, zero at the first point."""
-    steps = (values[1:] + values[:-1]) / 2 * np.diff(over)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
 def _softer(part: Part, scene: Scene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
+    from kc2spice.parts.contact import sides
+
     own = made_of(part).indentation_modulus
-    bodies = (
-        other.type.indentation_modulus(other) for other in scene.parts.values() if other is not part
-    )
-    found = [modulus / own for modulus in bodies if modulus is not None]
+    under = (sides(contact, scene)[0].modulus for contact in scene.of("contact"))
+    found = [modulus / own for modulus in under if modulus is not None]
     return f"the dent would be {100 * max(found):.0f} % softer" if found else "not estimated"
 
 
-def _air_drag(keys: SphereKeys) -> LeftOut:
+def _air_drag(keys: SphereKeys) -> Neglected:
     """Schiller-Naumann drag on a sphere at 1 m/s, against its weight."""
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY
@@ -336,7 +301,7 @@ def _air_drag(keys: SphereKeys) -> LeftOut:
     area = math.pi * keys.radius**2
     drag = 0.5 * AIR_DENSITY * speed**2 * area * coefficient
     share = drag / (keys.mass * 9.81)
-    return LeftOut("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
+    return Neglected("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
 
 
 def sphere_subcircuit(
@@ -354,12 +319,6 @@ def sphere_subcircuit(
     ``velocity`` [m/s] and ``height`` [m, of the lowest point] are the state at t = 0 of a
     transient with ``uic``; without it ngspice starts from the operating point.
     """
-    pins = (
-        Pin("v", "m/s", "N"),
-        Pin("bottom", "um", "-"),
-        Pin("y", "um", "-"),
-        Pin("base", "um", "N"),
-    )
     params = (
         positive("mass", mass, "kg", "mass of the sphere"),
         positive("radius", radius, "m", "radius of the sphere"),
@@ -367,21 +326,16 @@ def sphere_subcircuit(
         Param("velocity", velocity, "m/s", "initial velocity, used with uic"),
         Param("height", height, "m", "initial height of the lowest point, used with uic"),
     )
-    text = render(
-        "sphere.j2",
-        header=part_header(
-            header,
-            f"{name}: rigid sphere, vertical motion",
-            pins,
-            params,
-            rating="none: rigid",
-            validity="rigid, in vacuum, at any temperature; moves along its axis only",
-        ),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
+    return library(
+        "sphere",
+        header,
+        name,
+        Sphere.title,
+        Sphere.fixed,
+        params,
+        rating="none: rigid",
+        validity="rigid, in vacuum, at any temperature; moves along its axis only",
     )
-    return Subcircuit(name, pins, params, text)
 
 
 register(Sphere())

@@ -13,10 +13,17 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.contact import fall, landing, normal, separation, unresolved
-from kc2spice.scene.gates import PAIRS, Gate
-from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Modelled, PartType, Reach, TimeScale, register
+from kc2spice.parts.contact import (
+    fall,
+    landing,
+    normal,
+    separation,
+    sides,
+    unresolved,
+)
+from kc2spice.scene.judge import PAIRS, Gate
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build, PartType, Penetration, State, TimeScale, register
 
 
 class ThrowKeys(Section):
@@ -31,9 +38,7 @@ class Throw(PartType):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
-
-    def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        return ()
+    source = "initial state"
 
     def cards(self, part: Part, build: Build) -> tuple[str, ...]:
         return ()
@@ -41,15 +46,15 @@ class Throw(PartType):
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         sphere(part, scene)
         if part.keys.velocity >= 0:
-            yield UsageError(
+            yield part.wrong(
+                "velocity",
                 "the sphere never arrives",
-                where=f"{part.name}.velocity",
-                got=f"{part.keys.velocity:g} m/s",
-                expected="negative (downwards)",
+                f"{part.keys.velocity:g} m/s",
+                "negative (downwards)",
             )
 
-    def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
-        return {sphere(part, scene).name: (part.keys.velocity, part.keys.gap)}
+    def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
+        return {sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
         """What a step may miss shrinks with the speed of the impact."""
@@ -57,7 +62,7 @@ class Throw(PartType):
         speed = max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
         yield TimeScale(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
-    def reach(self, part: Part, scene: Scene) -> Iterator[Reach]:
+    def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))
         yield from landing(sphere(part, scene), scene, speed, f"impact at {speed:.3g} m/s")
 
@@ -82,28 +87,22 @@ class Throw(PartType):
 
     def gates(self, part: Part, build: Build) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere(part, build.scene).name
-
-        def every(limit: float) -> dict[str, float]:
-            return dict.fromkeys(PAIRS, limit)
-
         contact = build.scene.only("contact")
         hats = unresolved(contact, build.scene) if contact else 0.0
-        full = dict.fromkeys(("rom_vs_fom", "ngspice_vs_fom"), max(gates.position, hats))
-        yield Gate(
-            "position over travel", f"{ball}.y", every(gates.position) | full, "travel", leads=True
-        )
-        yield Gate("rebound velocity", "rebound_velocity_m_s", every(gates.rebound_velocity))
-        yield Gate(
-            "separation time", "separation_time_s", every(gates.separation_time), "absolute", "s"
-        )
+        place = dict.fromkeys(PAIRS, max(gates.position, hats)) | {"ngspice_vs_rom": gates.position}
+        yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
+        speed = dict.fromkeys(PAIRS, gates.rebound_velocity)
+        yield Gate("rebound velocity", "rebound_velocity_m_s", speed)
+        time = dict.fromkeys(PAIRS, gates.separation_time)
+        yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         """None of its own: the sphere starts as it says."""
         return laws.Equations()
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         keys = part.keys
-        return Modelled(part.name, "initial state", f"{keys.velocity:g} m/s from {keys.gap:g} m")
+        return f"{keys.velocity:g} m/s from {keys.gap:g} m"
 
 
 def sphere(part: Part, scene: Scene) -> Part:
@@ -113,8 +112,6 @@ def sphere(part: Part, scene: Scene) -> Part:
 
 def sectors(scene: Scene) -> int:
     """Symmetry sectors of the body that the scene's only contact touches."""
-    from kc2spice.parts.contact import sides
-
     contact = scene.only("contact")
     return 1 if contact is None else sides(contact, scene)[0].sectors
 

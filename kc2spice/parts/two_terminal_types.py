@@ -16,18 +16,11 @@ from kc2spice.core import laws
 from kc2spice.core.quantities import Section, si
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.expression import Number, Tree
-from kc2spice.physics.declaration import (
-    RATE,
-    Branch,
-    Declaration,
-    current,
-    displacement,
-    voltage,
-)
+from kc2spice.physics.declaration import RATE, Branch, Declaration, current, displacement, voltage
 from kc2spice.physics.expression import ONE, ZERO, derivative, evaluated, over, times
 from kc2spice.physics.part import DeclaredPart, across_pins
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, Modelled, Vector, register
+from kc2spice.scene.parttype import Build, Vector, register
 
 
 class Row(NamedTuple):
@@ -161,11 +154,9 @@ class LinearElement(DeclaredPart):
             results[f"{n}.v"] = laws.difference(f"{n}.a", f"{n}.b")
         return laws.Equations((law,), (("a", f"{n}.a"), ("b", f"{n}.b")), results)
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
+    def detail(self, part: Part, scene: Scene) -> str:
         row = next(row for row in TABLE if row.name == self.name)
-        source = "closed form" if self.branch.kind == "displacement" else "circuit"
-        detail = f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
-        return Modelled(part.name, source, detail)
+        return f"{row.name} of {getattr(part.keys, row.key):g} {row.unit}"
 
 
 def _meter(part: Part) -> tuple[str, ...]:

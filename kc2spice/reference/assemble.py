@@ -1,10 +1,10 @@
 """Equations of any composition of laws, reduced to a DAE of index 1.
 
 Raw unknowns are displacements q, velocities v, node voltages, signals and own states. Rigid joints
-and ideal voltage or displacement sources are linear constraints ``G y = s``: a basis of their null
-space leaves, with sources ``s`` and their rates ``s'``,
+and ideal voltage or displacement sources are linear constraints on them. A basis of their null
+space leaves n unknowns z; with the sources s and their rates s' they make ``X = [z, s, s']`` (N,)::
 
-    d/dt (M z + Gs s + Gd s' + stores) = A z + Bs s + Bd s' + const + devices.
+    d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 """
 
 from __future__ import annotations
@@ -24,72 +24,57 @@ MICRO = 1e-6  # m, the displacement that errors are judged by
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Linear forms ``z @ zr + s @ sources + d @ rates of sources``, one a row."""
-
-    z: np.ndarray
-    s: np.ndarray
-    d: np.ndarray
-
-    def at(self, z: np.ndarray, s: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """Values for one state or columns of states."""
-        return self.z @ z + self.s @ s + self.d @ d
-
-    @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The three matrices."""
-        return self.z, self.s, self.d
-
-
-@dataclass(frozen=True)
 class Attached:
-    """A device in its place: ``out`` is added to the rates by ``into`` (n, k)."""
+    """A device in its place: it sees ``inputs @ X``; its outputs are added to ``f`` by ``into``."""
 
     law: L.Device
-    inputs: Rows
-    into: np.ndarray
+    inputs: np.ndarray  # (m, N)
+    into: np.ndarray  # (n, k)
     stores: np.ndarray | None  # (n, stored), where the stored quantities are not the states
-    raw: np.ndarray  # ``into`` before the reduction
     states: np.ndarray  # their places among the unknowns
+    first: int  # place of its outputs among those of all devices
 
-    def flowing(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """What the rates of its charges add to ``out`` (k,), for inputs ``e`` of this ``rate``."""
-        law, found = self.law, np.zeros(self.raw.shape[1])
+    def out(self, t: float, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
+        """Its outputs (k,), with the rates of its charges, for inputs ``e`` of this ``rate``."""
+        law, found = self.law, self.law.evaluate(t, e, mode)[0]
         if law.charged:
-            found[list(law.charged)] = law.store(e, mode)[1][len(law.states) :] @ rate
+            found = found.copy()
+            found[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
         return found
 
 
 @dataclass(frozen=True)
-class Term:
-    """``sum weight y^2`` (energy already halved) or, for ``linear``, ``weight y``, of a law."""
+class Output:
+    """A wave: ``now @ X + d/dt (rated @ X) + devices @ (outputs of all devices) + constant``."""
 
-    law: str
-    kind: str  # "energy", "loss", or "drag": a loss by the rates of the form
-    rows: Rows
-    weight: np.ndarray
-    linear: bool = False
+    now: np.ndarray
+    rated: np.ndarray
+    devices: np.ndarray
+    constant: float = 0.0
 
 
 @dataclass(frozen=True)
-class Supply:
-    """A source's power: a prescribed across (``multiplier``) or through (``rows``) quantity."""
+class Term:
+    """``y' weight y`` of a law, ``y = rows @ X`` (energy already halved), or ``weight y``."""
 
     law: str
-    source: int
-    multiplier: int
-    rows: Rows | None
-    by_rate: bool  # power is through times the rate of across (mechanical) or times across
+    kind: str  # "energy", "weight": a linear energy, "loss", or "drag": a loss by the rates of y
+    rows: np.ndarray
+    weight: np.ndarray
+
+    def of(self, y: np.ndarray) -> np.ndarray:
+        """Value (nt,) for ``y`` (m, nt)."""
+        weighted = self.weight @ y
+        return weighted[0] if self.kind == "weight" else np.asarray((y * weighted).sum(axis=0))
 
 
 @dataclass(frozen=True)
 class Held:
-    """A start value that a law asks for: ``rows = value`` and ``rate = speed``."""
+    """A start that a law asks for: ``row @ X = value`` and ``rate @ X = speed``."""
 
-    law: str
-    rows: Rows
+    row: np.ndarray
     value: float
-    rate: Rows | None
+    rate: np.ndarray
     speed: float
     into: np.ndarray  # (n,) how what holds it acts
 
@@ -98,39 +83,37 @@ class Held:
 class System:
     """Reduced equations and how to read everything from their unknowns; made by `assemble`."""
 
-    M: np.ndarray
-    A: np.ndarray
-    Gs: np.ndarray
-    Gd: np.ndarray
-    Bs: np.ndarray
-    Bd: np.ndarray
+    G: np.ndarray  # (n, N)
+    F: np.ndarray  # (n, N)
     const: np.ndarray
     differential: np.ndarray  # (n,) bool
     velocity: np.ndarray  # (n,) bool
     sources: tuple[L.Source, ...]
     devices: tuple[Attached, ...]
-    across: Mapping[str, Rows]  # of every pin, by NAME.pin
-    rates: Mapping[str, Rows]  # velocity of every mechanical pin
-    through: Mapping[str, tuple[Rows, Rows]]  # NAME.PIN: forms of the unknowns and their rates
+    outputs: Mapping[str, Output]
     terms: tuple[Term, ...]
-    supplies: tuple[Supply, ...]
     held: tuple[Held, ...]
-    raw: tuple[np.ndarray, ...]  # M, A, S, const, G and the expansion T, Ts, Td
 
-    def inputs(self, t: np.ndarray | float, within: float) -> tuple[np.ndarray, np.ndarray]:
-        """Sources and their rates at ``t``, each (sources,) or (sources, nt)."""
-        shape = (len(self.sources), *np.shape(t))
-        s = np.array([p.wave.value(t) for p in self.sources], dtype=float).reshape(shape)
-        d = np.array([p.wave.rate(t, within) for p in self.sources], dtype=float).reshape(shape)
-        return s, d
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.const.size
+
+    def given(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
+        """Derivatives of this ``order`` of the sources, and the next ones, (2 sources,) or
+        (2 sources, nt) at ``t``, of the smooth pieces that hold the time ``within``."""
+        waves = [p.wave for p in self.sources]
+        found = [
+            w.rate(t, within, k) if k else w.value(t) for k in (order, order + 1) for w in waves
+        ]
+        return np.array(found, dtype=float).reshape(len(found), *np.shape(t))
 
 
 def assemble(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
     """Join the pins of ``laws`` at nets.
 
-    ``joins`` maps a net's name to its pins ``NAME.pin``; the net ``gnd`` is the reference of every
-    kind. Raises UsageError for a name that occurs twice, an unknown pin, a pin joined twice, kinds
-    that differ, and sources that conflict.
+    ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind; the net ``gnd`` is the
+    reference of every kind. Raises UsageError for sources that conflict.
     """
     return _Assembly(tuple(laws), joins).system()
 
@@ -142,7 +125,12 @@ class _Assembly:
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
         self.laws = laws
         self.kinds: dict[str, str] = {}
-        self.nets = self._joined(joins)
+        self.nets = {pin: net for net, pins in joins.items() for pin in pins}
+        for law in laws:
+            for pin in law.pins:
+                name = f"{law.name}.{pin.name}"
+                net = self.nets.setdefault(name, L.GROUND if pin.grounded else name)
+                self.kinds.setdefault(net, pin.kind)
         self._number()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
@@ -151,45 +139,17 @@ class _Assembly:
         self.charged = np.zeros((n, n))  # which voltages charges of devices follow
         self.sources = tuple(p for p in laws if isinstance(p, L.Source))
         self.S = np.zeros((n, len(self.sources)))
-        self.constraints: list[tuple[np.ndarray, int]] = []
-        self.terms: list[tuple[str, str, np.ndarray, np.ndarray, bool]] = []
+        self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
+        self.terms: list[tuple[str, str, np.ndarray, np.ndarray]] = []
         self.flows: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        self.supplies: list[tuple[str, int, int, np.ndarray | None, bool]] = []
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
-        self.held: list[tuple[str, np.ndarray, float, np.ndarray | None, float]] = []
+        self.held: list[tuple[np.ndarray, float, np.ndarray, float]] = []
         for form in self.rigid:
             self.constrain(form, -1)
         for at in self.signal.values():
             self.A[at, at] = -1.0
         for law in laws:
             stamp(law, self)
-
-    def _joined(self, joins: Mapping[str, Iterable[str]]) -> dict[str, str]:
-        pins: dict[str, L.Pin] = {}
-        names = [law.name for law in self.laws]
-        if len(set(names)) < len(names):
-            raise UsageError("two parts have one name", got=", ".join(sorted(names)))
-        for law in self.laws:
-            pins |= {f"{law.name}.{p.name}": p for p in law.pins}
-        nets: dict[str, str] = {}
-        for net, members in joins.items():
-            for pin in members:
-                if pin not in pins:
-                    raise UsageError("no such pin", where=net, got=pin, expected=", ".join(pins))
-                if nets.setdefault(pin, net) != net:
-                    raise UsageError("a pin is joined to two nets", where=pin, got=net)
-                kind = pins[pin].kind
-                if net != L.GROUND and self.kinds.setdefault(net, kind) != kind:
-                    raise UsageError(
-                        "pins of different kinds are joined",
-                        where=net,
-                        got=f"{pin} is {kind}",
-                        expected=self.kinds[net],
-                    )
-        for pin, what in pins.items():
-            net = nets.setdefault(pin, L.GROUND if what.grounded else pin)
-            self.kinds.setdefault(net, what.kind)
-        return nets
 
     def _number(self) -> None:
         """Give every unknown its place; a net on a body's port needs none of its own."""
@@ -213,9 +173,12 @@ class _Assembly:
             n: np.eye(1, self.nq, at + k)[0] for k, n in enumerate(own)
         }
         at = 2 * self.nq
-        self.node = {n: at + k for k, n in enumerate(_of(used, self.kinds, "electrical"))}
+        nodes, signals = (
+            [n for n in used if self.kinds[n] == kind] for kind in ("electrical", "signal")
+        )
+        self.node = {n: at + k for k, n in enumerate(nodes)}
         at += len(self.node)
-        self.signal = {n: at + k for k, n in enumerate(_of(used, self.kinds, "signal"))}
+        self.signal = {n: at + k for k, n in enumerate(signals)}
         at += len(self.signal)
         self.own: dict[str, int] = {}
         extra = [1.0] * (at - 2 * self.nq)
@@ -254,10 +217,7 @@ class _Assembly:
 
     def across(self, law: L.Law, pin: str, rate: bool = False) -> np.ndarray:
         """Form (size,) that reads a pin's across quantity, or its rate for a mechanical pin."""
-        net = self.nets[f"{law.name}.{pin}"]
-        if net != L.GROUND and (rate or self.kinds[net] == "velocity"):
-            return self.rate(self.form(law, pin))
-        return self.form(law, pin)
+        return self.rate(self.form(law, pin)) if rate else self.form(law, pin)
 
     def form(self, law: L.Law, pin: str) -> np.ndarray:
         """Form of a pin along which through quantities act: displacement, voltage or signal."""
@@ -292,48 +252,32 @@ class _Assembly:
         self.A -= np.outer(form, through)
         self.flows[f"{law.name}.{law.pins[0].name}"] = (through, np.zeros(self.size))
 
-    def term(
-        self, law: L.Law, kind: str, rows: np.ndarray, weight: object, linear: bool = False
-    ) -> None:
-        """Book an energy ``sum weight y^2`` or a loss of the same form."""
-        weight = np.atleast_1d(np.asarray(weight, dtype=float))
-        self.terms.append((law.name, kind, np.atleast_2d(rows), weight, linear))
+    def term(self, law: L.Law, kind: str, rows: np.ndarray, weight: Any) -> None:
+        """Account for an energy or a loss ``y' weight y``, ``y = rows @ raw``."""
+        if np.any(weight):
+            self.terms.append((law.name, kind, np.atleast_2d(rows), np.atleast_2d(weight)))
 
-    def constrain(self, form: np.ndarray, source: int) -> int:
-        """Demand ``form @ y = s[source]``; returns the number of the multiplier."""
-        self.constraints.append((form, source))
-        return len(self.constraints) - 1
+    def constrain(self, form: np.ndarray, source: int) -> None:
+        """Demand ``form @ raw = s[source]``, or zero where that is -1."""
+        self.constraints.append((form, np.arange(len(self.sources)) == source))
 
     # --- reduction --------------------------------------------------------------------------
 
     def _null(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Basis of what the constraints leave free, in units of ``sizes``, and ``R``: y = R s."""
-        G = np.array([f[where] for f, _ in self.constraints])
-        G = G.reshape(len(self.constraints), sizes.size)
-        chosen = [k for k, row in enumerate(G) if row.any()]
+        pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
-        basis = np.diag(sizes)
-        if not chosen:
-            return basis, R
-        G = G[chosen] * sizes
-        level = np.abs(G).max(axis=1)
-        G = G / level[:, None]
-        drive = np.zeros((len(chosen), len(self.sources)))
-        for row, k in enumerate(chosen):
-            if self.constraints[k][1] >= 0:
-                drive[row, self.constraints[k][1]] = 1.0 / level[row]
+        if not pairs:
+            return np.diag(sizes), R
+        level = np.array([[np.abs(form).max()] for form, _ in pairs])
+        G, drive = (np.array(rows) / level for rows in zip(*pairs, strict=True))
         mixed = np.flatnonzero(G.any(axis=0))
         u, sing, vt = np.linalg.svd(G[:, mixed])
         rank = int((sing > 1e-11 * sing[0]).sum())
-        if rank < len(chosen) and np.any(np.abs(u[:, rank:].T @ drive) > 1e-9):
-            names = [
-                self.sources[self.constraints[k][1]].name
-                for k in chosen
-                if self.constraints[k][1] >= 0
-            ]
+        if rank < len(pairs) and np.any(np.abs(u[:, rank:].T @ drive) > 1e-9):
             raise UsageError(
                 "ideal sources prescribe the same quantity",
-                got=", ".join(names),
+                got=", ".join(self.sources[k].name for k in np.flatnonzero(drive.any(axis=0))),
                 hint="join them through a resistance, or leave one out",
             )
         R[mixed] = (vt[:rank].T / sing[:rank]) @ (u[:, :rank].T @ drive)
@@ -399,11 +343,12 @@ class _Assembly:
         level = 1.0 / np.where(level == 0.0, 1.0, level)
         W = W * level
 
-        def reduced(form: np.ndarray) -> Rows:
-            form = np.atleast_2d(form)
-            return Rows(form @ T, form @ Ts, form @ Td)
-
+        expansion = np.hstack([T, Ts, Td])
+        G, F = W.T @ self.M @ expansion, W.T @ self.A @ expansion
+        G[:, :size], F[:, :size] = M * level[:, None], A * level[:, None]
+        F[:, size : size + len(self.sources)] += W.T @ self.S
         devices, differential = [], np.abs(M).max(axis=0) > 0.0
+        first = 0
         for law, taps, into in self.attached:
             where = np.array([self.own[f"{law.name}.{s}"] for s in law.states], dtype=int)
             small, stores = where - n + size, None
@@ -412,46 +357,68 @@ class _Assembly:
                 stores = W.T @ np.hstack([np.eye(n)[:, where], charges])
                 differential[small] = True
                 differential |= (charges.T @ T).any(axis=0)
-            devices.append(Attached(law, reduced(taps), W.T @ into, stores, into, small))
-        pins = [(law, pin) for law in self.laws for pin in law.pins]
-        across = {f"{o.name}.{q.name}": reduced(self.across(o, q.name)) for o, q in pins}
-        rates = {
-            f"{o.name}.{q.name}": reduced(self.velocity_of(self.form(o, q.name)))
-            for o, q in pins
-            if q.kind in L.MECHANICAL
-        }
-        G = np.array([f for f, _ in self.constraints])
-        G = G.reshape(len(self.constraints), n)
+            devices.append(Attached(law, taps @ expansion, W.T @ into, stores, small, first))
+            first += into.shape[1]
         return System(
-            M=M * level[:, None],
-            A=A * level[:, None],
-            Gs=W.T @ self.M @ Ts,
-            Gd=W.T @ self.M @ Td,
-            Bs=W.T @ (self.A @ Ts + self.S),
-            Bd=W.T @ self.A @ Td,
+            G=G,
+            F=F,
             const=W.T @ self.const,
             differential=differential,
             velocity=np.isin(np.arange(size), np.arange(p, p + d)),
             sources=self.sources,
             devices=tuple(devices),
-            across=across,
-            rates=rates,
-            through={k: (reduced(a), reduced(b)) for k, (a, b) in self.flows.items()},
-            terms=tuple(Term(o, k, reduced(r), g, x) for o, k, r, g, x in self.terms),
-            supplies=tuple(
-                Supply(o, k, m, None if r is None else reduced(r), b)
-                for o, k, m, r, b in self.supplies
-            ),
+            outputs=self._outputs(expansion, devices, first),
+            terms=tuple(Term(o, kind, r @ expansion, g) for o, kind, r, g in self.terms),
             held=tuple(
-                Held(o, reduced(r), x, None if v is None else reduced(v), y, W.T @ r)
-                for o, r, x, v, y in self.held
+                Held(r @ expansion, x, v @ expansion, y, W.T @ r) for r, x, v, y in self.held
             ),
-            raw=(self.M, self.A, self.S, self.const, G, T, Ts, Td),
         )
 
-
-def _of(nets: list[str], kinds: dict[str, str], kind: str) -> list[str]:
-    return [n for n in nets if kinds[n] == kind]
+    def _outputs(
+        self, expansion: np.ndarray, devices: list[Attached], count: int
+    ) -> dict[str, Output]:
+        """Across quantities ``NAME.pin``, their ``.rate`` where something moves, what is
+        ``.through`` pins, and states of devices. What prescribes a quantity exerts what remains in
+        the raw equations."""
+        none, still = np.zeros(expansion.shape[1]), np.zeros(count)
+        found = {}
+        for law in self.laws:
+            for pin in law.pins:
+                name, across = f"{law.name}.{pin.name}", self.across(law, pin.name)
+                found[name] = Output(across @ expansion, none, still)
+                if pin.kind in L.MECHANICAL:
+                    speed = self.velocity_of(self.form(law, pin.name))
+                    found[f"{name}.rate"] = Output(speed @ expansion, none, still)
+        for name, (direct, rated) in self.flows.items():
+            found[f"{name}.through"] = Output(direct @ expansion, rated @ expansion, still)
+        for device in devices:
+            law = device.law
+            for k, flow in enumerate(law.flows):
+                one = np.eye(1, count, device.first + k)[0]
+                found[f"{law.name}.{flow.pin}.through"] = Output(none, none, one)
+            for state, row in zip(law.states, device.inputs[len(law.taps) :], strict=True):
+                found[f"{law.name}.{state}"] = Output(row, none, still)
+        forms = np.array([form for form, _ in self.constraints]).reshape(-1, self.size)
+        touched = forms.any(axis=0)
+        solve = np.linalg.pinv(forms[:, touched].T, rcond=1e-12) if forms.size else None
+        n, k = expansion.shape[1] - 2 * len(self.sources), len(self.sources)
+        acting = self.A @ expansion
+        acting[:, n : n + k] += self.S
+        raw = np.hstack([np.zeros((self.size, 0)), *(into for _, _, into in self.attached)])
+        for at, source in enumerate(self.sources):
+            if source.kind in ("signal", "acceleration"):
+                continue
+            held = [j for j, (_, by) in enumerate(self.constraints) if by[at]]
+            prescribed = np.zeros(self.size)
+            if held and solve is not None:
+                prescribed[touched] = solve[held[0]]
+            found[f"{source.name}.out.through"] = Output(
+                prescribed @ acting if held else -np.eye(1, none.size, n + at)[0],
+                -prescribed @ self.M @ expansion,
+                prescribed @ raw,
+                float(prescribed @ self.const),
+            )
+        return found
 
 
 def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -470,7 +437,7 @@ def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def compliant(body: L.LinearBody, k: int) -> bool:
     """Whether mechanical port ``k`` has a compliance of its own besides the modes."""
-    return body.D is not None and bool(np.asarray(body.D)[k].any())
+    return bool(body.D[k].any())
 
 
 def has_store(law: L.Device) -> bool:
@@ -523,7 +490,7 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
     into.A[x, v] -= E - drag
     into.drag[x, x] += drag
     B, C = np.asarray(law.B, dtype=float), np.asarray(law.C, dtype=float)
-    D = np.zeros((len(law.ports),) * 2) if law.D is None else np.asarray(law.D, dtype=float)
+    D = np.asarray(law.D, dtype=float)
     motion, volts = np.zeros((C.shape[1], n)), {}
     motion[:, x] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
@@ -552,28 +519,13 @@ def _body(law: L.LinearBody, into: _Assembly) -> None:
             into.term(law, "energy", force, 0.5 * D[k, k])
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
-    _quadratic(law, into, "energy", motion, 0.5 * K)
-    _quadratic(law, into, "energy", moving, 0.5 * M)
-    _quadratic(law, into, "loss", moving, E - drag)
-    _quadratic(law, into, "drag", motion, drag)
+    into.term(law, "energy", motion, 0.5 * K)
+    into.term(law, "energy", moving, 0.5 * M)
+    into.term(law, "loss", moving, E - drag)
+    into.term(law, "drag", motion, drag)
     if volts:
         keys = list(volts)
-        _quadratic(
-            law, into, "energy", np.array([volts[k] for k in keys]), 0.5 * D[np.ix_(keys, keys)]
-        )
-
-
-def _quadratic(
-    law: L.Law, into: _Assembly, kind: str, rows: np.ndarray, weight: np.ndarray
-) -> None:
-    """Book ``y' weight y`` as a sum of squares."""
-    if not weight.any():
-        return
-    if np.count_nonzero(weight - np.diag(np.diag(weight))) == 0:
-        into.term(law, kind, rows, np.diag(weight))
-        return
-    values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
-    into.term(law, kind, vectors.T @ rows, values)
+        into.term(law, "energy", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
 @stamp.register
@@ -598,10 +550,10 @@ def _mass(law: L.Mass, into: _Assembly) -> None:
     into.M += law.mass * np.outer(form, speed)
     into.const -= law.mass * law.gravity * form
     into.term(law, "energy", speed, 0.5 * law.mass)
-    into.term(law, "energy", form, law.mass * law.gravity, linear=True)
+    into.term(law, "weight", form, law.mass * law.gravity)
     into.flows[f"{law.name}.a"] = (np.zeros(into.size), law.mass * speed)
     if law.position is not None:
-        into.held.append((law.name, form, law.position, speed, law.velocity))
+        into.held.append((form, law.position, speed, law.velocity))
 
 
 @stamp.register
@@ -636,26 +588,16 @@ def _source(law: L.Source, into: _Assembly) -> None:
         into.S[:, k] += into.form(law, "out")
         return
     form = into.gap(law, "out", "ret")
-    mechanical = law.kind in ("force", "displacement")
     if law.kind in ("current", "force"):
         into.S[:, k] += form
-        read = into.rate(form) if mechanical else form
-        into.supplies.append((law.name, k, -1, read, mechanical))
+        into.rate(form)  # for its power
     else:
-        into.supplies.append((law.name, k, into.constrain(form, k), None, mechanical))
+        into.constrain(form, k)
 
 
 @stamp.register
 def _sensor(law: L.Sensor, into: _Assembly) -> None:
-    read, out = into.across(law, "a") - into.across(law, "b"), into.form(law, "out")
-    if np.isinf(law.bandwidth):
-        into.A += law.gain * np.outer(out, read)
-        into.const += law.offset * out
-        return
-    w = 2 * np.pi * law.bandwidth
-    into.M += np.outer(out, out)
-    into.A += np.outer(out, w * law.gain * read + (1.0 - w) * out)
-    into.const += w * law.offset * out
+    into.A += law.gain * np.outer(into.form(law, "out"), into.across(law, "a"))
 
 
 @stamp.register

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.laws import Line
 from kc2spice.reference.assemble import System
+from kc2spice.reference.interval import Interval
 
 _ITERATIONS = 400
 _DIRECT = 12  # Newton steps from a guess
 
 
-@dataclass(frozen=True)
-class Point:
-    """A state of rest: unknowns, modes of the devices, and everything by name in ``values``."""
+def operating_point(system: System) -> dict[str, float]:
+    """Every wave at the equilibrium with the sources as they are at t = 0.
 
-    z: np.ndarray
-    modes: tuple[Any, ...]
-    values: dict[str, float]
-
-
-def operating_point(system: System) -> Point:
-    """Equilibrium with the sources as they are at t = 0; charges of floating nets are zero.
-
-    Raises SimulationError where nothing holds a part, or where no equilibrium was reached.
+    Charges of floating nets are zero. Raises SimulationError where nothing holds a part, or where
+    no equilibrium was reached.
     """
-    z, modes = equilibrium(system)
-    return Point(z, tuple(modes), _values(system, z, modes))
+    return _values(system, *equilibrium(system))
 
 
 def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -42,98 +35,72 @@ def dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]
         raise UsageError("no such source to sweep", got=source, expected=", ".join(names))
     z, found = None, []
     for value in np.asarray(values, dtype=float):
-        z, modes = equilibrium(system, z, {names.index(source): value})
-        found.append(_values(system, z, modes, {names.index(source): value}))
+        now = _with_waves(system, {source: value})
+        z, modes = equilibrium(now, z)
+        found.append(_values(now, z, modes))
     swept = {key: np.array([point[key] for point in found]) for key in found[0]}
     return {"sweep": np.asarray(values, dtype=float)} | swept
 
 
-def _values(
-    system: System, z: np.ndarray, modes: list[Any], fixed: dict[int, float] | None = None
-) -> dict[str, float]:
-    s, d = _sources(system, fixed)
-    found = {name: float(rows.at(z, s, d)[0]) for name, rows in system.across.items()}
-    for name, (direct, _) in system.through.items():
-        found[f"{name}.through"] = float(direct.at(z, s, d)[0])
+def _with_waves(system: System, values: dict[str, float]) -> System:
+    """All sources constant, at ``values`` or what they are at t = 0."""
+    waves = [(p, values.get(p.name, float(p.wave.value(0.0)))) for p in system.sources]
+    sources = (replace(p, wave=Line.constant(value)) for p, value in waves)
+    return replace(system, sources=tuple(sources))
+
+
+def _values(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
+    rest = Interval(_with_waves(system, {}), modes, 0.0)
+    X, out, more = rest.seen(0.0, z), np.empty(0), dict[str, float]()
     for device, mode in zip(system.devices, modes, strict=True):
-        e, name = device.inputs.at(z, s, d), device.law.name
-        out = device.law.evaluate(0.0, e, mode)[0]
-        for k, flow in enumerate(device.law.flows):
-            found[f"{name}.{flow.pin}.through"] = float(out[k])
-        for k, state in enumerate(device.law.states):
-            found[f"{name}.{state}"] = float(e[len(device.law.taps) + k])
-        found |= {f"{name}.{key}": v for key, v in device.law.waves(0.0, e, mode).items()}
-    return found
-
-
-def _sources(system: System, fixed: dict[int, float] | None) -> tuple[np.ndarray, np.ndarray]:
-    s, _ = system.inputs(0.0, 0.0)
-    for k, value in (fixed or {}).items():
-        s[k] = value
-    return s, np.zeros(s.size)
+        e, law = device.inputs @ X, device.law
+        out = np.append(out, law.evaluate(0.0, e, mode)[0])
+        more |= {f"{law.name}.{key}": value for key, value in law.waves(0.0, e, mode).items()}
+    named = system.outputs.items()
+    return {k: float(w.now @ X + w.devices @ out + w.constant) for k, w in named} | more
 
 
 class _Rest:
     """Equations of rest: balance, start values that are held, charges that nothing can change."""
 
-    def __init__(self, system: System, fixed: dict[int, float] | None) -> None:
-        self.system = system
-        self.s, self.d = _sources(system, fixed)
-        held = system.held
-        self.H = np.array([h.rows.z[0] for h in held]).reshape(-1, system.A.shape[0])
-        self.h = np.array([h.value - float(h.rows.s[0] @ self.s) for h in held])
-        self.into = np.array([h.into for h in held]).reshape(-1, system.A.shape[0]).T
+    def __init__(self, system: System) -> None:
+        self.system = _with_waves(system, {})
+        self.given = self.system.given(0.0, 0.0)
+        n, held = system.size, system.held
+        self.H = np.array([h.row[:n] for h in held]).reshape(-1, n)
+        self.h = np.array([h.value - h.row[n:] @ self.given for h in held])
+        self.into = np.array([h.into for h in held]).reshape(-1, n).T
 
-    def modes(self, z: np.ndarray) -> list[Any]:
-        """Modes of the devices at ``z``."""
-        return [
-            device.law.mode(0.0, device.inputs.at(z, self.s, self.d))
-            for device in self.system.devices
-        ]
+    def interval(self, z: np.ndarray) -> Interval:
+        """The system in the modes that its devices have at ``z``."""
+        X = np.concatenate((z, self.given))
+        modes = [device.law.mode(0.0, device.inputs @ X) for device in self.system.devices]
+        return Interval(self.system, modes, 0.0)
 
-    def equations(self, z: np.ndarray, modes: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+    def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual (n,) and slopes (n, n) without what is held."""
-        system = self.system
-        f = system.A @ z + system.Bs @ self.s + system.const
-        J = system.A.copy()
-        for device, mode in zip(system.devices, modes, strict=True):
-            e = device.inputs.at(z, self.s, self.d)
-            out, slope = device.law.evaluate(0.0, e, mode)
-            f = f + device.into @ out
-            J += device.into @ slope @ device.inputs.z
+        f, J = interval.at(0.0, z)[1], interval.slopes(0.0, z)[1].copy()
+        for device, e in zip(self.system.devices, interval.inputs(0.0, z), strict=True):
             start = device.law.initial(e[: len(device.law.taps)])
             if start is not None:
-                rows = np.abs(system.M[:, device.states]).argmax(axis=0)
-                sizes = device.inputs.z[len(device.law.taps) :, device.states].diagonal()
+                rows = np.abs(self.system.G[:, device.states]).argmax(axis=0)
+                sizes = device.inputs[len(device.law.taps) :, device.states].diagonal()
                 J[rows] = 0.0
                 J[rows, device.states] = 1.0
                 f[rows] = z[device.states] - start / sizes
         return f, J
 
-    def stored(self, z: np.ndarray, modes: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Charges, fluxes and momenta (n,), and their slopes (n, n)."""
-        g, slope = self.system.M @ z + self.system.Gs @ self.s, self.system.M
-        for device, mode in zip(self.system.devices, modes, strict=True):
-            if device.stores is not None:
-                kept, by = device.law.store(device.inputs.at(z, self.s, self.d), mode)
-                g = g + device.stores @ kept
-                slope = slope + device.stores @ by @ device.inputs.z
-        return g, slope
 
-
-def equilibrium(
-    system: System, guess: np.ndarray | None = None, fixed: dict[int, float] | None = None
-) -> tuple[np.ndarray, list[Any]]:
+def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.ndarray, list[Any]]:
     """Unknowns and modes at rest, by Newton's method after a motion through thick friction."""
-    rest, n = _Rest(system, fixed), system.A.shape[0]
+    rest, n = _Rest(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
     z[system.velocity] = 0.0
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
-    moving = np.flatnonzero(system.velocity)
     friction = np.zeros((n, n))
-    for v in moving:  # the row of p' = speed v tells whose velocity it is
-        p = int(np.flatnonzero((system.A[:, v] != 0.0) & _kinematic(system))[0])
+    for v in np.flatnonzero(system.velocity):  # the row of p' = speed v tells whose velocity it is
+        p = int(np.flatnonzero((system.F[:, v] != 0.0) & _kinematic(system))[0])
         friction[v, p] = 1.0
     # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
@@ -141,14 +108,13 @@ def equilibrium(
     for count in range(_ITERATIONS):
         if direct and count == direct:
             z, pace = start, 1e-6
-        modes = rest.modes(z)
-        f, J = rest.equations(z, modes)
-        step = _solve(rest, z, modes, f, J - friction / pace if pace < 1e13 else J)
+        interval = rest.interval(z)
+        f, J = rest.equations(interval, z)
+        step = _solve(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         z = z + step
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
-        settled = pace >= 1e13 and small
-        if settled and (rest.modes(z) == modes or not _changed(rest, z, modes)):
-            return _moving(system, z, rest), modes
+        if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):
+            return _moving(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(
         "no equilibrium was reached",
@@ -157,27 +123,15 @@ def equilibrium(
     )
 
 
-def _changed(rest: _Rest, z: np.ndarray, modes: list[Any]) -> bool:
-    """Whether a guard is negative beyond rounding."""
-    for device, mode in zip(rest.system.devices, modes, strict=True):
-        e = device.inputs.at(z, rest.s, rest.d)
-        if np.any(device.law.guards(0.0, e, mode) < -1e-18):
-            return True
-    return False
-
-
 def _kinematic(system: System) -> np.ndarray:
     """Rows ``p' = speed v``: a rate of a displacement, moved by nothing but one velocity."""
-    return (
-        ((np.abs(system.M) > 0).sum(axis=1) == 1)
-        & ((np.abs(system.A) > 0).sum(axis=1) == 1)
-        & (system.A[:, system.velocity] != 0).any(axis=1)
-        & ~system.M[:, system.velocity].any(axis=1)
-    )
+    M, A = system.G[:, : system.size] != 0.0, system.F[:, : system.size] != 0.0
+    velocity = A[:, system.velocity].any(axis=1) & ~M[:, system.velocity].any(axis=1)
+    return (M.sum(axis=1) == 1) & (A.sum(axis=1) == 1) & velocity
 
 
 def _solve(
-    rest: _Rest, z: np.ndarray, modes: list[Any], f: np.ndarray, J: np.ndarray
+    rest: _Rest, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
 ) -> np.ndarray:
     """Newton step with the held values and, where it is singular, the kept charges."""
     n, m = z.size, rest.h.size
@@ -191,7 +145,7 @@ def _solve(
         idle = u[:, rank:]
         kept = (idle[:n] / size[:n, None]).T
         short = np.abs(idle.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
-        stored, slope = rest.stored(z, modes)
+        stored, slope = interval.at(0.0, z)[0], interval.slopes(0.0, z)[0]
         add = np.hstack((kept @ slope, np.zeros((len(kept), m))))
         drop = -kept @ stored
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
@@ -206,13 +160,11 @@ def _solve(
     return np.linalg.lstsq(full, right, rcond=1e-15)[0][:n]
 
 
-def _moving(system: System, z: np.ndarray, rest: _Rest) -> np.ndarray:
+def _moving(system: System, z: np.ndarray) -> np.ndarray:
     """Give held masses their velocities."""
-    asked = [(h.rate, h.speed) for h in system.held if h.rate is not None]
-    if not asked:
+    if not system.held:
         return z
-    forms = np.array([rate.z[0] for rate, _ in asked])[:, system.velocity]
-    speeds = np.array([speed for _, speed in asked])
+    forms = np.array([h.rate[: system.size] for h in system.held])[:, system.velocity]
     z = z.copy()
-    z[system.velocity] = np.linalg.lstsq(forms, speeds, rcond=None)[0]
+    z[system.velocity] = np.linalg.lstsq(forms, [h.speed for h in system.held], rcond=None)[0]
     return z

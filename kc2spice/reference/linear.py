@@ -9,12 +9,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import UsageError
-from kc2spice.reference.assemble import Rows, System
+from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
-from kc2spice.reference.piece import Piece
+from kc2spice.reference.interval import Interval
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
 _STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
@@ -24,9 +25,8 @@ Warp = Callable[[np.ndarray], np.ndarray]
 
 
 class Linear:
-    """``d/dt (M z + Gs s + Gd s') = J z + Bs s + Bd s'`` with the outputs
-    ``y = C0 [z, s, s'] + d/dt C1 [z, s, s']``; ``names`` are those of ``y``, as in
-    :func:`ac`, and ``NAME.pin.rate``.
+    """``d/dt (G X) = F X`` for deviations ``X = [z, s, s']`` from rest, with the outputs
+    ``y = C0 X + d/dt C1 X``; ``names`` are those of ``y``, as in :func:`ac`, and ``NAME.pin.rate``.
 
     ``exact`` tells whether the system is linear, so that this holds for any size of motion.
 
@@ -44,130 +44,73 @@ class Linear:
     ) -> None:
         self.system = system
         self.z0, self.held = point or equilibrium(system)
-        self.rows = Piece(system, self.held, 0.0).rows
-        self.exact = not system.devices
-        s0, d0 = system.inputs(0.0, 0.0)
-        M, J = system.M, system.A
-        Gs, Gd, Bs, Bd = system.Gs, system.Gd, system.Bs, system.Bd
-        slopes, charges = [], []
-        for device, mode in zip(system.devices, self.held, strict=True):
-            e = device.inputs.at(self.z0, s0, d0)
+        interval = Interval(system, self.held, 0.0)
+        self.rows, self.exact = interval.rows, not system.devices
+        self.G, self.F = system.G, system.F
+        slopes, charges = [np.zeros((0, self.F.shape[1]))], [np.zeros((0, self.F.shape[1]))]
+        seen = zip(system.devices, interval.inputs(0.0, self.z0), self.held, strict=True)
+        for device, e, mode in seen:
             slope, kept = device.law.small(at, e, mode)
-            slopes.append(slope)
-            charges.append(np.zeros_like(slope))
-            charges[-1][list(device.law.charged)] = kept[len(device.law.states) :]
-            z, s, d = (device.into @ slope @ P for P in device.inputs.parts)
-            J, Bs, Bd = J + z, Bs + s, Bd + d
+            rated = np.zeros_like(slope)
+            rated[list(device.law.charged)] = kept[len(device.law.states) :]
+            slopes.append(slope @ device.inputs)
+            charges.append(rated @ device.inputs)
+            self.F = self.F + device.into @ slopes[-1]
             if device.stores is not None:
-                z, s, d = (device.stores @ kept @ P for P in device.inputs.parts)
-                M, Gs, Gd = M + z, Gs + s, Gd + d
-        self.M, self.J = M, J
-        self.Gs, self.Gd, self.Bs, self.Bd = Gs, Gd, Bs, Bd
-        self.names, self.C0, self.C1 = self._outputs(slopes, charges)
-
-    def _outputs(
-        self, slopes: list[np.ndarray], charges: list[np.ndarray]
-    ) -> tuple[list[str], np.ndarray, np.ndarray]:
-        system, none = self.system, np.zeros(self.z0.size + 2 * len(self.system.sources))
-        names: list[str] = []
-        now: list[np.ndarray] = []
-        rated: list[np.ndarray] = []
-
-        def add(name: str, direct: np.ndarray, rate: np.ndarray = none) -> None:
-            names.append(name)
-            now.append(direct)
-            rated.append(rate)
-
-        for name, rows in system.across.items():
-            add(name, _row(rows))
-        for name, rows in system.rates.items():
-            add(f"{name}.rate", _row(rows))
-        for name, (direct, rate) in system.through.items():
-            add(f"{name}.through", _row(direct), _row(rate))
-        rawM, rawA, S, _, G, T, Ts, Td = system.raw
-        expansion = np.hstack([T, Ts, Td])
-        left, stored = -rawA @ expansion, rawM @ expansion
-        left[:, T.shape[1] : T.shape[1] + S.shape[1]] -= S
-        for device, slope, charge in zip(system.devices, slopes, charges, strict=True):
-            seen = np.hstack(device.inputs.parts)
-            form, rate = slope @ seen, charge @ seen
-            left, stored = left - device.raw @ form, stored - device.raw @ rate
-            for k, flow in enumerate(device.law.flows):
-                add(f"{device.law.name}.{flow.pin}.through", form[k], rate[k])
-        touched = G.any(axis=0)
-        solve = np.linalg.pinv(G[:, touched].T, rcond=1e-12) if G.size else np.zeros((0, 0))
-        for supply in system.supplies:
-            if supply.multiplier < 0:
-                form = none.copy()
-                form[self.z0.size + supply.source] = -1.0
-                add(f"{supply.law}.out.through", form)
-            else:
-                row = -solve[supply.multiplier]
-                add(
-                    f"{supply.law}.out.through",
-                    row @ left[touched],
-                    row @ stored[touched],
-                )
-        # a name that stands twice keeps its last meaning
-        last = {name: k for k, name in enumerate(names)}
-        kept = list(last.values())
-        return list(last), np.array(now)[kept], np.array(rated)[kept]
+                self.G = self.G + device.stores @ kept @ device.inputs
+        self.names, outputs = list(system.outputs), system.outputs.values()
+        self.constants = np.array([y.constant for y in outputs])
+        by_devices = np.array([y.devices for y in outputs])
+        self.C0 = np.array([y.now for y in outputs]) + by_devices @ np.concatenate(slopes)
+        self.C1 = np.array([y.rated for y in outputs]) + by_devices @ np.concatenate(charges)
 
     def answer(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Outputs (ny,) for sources ``amplitudes e^(w t)``."""
-        s, d = amplitudes, w * amplitudes
-        drive = self.Bs @ s + self.Bd @ d - w * (self.Gs @ s + self.Gd @ d)
-        P = w * self.M - self.J
-        size = np.abs(P).max(axis=1)  # rows are scaled without devices that follow a frequency
-        z = np.linalg.solve(P / size[:, None], drive / size)
-        everything = np.concatenate([z, s, d])
-        return np.asarray(self.C0 @ everything + w * (self.C1 @ everything))
+        n, given = self.system.size, np.concatenate((amplitudes, w * amplitudes))
+        P = w * self.G - self.F
+        size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without devices of a frequency
+        z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ given / size)
+        X = np.concatenate((z, given))
+        return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     @cached_property
     def modes(self) -> Modes | None:
         """The natural motions; None where they have no basis of their own, or a body is free."""
+        n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
-        Add, Ada = self.J[np.ix_(rows, cols)], self.J[np.ix_(rows, ~cols)]
-        Aad, Aaa = self.J[np.ix_(~rows, cols)], self.J[np.ix_(~rows, ~cols)]
-        Md = self.M[np.ix_(rows, cols)]
+        J, algebraic = self.F[:, :n], ~cols
         try:
-            follow = -np.linalg.solve(Aaa, Aad)
-            cut = Ada @ np.linalg.inv(Aaa)
-            inverse = np.linalg.inv(Md)
-            rates, shapes, reading, drifting = _split(inverse @ (Add + Ada @ follow))
+            inner = np.linalg.inv(J[np.ix_(~rows, algebraic)])
+            follow = -inner @ J[np.ix_(~rows, cols)]
+            cut = J[np.ix_(rows, algebraic)] @ inner
+            inverse = np.linalg.inv(self.G[:, :n][np.ix_(rows, cols)])
+            own = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
+            rates, shapes, reading, drifting = _split(inverse @ own)
         except np.linalg.LinAlgError:
             return None
         if rates is None:
             return None
-        read = reading @ inverse
-        whole = np.zeros((self.z0.size, rates.size), dtype=complex)
-        whole[cols], whole[~cols] = shapes, follow @ shapes
-        n = self.z0.size
+        whole = np.zeros((n, rates.size), dtype=complex)
+        whole[cols], whole[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ whole + (self.C1[:, :n] @ whole) * rates
-
-        def coupled(forms: np.ndarray) -> np.ndarray:
-            return np.asarray(read @ (forms[rows] - cut @ forms[~rows]))
-
-        # of e^(w t): Bs + w (Bd - Gs) - w^2 Gd
-        drive = (
-            coupled(self.Bs)
-            + rates[:, None] * coupled(self.Bd - self.Gs)
-            - rates[:, None] ** 2 * coupled(self.Gd)
-        )
-        s0, _ = self.system.inputs(0.0, 0.0)
-        forces = self.Bs @ s0 + self.system.const
-        rest = np.linalg.lstsq(self.J, -forces, rcond=1e-14)[0]
+        # what sources e^(w t) drive: Bs + w (Bd - Gs) - w^2 Gd
+        Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
+        Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
+        forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
+        drive = sum(reading @ form * rates[:, None] ** j for j, form in enumerate(forms))
+        s0 = self.system.given(0.0, 0.0)[:k]
+        rest = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
         off = (self.z0 - rest)[cols]
         if drifting.size:
-            free = drifting @ inverse @ ((self.Bs - self.Gs)[rows] - cut @ self.Bs[~rows])
-            held = np.linalg.norm(inverse @ (self.Bs - self.Gs)[rows]) + 1e-300
+            free = drifting @ inverse @ ((Bs - Gs)[rows] - cut @ Bs[~rows])
+            held = np.linalg.norm(inverse @ (Bs - Gs)[rows]) + 1e-300
             moving = np.linalg.norm(drifting @ off) > _FREE * (np.linalg.norm(self.z0) + 1e-300)
             if np.abs(free).max(initial=0.0) > _FREE * held or moving:
                 return None
-        level = self.C0 @ np.concatenate([rest, s0, 0.0 * s0])
-        return Modes(rates, out, drive, reading @ off, level)
+        level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.constants
+        return Modes(rates, out, np.asarray(drive), reading @ off, level)
 
     def motion(self, waves: tuple[L.Waveform, ...], stop: float) -> Motion | None:
         """The exact motion up to ``stop`` [s] under the sources' waveforms; None where a source has
@@ -208,21 +151,19 @@ def ac(system: System, frequencies: np.ndarray, source: str | None = None) -> di
     )
     linear = Linear(system)
     frequencies = np.asarray(frequencies, dtype=float)
-    rates = 2j * np.pi * frequencies
-    if any(type(device.law).small is not L.Device.small for device in system.devices):
-        point = linear.z0, linear.held
-        found = np.array([Linear(system, w, point).answer(w, amplitude) for w in rates]).T
-    else:
-        found = np.array([linear.answer(w, amplitude) for w in rates]).T
-    waves = {n: y for n, y in zip(linear.names, found, strict=True) if not n.endswith(".rate")}
-    return {"frequency": frequencies} | waves
+    follows = any(type(device.law).small is not L.Device.small for device in system.devices)
+    point = linear.z0, linear.held
+    found = [
+        (Linear(system, w, point) if follows else linear).answer(w, amplitude)
+        for w in 2j * np.pi * frequencies
+    ]
+    waves = zip(linear.names, np.array(found).T, strict=True)
+    return {"frequency": frequencies} | {n: y for n, y in waves if not n.endswith(".rate")}
 
 
 def _split(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     """Rates (m,), shapes (n, m), what reads them (m, n) of ``x' = F x``, and what reads the rest, a
     motion without restoring force (n - m, n). The rates are None where the shapes are no basis."""
-    import scipy.linalg as sla
-
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda x: abs(x) > _STILL * size)
     X = sla.solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if k < len(F) else T[:k, k:]
@@ -234,13 +175,9 @@ def _split(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     return rates, Q[:, :k] @ S, reading, left[k:]
 
 
-def _row(rows: Rows) -> np.ndarray:
-    return np.concatenate([rows.z[0], rows.s[0], rows.d[0]])
-
-
 def _kinks(k: int, wave: L.Line, stop: float) -> list[tuple[float, int, float]]:
     """Times from zero on at which the slope of source ``k`` jumps, and by how much."""
-    times, values = wave._knots
+    times, values = wave.knots
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     before = times < 0
@@ -356,6 +293,6 @@ class Motion:
 
 
 def _slope(wave: L.Line, t: np.ndarray) -> np.ndarray:
-    times, values = wave._knots
+    times, values = wave.knots
     slopes = np.concatenate([[0.0], np.diff(values) / np.diff(times), [0.0]])
     return np.asarray(slopes[np.searchsorted(times, t, side="right")])

@@ -1,57 +1,36 @@
-"""Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996, IV.8).
+"""Steps of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996, IV.8).
 
-Carrying ``g`` from step to step keeps charge, flux and momentum, and makes algebraic unknowns and
-their start values a matter of course.
+``scipy.integrate.Radau`` takes no mass matrix, and algebraic unknowns can be eliminated only where
+the index is 1: for two inductors in series, or one behind a current source, which are of index 2,
+what elimination has to solve is singular. This method follows both as they are. Carrying ``g``
+from step to step keeps charge, flux and momentum.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.reference.interval import Interval
 
 _S6 = np.sqrt(6.0)
 NODES = np.array([(4 - _S6) / 10, (4 + _S6) / 10, 1.0])
 _POWERS = np.arange(1, 4)
 _A = (NODES[:, None] ** _POWERS / _POWERS) @ np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
 WEIGHTS = _A[2]
-INVERSE = np.linalg.inv(_A)
-_values, _vectors = np.linalg.eig(INVERSE)
-_REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
-_MU, _LAMBDA = float(_values[_REAL].real), complex(_values[_PAIR])
-_TR, _TC = _vectors[:, _REAL].real, _vectors[:, _PAIR]
+_INVERSE = np.linalg.inv(_A)
+_values, _vectors = np.linalg.eig(_INVERSE)
 _BACK = np.linalg.inv(_vectors)
-_BR, _BC = _BACK[_REAL].real, _BACK[_PAIR]
+_REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
 _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
 # Polynomials through the start and the stages, and through the stages alone.
 _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
-
-
-class Problem(Protocol):
-    """What one smooth piece gives to the integrator."""
-
-    differential: np.ndarray
-    rows: np.ndarray  # (n,) bool: rows with a rate
-
-    def stored(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """``g`` (n, nt) at columns of states."""
-        ...
-
-    def flow(self, t: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """``f`` (n, nt) at columns of states."""
-        ...
-
-    def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``dg/dz`` and ``df/dz``."""
-        ...
-
-    linear: bool
 
 
 @dataclass(frozen=True)
@@ -65,6 +44,11 @@ class Step:
     differential: np.ndarray
 
     @property
+    def end(self) -> float:
+        """Time at the end."""
+        return self.start + self.length
+
+    @property
     def last(self) -> np.ndarray:
         """State at the end."""
         return self.first + self.increments[:, 2]
@@ -72,121 +56,117 @@ class Step:
     def at(self, t: np.ndarray | float) -> np.ndarray:
         """States (n, nt) on the collocation polynomial."""
         x = (np.atleast_1d(t) - self.start) / self.length
-        cubic = self.increments @ _CUBIC.T @ (x ** _POWERS[:, None])
-        square = self.increments @ _SQUARE.T @ (x ** (_POWERS - 1)[:, None])
-        return self.first[:, None] + np.where(self.differential[:, None], cubic, square)
+        powers = x ** np.arange(4)[:, None]
+        return self.first[:, None] + self._polynomials(powers[1:], powers[:3])
+
+    def rate(self, t: np.ndarray | float) -> np.ndarray:
+        """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
+        x = (np.atleast_1d(t) - self.start) / self.length
+        square = np.array([0.0 * x, x**0, 2 * x])
+        return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
+
+    def _polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
+        through_start = self.increments @ _CUBIC.T @ cubic
+        alone = self.increments @ _SQUARE.T @ square
+        return np.where(self.differential[:, None], through_start, alone)
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """States and rates (n, 3) at the stages, for quadrature over the step."""
         return self.first[:, None] + self.increments, self.rate(self.start + self.length * NODES)
 
-    def rate(self, t: np.ndarray | float) -> np.ndarray:
-        """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
-        x = (np.atleast_1d(t) - self.start) / self.length
-        cubic = self.increments @ _CUBIC.T @ (_POWERS[:, None] * x ** (_POWERS - 1)[:, None])
-        square = (
-            self.increments
-            @ _SQUARE.T
-            @ (np.array([0, 1, 2])[:, None] * x ** np.array([0, 0, 1])[:, None])
-        )
-        return np.where(self.differential[:, None], cubic, square) / self.length
-
 
 class Radau:
-    """Steps of one smooth piece; ``advance`` makes an accepted one, ``take`` one of given size."""
+    """Steps within one interval; ``advance`` makes one of an error, ``take`` one of a length."""
 
-    def __init__(self, problem: Problem, t: float, z: np.ndarray, rtol: float) -> None:
-        self.problem, self.rtol = problem, rtol
-        self.t, self.z = t, z
-        self.g = problem.stored(np.array([t]), z[:, None])[:, 0]
+    def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
+        self.interval, self.rtol = interval, rtol
+        self.active, self.rows = interval.system.differential, interval.rows
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
-        self.M, self.J = problem.slopes(t, z)
-        self.fresh = True
-        self.h_lu = 0.0
-        self.lu: tuple | None = None
         self.before: Step | None = None
-        self.error_before, self.h_before = 0.0, 0.0
+        self.kept: tuple[float, float] | None = None  # length and error of the step before
+        self._start(t, z)
+        self._linearise()
+
+    def _start(self, t: float, z: np.ndarray) -> None:
+        self.t, self.z = t, z
+        self.g, f = self.interval.at(t, z)
+        self.f = np.where(self.rows, f, 0.0)
+
+    def _linearise(self) -> None:
+        self.M, self.J = self.interval.slopes(self.t, self.z)
+        self.h_lu, self.lu = 0.0, tuple[Any, ...]()
 
     def guess(self, end: float) -> float:
         """First step: a hundredth of the time in which the state doubles."""
-        f = self._rate()
-        active = self.problem.differential
-        scale = self.rtol * (1.0 + np.abs(self.z))
-        speed = _norm((np.linalg.lstsq(self.M, f, rcond=None)[0] / scale)[active])
-        return min(
-            end - self.t,
-            0.5 * (0.01 / speed) ** 0.25 if speed > 1e-300 else end - self.t,
-            max(1e-12, 0.01 * self.rtol**-0.75 / max(speed, 1e-300)),
-        )
+        rates = np.linalg.lstsq(self.M, self.f, rcond=None)[0]
+        speed = _norm((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
+        if speed <= 1e-300:
+            return end - self.t
+        first = min(0.5 * (0.01 / speed) ** 0.25, max(1e-12, 0.01 * self.rtol**-0.75 / speed))
+        return min(end - self.t, first)
 
-    def _rate(self) -> np.ndarray:
-        f = self.problem.flow(np.array([self.t]), self.z[:, None])[:, 0]
-        return np.where(self.problem.rows, f, 0.0)
+    def _solve(self, right: np.ndarray, which: int) -> np.ndarray:
+        if np.iscomplexobj(self.lu[which][0]):
+            return np.asarray(lapack.zgetrs(*self.lu[which][:2], right)[0])
+        return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
 
     def _factor(self, h: float) -> None:
-        if self.lu is not None and h == self.h_lu:
+        if h == self.h_lu:
             return
-        real = lapack.dgetrf(_MU / h * self.M - self.J)
-        pair = lapack.zgetrf(_LAMBDA / h * self.M - self.J)
-        if real[2] or pair[2]:
+        self.lu = (
+            lapack.dgetrf(_values[_REAL].real / h * self.M - self.J),
+            lapack.zgetrf(_values[_PAIR] / h * self.M - self.J),
+        )
+        self.h_lu = h
+        if any(info for _, _, info in self.lu):
             raise SimulationError(
                 "the equations are singular",
                 where=f"t = {self.t:.6e} s",
                 hint="look for a net without a path to ground, or an inductor in series with a "
                 "current source",
             )
-        self.lu, self.h_lu = (real, pair), h
 
     def take(self, h: float) -> Step | None:
         """Solve one step of length ``h``; None if Newton's method does not converge."""
         self._factor(h)
-        assert self.lu is not None
-        (lr, pr, _), (lc, pc, _) = self.lu
-        p, t = self.problem, self.t + h * NODES
+        p, t = self.interval, self.t + h * NODES
+        given = p.system.given(t, p.within)
         Z = np.zeros((self.z.size, 3))
         if self.before is not None:
             Z = self.before.at(t) - self.z[:, None]
         scale = self.rtol * (1.0 + np.abs(self.z))
-        scale = np.where(p.differential, scale, 1e3 * scale)  # these carry no error onwards
-        last, rate = None, None
+        scale = np.where(self.active, scale, 1e3 * scale)  # these carry no error onwards
+        last = 0.0
         for k in range(_MAX_NEWTON):
-            z = self.z[:, None] + Z
-            r = p.flow(t, z) - (p.stored(t, z) - self.g[:, None]) @ INVERSE.T / h
-            wr, _ = lapack.dgetrs(lr, pr, r @ _BR)
-            wc, _ = lapack.zgetrs(lc, pc, r @ _BC)
-            dZ = np.outer(wr, _TR) + 2.0 * np.outer(wc, _TC).real
-            size = _norm(dZ / scale[:, None])
-            if not np.isfinite(size):
+            X = np.concatenate((self.z[:, None] + Z, given))
+            r = p.flow(t, X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
+            real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
+            pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
+            change = real + 2.0 * pair.real
+            size = _norm(change / scale[:, None])
+            rate = size / last if last > 0.0 else 0.0
+            if not np.isfinite(size) or (rate >= 1.0 and size > 1e-2):  # below it is rounding
                 return None
-            if last is not None and last > 0.0:
-                rate = size / last
-                if rate >= 1.0 and size > 1e-2:  # below that it is rounding
-                    return None
-            Z += dZ
-            done = p.linear and k == 0 and self.fresh
-            done |= size == 0.0
-            if rate is not None:
+            Z += change
+            done = size == 0.0 or (p.linear and k == 0)
+            if last > 0.0:
                 done |= rate >= 1.0 or rate / (1 - min(rate, 0.9)) * size < self.newton_tol
             if done:
                 self.iterations = k + 1
-                return Step(self.t, h, self.z, Z, p.differential)
+                return Step(self.t, h, self.z, Z, self.active)
             last = size
         return None
 
     def accept(self, step: Step) -> None:
         """Go on from the end of ``step``."""
-        p = self.problem
         self.before = step
-        self.t, self.z = step.start + step.length, step.last
-        self.g = p.stored(np.array([self.t]), self.z[:, None])[:, 0]
-        if not p.linear and self.iterations > 2:
-            self.M, self.J = p.slopes(self.t, self.z)
-            self.lu = None
+        self._start(step.end, step.last)
+        if not self.interval.linear and self.iterations > 2:
+            self._linearise()
 
     def advance(self, h: float, end: float) -> tuple[Step, float]:
         """One step whose error is within tolerance, not yet accepted, and the next length."""
         rejected = False
-        active, f0 = self.problem.differential, self._rate()
         while True:
             if not h > 1e-15 * max(abs(self.t), 1e-6):
                 raise SimulationError("the step became too small", where=f"t = {self.t:.9e} s")
@@ -197,33 +177,35 @@ class Radau:
             if step is None:
                 h, rejected = 0.5 * h, True
                 continue
-            assert self.lu is not None  # ``take`` has factorised
-            (lr, pr, _), _ = self.lu
-            # of what is stored, not of ``M`` times the unknowns: that is of an earlier state
-            late = self.problem.stored(self.t + h * NODES, self.z[:, None] + step.increments)
-            ZE = np.where(self.problem.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
-            error, _ = lapack.dgetrs(lr, pr, f0 + ZE)
-            scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
-            size = _norm((error / scale)[active])
-            if rejected and size > 1.0:
-                again = self.problem.flow(np.array([self.t]), (self.z + error)[:, None])[:, 0]
-                again = np.where(self.problem.rows, again, 0.0)
-                error, _ = lapack.dgetrs(lr, pr, again + ZE)
-                size = _norm((error / scale)[active])
+            size = self._error(step, rejected)
             safety = 0.9 * (2 * _MAX_NEWTON + 1) / (2 * _MAX_NEWTON + self.iterations)
-            factor = self._factor_of(h, size)
+            factor = safety * self._change(h, size)
             if size <= 1.0:
-                factor = min(10.0, safety * factor)
-                self.h_before, self.error_before = h, max(size, 1e-10)
-                return step, h * factor if factor >= 1.2 or factor < 1.0 else h
-            h, rejected = h * max(0.2, safety * factor), True
+                self.kept = h, max(size, 1e-10)
+                factor = min(10.0, factor)
+                return step, h if 1.0 <= factor < 1.2 else h * factor
+            h, rejected = h * max(0.2, factor), True
 
-    def _factor_of(self, h: float, size: float) -> float:
+    def _error(self, step: Step, again: bool) -> float:
+        """Estimated error in units of the tolerance, filtered ``again`` where it was too large."""
+        p, t, h = self.interval, self.t + step.length * NODES, step.length
+        given = p.system.given(t, p.within)
+        # of what is stored, not of ``M`` times the unknowns: that is of an earlier state
+        late = p.stored(np.concatenate((step.first[:, None] + step.increments, given)))
+        moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
+        scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
+        error = self._solve(self.f + moved, 0)
+        size = _norm((error / scale)[self.active])
+        if again and size > 1.0:
+            f = np.where(self.rows, p.at(self.t, self.z + error)[1], 0.0)
+            size = _norm((self._solve(f + moved, 0) / scale)[self.active])
+        return size
+
+    def _change(self, h: float, size: float) -> float:
+        """Factor of the step by the errors of this one and of the one before (Gustafsson)."""
         if size == 0.0:
             return 10.0
-        factor = 1.0
-        if self.h_before and self.error_before:
-            factor = h / self.h_before * (self.error_before / size) ** 0.25
+        factor = h / self.kept[0] * (self.kept[1] / size) ** 0.25 if self.kept else 1.0
         return min(1.0, factor) * size**-0.25
 
 

@@ -15,7 +15,7 @@ L-stable, so that what is too fast for the steps dies out instead of ringing::
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ from kc2spice.core.laws import PortBody, Relation
 from kc2spice.linalg.factor import factorise
 from kc2spice.reference.assemble import System
 from kc2spice.reference.equilibrium import equilibrium
+from kc2spice.reference.interval import Interval
 
 GAMMA = 1.0 - np.sqrt(0.5)
 ITERATIONS = 60  # of a stage, modes of devices among them
@@ -111,8 +112,8 @@ def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True)
 class Steps:
-    """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but for outputs
-    of devices, and the ``inputs`` (nt, m) of each device by its name."""
+    """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but for what
+    depends on outputs of devices, and the ``inputs`` (nt, m) of each device but bodies by name."""
 
     time: np.ndarray
     waves: dict[str, np.ndarray]
@@ -121,16 +122,11 @@ class Steps:
 
 def seconds(system: System, step: float) -> tuple[float, list[Body]]:
     """Wall time of a step, from one back substitution of each body, and the bodies."""
-    bodies = [Body(law.model, step) for law in ported(system)]
+    bodies = [Body(d.law.model, step) for d in system.devices if isinstance(d.law, PortBody)]
     started = time.perf_counter()
     for body in bodies:
         body.solve(np.ones(body.pencil.size))
     return 2 * (time.perf_counter() - started), bodies
-
-
-def ported(system: System) -> tuple[PortBody, ...]:
-    """Its bodies that are known at their ports."""
-    return tuple(d.law for d in system.devices if isinstance(d.law, PortBody))
 
 
 def steps(
@@ -151,155 +147,114 @@ def steps(
     ------
     SimulationError : no equilibrium, a stage that does not settle, or a law that left its range.
     """
-    z, rest = equilibrium(system)
-    s, d = system.inputs(0.0, 0.0)
-    own = dict(zip(_ported(system), bodies, strict=True))
-    for k, body in own.items():
-        body.start(_loads(system, k, system.devices[k].inputs.at(z, s, d)))
+    z, modes = equilibrium(system)
+    ported = [k for k, d in enumerate(system.devices) if isinstance(d.law, PortBody)]
+    march = _March(system, dict(zip(ported, bodies, strict=True)), modes, step)
+    es = Interval(system, modes, 0.0).inputs(0.0, z)
+    for k, body in march.own.items():
+        body.start(march.loads(k, es[k]))
     if given is not None:
         z = given(system, z)
-    march = _March(system, own, rest, step)
-    modes = march.rest
+    es = march.interval(first).inputs(first, z)
     for k, device in enumerate(system.devices):
-        if k not in own:
-            modes[k] = device.law.mode(first, device.inputs.at(z, *system.inputs(first, first)))
-    record = _Record(system)
-    record.add(first, z)
+        if k not in march.own:
+            march.modes[k] = device.law.mode(first, es[k])
+    times, states = [first], [z]
     for k in range(count):
-        z = march.step(first + k * step, z, modes)
-        record.add(first + (k + 1) * step, z)
+        z = march.step(first + k * step, z)
+        times.append(first + (k + 1) * step)
+        states.append(z)
         if progress is not None and k % 20 == 0:
             progress(k / count)
-    return record.steps()
-
-
-def _loads(system: System, k: int, e: np.ndarray) -> np.ndarray:
-    law = system.devices[k].law
-    assert isinstance(law, PortBody)
-    return law.loads(e)
-
-
-def _ported(system: System) -> list[int]:
-    return [k for k, d in enumerate(system.devices) if isinstance(d.law, PortBody)]
+    return _read(system, np.array(times), np.array(states).T)
 
 
 class _March:
-    def __init__(self, system: System, own: dict[int, Body], rest: list[Any], step: float) -> None:
-        self.system, self.own, self.rest, self.h = system, own, list(rest), step
-        self.s = 1.0 / (GAMMA * step)
+    def __init__(
+        self, system: System, own: dict[int, Body], modes: Sequence[Any], step: float
+    ) -> None:
+        self.system, self.own, self.modes, self.h = system, own, list(modes), step
+        self.rate = 1.0 / (GAMMA * step)
         self.corners = [
-            d.law.corners(np.inf) if k not in own else np.empty(0)
-            for k, d in enumerate(system.devices)
+            np.empty(0) if k in own else d.law.corners(np.inf) for k, d in enumerate(system.devices)
         ]
         self.affine = all(d.law.affine or k in own for k, d in enumerate(system.devices))
 
-    def step(self, t: float, z: np.ndarray, modes: list[Any]) -> np.ndarray:
-        """The unknowns a step after ``t``; ``modes`` are changed to those there."""
-        kept = self._stored(t, z, modes)
-        first = self._stage(t + GAMMA * self.h, z, kept, modes, False)
-        inner = self._stored(t + GAMMA * self.h, first, modes)
-        kept = kept + (1 - GAMMA) / GAMMA * (inner - kept)
-        last = self._stage(t + self.h, first, kept, modes, True)
-        for device, e in zip(self.system.devices, self._inputs(t + self.h, last), strict=True):
+    def interval(self, t: float) -> Interval:
+        """The system in its modes about ``t``."""
+        return Interval(self.system, self.modes, t)
+
+    def loads(self, k: int, e: np.ndarray) -> np.ndarray:
+        """Those on the body that is device ``k``."""
+        law = self.system.devices[k].law
+        assert isinstance(law, PortBody)
+        return law.loads(e)
+
+    def step(self, t: float, z: np.ndarray) -> np.ndarray:
+        """The unknowns a step after ``t``; the modes become those there."""
+        kept = self.interval(t).at(t, z)[0]
+        within = t + GAMMA * self.h
+        first = self._stage(within, z, kept, False)
+        inner = self.interval(within).at(within, first)[0]
+        last = self._stage(t + self.h, first, kept + (1 - GAMMA) / GAMMA * (inner - kept), True)
+        es = self.interval(t + self.h).inputs(t + self.h, last)
+        for device, e in zip(self.system.devices, es, strict=True):
             device.law.check(t + self.h, e)
         return last
 
-    def _inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
-        s, d = self.system.inputs(t, t)
-        return [device.inputs.at(z, s, d) for device in self.system.devices]
-
-    def _stored(self, t: float, z: np.ndarray, modes: list[Any]) -> np.ndarray:
-        system = self.system
-        s, d = system.inputs(t, t)
-        g = system.M @ z + system.Gs @ s + system.Gd @ d
-        for device, mode in zip(system.devices, modes, strict=True):
-            if device.stores is not None:
-                g = g + device.stores @ device.law.store(device.inputs.at(z, s, d), mode)[0]
-        return g
-
-    def _stage(
-        self, t: float, z: np.ndarray, kept: np.ndarray, modes: list[Any], second: bool
-    ) -> np.ndarray:
-        """Solve ``s (g(z) - kept) = f(z)`` at ``t`` for unknowns and modes."""
-        system, rate = self.system, self.s
+    def _stage(self, t: float, z: np.ndarray, kept: np.ndarray, second: bool) -> np.ndarray:
+        """Solve ``g(z) - kept = f(z) / rate`` at ``t`` for unknowns and modes."""
         for k, body in self.own.items():
-            modes[k] = body.relation(second)
-        s, d = system.inputs(t, t)
-        fixed = system.Bs @ s + system.Bd @ d + system.const
-        fixed = fixed - rate * (system.Gs @ s + system.Gd @ d - kept)
-        linear = system.A - rate * system.M
-        es = [device.inputs.at(z, s, d) for device in system.devices]
-        begin = self.h * (GAMMA if not second else 1.0)
+            self.modes[k] = body.relation(second)
+        es = self.interval(t).inputs(t, z)
+        begin = self.h * (1.0 if second else GAMMA)
         for k, at in enumerate(self.corners):
             if np.any((at > t - begin) & (at <= t)):
-                modes[k] = system.devices[k].law.mode(t, es[k], modes[k])
-        self._switch(t, es, modes, 0)
+                self.modes[k] = self.system.devices[k].law.mode(t, es[k], self.modes[k])
+        self._switch(t, es, 0)
         for count in range(ITERATIONS):
-            f, J = linear @ z + fixed, linear
-            for device, e, mode in zip(system.devices, es, modes, strict=True):
-                out, slope = device.law.evaluate(t, e, mode)
-                f = f + device.into @ out
-                J = J + device.into @ slope @ device.inputs.z
-                if device.stores is not None:
-                    value, by = device.law.store(e, mode)
-                    f = f - rate * (device.stores @ value)
-                    J = J - rate * (device.stores @ by @ device.inputs.z)
+            interval = self.interval(t)
+            g, f = interval.at(t, z)
+            M, J = interval.slopes(t, z)
+            J = J - self.rate * M
             size = np.abs(J).max(axis=1)
-            change = np.linalg.solve(J / size[:, None], -f / size)
+            right = self.rate * (g - kept) - f
+            change = np.linalg.solve(J / size[:, None], right / size)
             z = z + change
-            es = [device.inputs.at(z, s, d) for device in system.devices]
+            es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
-            if not self._switch(t, es, modes, count) and (self.affine or small):
+            if not self._switch(t, es, count) and (self.affine or small):
                 for k, body in self.own.items():
-                    body.loaded(_loads(system, k, es[k]), second)
+                    body.loaded(self.loads(k, es[k]), second)
                 return z
         raise SimulationError("a time step does not settle", where=f"t = {t:.6e} s")
 
-    def _switch(self, t: float, es: list[np.ndarray], modes: list[Any], count: int) -> bool:
+    def _switch(self, t: float, es: list[np.ndarray], count: int) -> bool:
         """Whether a device had to change its mode."""
         changed = False
         for k, device in enumerate(self.system.devices):
             if k in self.own:
                 continue
-            guards = device.law.guards(t, es[k], modes[k])
+            guards = device.law.guards(t, es[k], self.modes[k])
             if guards.size and guards.min() < -ROUNDING:
-                if count < ONE_BY_ONE:
-                    modes[k] = device.law.mode(t, es[k], modes[k])
-                else:
-                    modes[k], _ = device.law.switch(modes[k], int(guards.argmin()))
                 changed = True
                 if count >= ONE_BY_ONE:
+                    self.modes[k], _ = device.law.switch(self.modes[k], int(guards.argmin()))
                     break
+                self.modes[k] = device.law.mode(t, es[k], self.modes[k])
         return changed
 
 
-class _Record:
-    """Unknowns and what devices see over time, read as waves at the end."""
-
-    def __init__(self, system: System) -> None:
-        self.system = system
-        self.time: list[float] = []
-        self.z: list[np.ndarray] = []
-
-    def add(self, t: float, z: np.ndarray) -> None:
-        self.time.append(t)
-        self.z.append(z)
-
-    def steps(self) -> Steps:
-        system, times, z = self.system, np.array(self.time), np.array(self.z).T
-        pairs = [system.inputs(t, t) for t in self.time]
-        s, d = (np.array(each).reshape(times.size, -1).T for each in zip(*pairs, strict=True))
-        waves = {name: rows.at(z, s, d)[0] for name, rows in system.across.items()}
-        waves |= {f"{name}.rate": rows.at(z, s, d)[0] for name, rows in system.rates.items()}
-        for name, (direct, rated) in system.through.items():
-            change = np.gradient(rated.at(z, s, d)[0], times) if times.size > 1 else 0.0
-            waves[f"{name}.through"] = direct.at(z, s, d)[0] + change
-        inputs = {}
-        for device in system.devices:
-            law, e = device.law, device.inputs.at(z, s, d).T
-            if isinstance(law, PortBody):
-                own = zip(law.states, e[:, len(law.taps) :].T, strict=True)
-                waves |= {f"{law.name}.{state}": value for state, value in own}
-            else:
-                inputs[law.name] = e
-        return Steps(times, {"time": times} | waves, inputs)
+def _read(system: System, times: np.ndarray, z: np.ndarray) -> Steps:
+    """Waves of the unknowns (n, nt) and what devices see."""
+    given = np.array([system.given(t, t) for t in times]).T
+    X = np.concatenate((z, given))
+    waves = {"time": times}
+    for name, output in system.outputs.items():
+        if not output.devices.any():
+            change = np.gradient(output.rated @ X, times) if times.size > 1 else 0.0
+            waves[name] = output.now @ X + output.constant + change
+    inputs = {
+        d.law.name: (d.inputs @ X).T for d in system.devices if not isinstance(d.law, PortBody)
+    }
+    return Steps(times, waves, inputs)

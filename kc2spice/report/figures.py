@@ -1,33 +1,68 @@
-"""Draws figures that are data: one sheet of panels each."""
+"""Figures that are data drawn by matplotlib: PNG files, and pictures for notebooks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.core.figure import Figure, Panel
-from kc2spice.report.plots import (
-    BLACK,
-    GREEN,
-    GREY,
-    PALETTE,
-    legend_above,
-    legend_beside,
-    name_axes,
-    open_sheet,
-    plain_log,
-    sheet,
-    style,
-)
+from kc2spice.core.figure import Curve, Figure, Panel
 
-MANY = 4  # labels above the axes; more stand beside them
+# Okabe and Ito, "Color Universal Design" (2008): told apart with every colour vision.
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
+PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
+
+MANY = 4  # labels in one line above the axes; more stand beside them, where they cover no data
+ABOVE: Any = {
+    "loc": "lower left",
+    "bbox_to_anchor": (0.0, 1.0),
+    "ncols": MANY,
+    "borderaxespad": 0.2,
+    "handlelength": 1.6,
+    "columnspacing": 1.4,
+}
+BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
 _MARKS = ("o", "s", "^", "D", "v", "P")
-_LINES = ("-", "--", ":", "reference", "step")
+_LINES: dict[str, Any] = {
+    "-": {"ls": "-"},
+    "--": {"ls": "--"},
+    ":": {"ls": ":"},
+    "reference": {"ls": (0, (1, 3))},
+    "step": {"drawstyle": "steps-post"},
+}
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelcolor": BLACK,
+    "ytick.labelcolor": BLACK,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "axes.formatter.useoffset": False,
+    "figure.dpi": 150,
+    "savefig.dpi": "figure",
+}
 
 
 def require_matplotlib() -> None:
@@ -49,42 +84,69 @@ def require_matplotlib() -> None:
 def draw_all(directory: Path, figures: Sequence[Figure]) -> list[str]:
     """Draw every figure into ``directory`` as ``NAME.png``; return the names of the files."""
     for figure in figures:
-        _draw(directory / f"{figure.name}.png", figure)
+        with sheet(directory / f"{figure.name}.png", _size(figure)) as page:
+            _fill(page, figure)
     return [f"{figure.name}.png" for figure in figures]
 
 
 def notebook_figure(figure: Figure) -> Any:
     """The matplotlib figure of ``figure``, which notebooks show by themselves."""
-    rows, columns, size = _layout(figure)
-    with style():
-        sheet = open_sheet(size)
-        _fill_all(sheet.subplots(rows, columns, sharex=columns == 1, squeeze=False), figure)
-    return sheet
+    import matplotlib
+    from matplotlib.figure import Figure as Sheet
+
+    class Shown(Sheet):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    with matplotlib.rc_context(_STYLE):
+        page = Shown(figsize=_size(figure), layout="constrained")
+        _fill(page, figure)
+    return page
 
 
-def _draw(path: Path, figure: Figure) -> None:
-    rows, columns, size = _layout(figure)
-    with sheet(path, rows, columns, size=size, sharex=columns == 1, squeeze=False) as axes:
-        _fill_all(axes, figure)
+@contextmanager
+def sheet(path: Path, size: tuple[float, float]) -> Iterator[Any]:
+    """A matplotlib figure of ``size`` in inches to fill, written as PNG to ``path`` after."""
+    import matplotlib
+    from matplotlib.figure import Figure as Sheet
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with matplotlib.rc_context(_STYLE):
+        layout = ConstrainedLayoutEngine()
+        page = Sheet(figsize=size, layout=layout)
+        yield page
+        # The layout once, here: left to savefig, it would cost another drawing of everything.
+        layout.execute(page)
+        page.set_layout_engine("none")
+        page.savefig(
+            path,
+            format="png",
+            metadata={"Software": "kc2spice"},
+            pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
+        )
 
 
-def _layout(figure: Figure) -> tuple[int, int, tuple[float, float]]:
-    """Rows, columns, and size in inches."""
+def _size(figure: Figure) -> tuple[float, float]:
     count, columns = len(figure.panels), figure.columns
-    rows = -(-count // columns)
     if columns == 1:
-        return rows, 1, (7.0, 4.0 if count == 1 else 2.6 * count)
-    return rows, columns, (3.6 * columns, 2.7 * rows)
+        return 7.0, 4.0 if count == 1 else 2.6 * count
+    return 3.6 * columns, 2.7 * -(-count // columns)
 
 
-def _fill_all(axes: Any, figure: Figure) -> None:
+def _fill(page: Any, figure: Figure) -> None:
+    count, columns = len(figure.panels), figure.columns
+    axes = page.subplots(-(-count // columns), columns, sharex=columns == 1, squeeze=False)
     for each, panel in zip(axes.flat, figure.panels, strict=False):
-        _fill(each, panel)
-    for spare in axes.flat[len(figure.panels) :]:
+        _draw_panel(each, panel)
+    for spare in axes.flat[count:]:
         spare.set_axis_off()
 
 
-def _fill(axes: Any, panel: Panel) -> None:
+def _draw_panel(axes: Any, panel: Panel) -> None:
     for low, high, label in panel.bands:
         axes.axhspan(low, high, color=GREEN, alpha=0.15, lw=0, label=label or None)
     for value, label in panel.levels:
@@ -92,30 +154,7 @@ def _fill(axes: Any, panel: Panel) -> None:
     for place, label in panel.marks:
         axes.axvline(place, color=GREEN, lw=1.0, label=label or None)
     for k, curve in enumerate(panel.curves):
-        colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
-        marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}
-        name = curve.label or None
-        if curve.style == "bar":
-            wide = 0.9 * float(np.diff(curve.x[:2])[0]) if len(curve.x) > 1 else 0.8
-            axes.bar(curve.x, curve.y, wide, color=colour, label=name)
-        elif curve.style == "step":
-            axes.step(curve.x, curve.y, where="post", color=colour, label=name)
-        elif curve.style in ("o", "o-"):
-            line = "-" if curve.style == "o-" else "none"
-            axes.plot(curve.x, curve.y, ls=line, color=colour, label=name, **marks)
-        elif curve.style == "-" and k > 0:  # told apart in print
-            axes.plot(
-                curve.x,
-                curve.y,
-                color=colour,
-                label=name,
-                mfc="white",
-                markevery=(0.03 * k, 0.15),
-                **marks,
-            )
-        else:
-            dashes: Any = (0, (1, 3)) if curve.style == "reference" else curve.style
-            axes.plot(curve.x, curve.y, color=colour, ls=dashes, label=name)
+        _draw_curve(axes, k, curve)
     if panel.map is not None:
         shown = panel.map
         axes.set_facecolor("#D8D8D8")
@@ -124,19 +163,47 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.figure.colorbar(mesh, ax=axes, label=shown.label)
     if panel.log_x:
         axes.set_xscale("log")
-        plain_log(axes.xaxis)
+        _plain_log(axes.xaxis)
     if panel.log_y:
         axes.set_yscale("log")
-        plain_log(axes.yaxis)
+        _plain_log(axes.yaxis)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     elif panel.span is not None:
         axes.set_xlim(*panel.span)
     elif panel.map is None and panel.curves and panel.curves[0].style in _LINES:
         axes.set_xlim(panel.curves[0].x[0], panel.curves[0].x[-1])
-    name_axes(axes, panel.x, panel.y)
+    axes.set(xlabel=panel.x, ylabel=panel.y)
     labels = len(axes.get_legend_handles_labels()[1])
-    if labels > MANY:
-        legend_beside(axes)
-    elif labels > 1:
-        legend_above(axes)
+    if labels > 1:
+        axes.legend(**(BESIDE if labels > MANY else ABOVE))
+
+
+def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
+    """The ``k``-th of its panel; each further plain line has marks, to be told apart in print."""
+    colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
+    look: dict[str, Any] = {"color": colour, "label": curve.label or None}
+    marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}
+    if curve.style == "bar":
+        wide = 0.9 * float(np.diff(curve.x[:2])[0]) if len(curve.x) > 1 else 0.8
+        axes.bar(curve.x, curve.y, wide, **look)
+        return
+    if curve.style in ("o", "o-"):
+        look |= marks | {"ls": "-" if curve.style == "o-" else "none"}
+    elif curve.style == "-" and k > 0:
+        look |= marks | {"mfc": "white", "markevery": (0.03 * k, 0.15)}
+    else:
+        look |= _LINES[curve.style]
+    axes.plot(curve.x, curve.y, **look)
+
+
+def _plain_log(axis: Any) -> None:
+    """Plain numbers at 1, 2, 5, … of a logarithmic axis, or at decades where there are many: small
+    ticks and powers of ten take longer than all the rest of a sheet."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = axis.get_data_interval()
+    few = low > 0 and high < 1e3 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

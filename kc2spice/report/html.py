@@ -16,7 +16,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel
+from kc2spice.core.figure import Curve, Figure, Map
 from kc2spice.core.version import __version__
 from kc2spice.netlist.render import template_directory
 
@@ -60,32 +60,19 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def figure_html(figure: Figure) -> str:
     """The element ``<figure>`` from which the page's script draws: curves as JSON, a caption."""
-    data = htmlsafe_json_dumps(_figure(figure), separators=(",", ":"))
+    panels = [
+        {**vars(p), "curves": [_curve(curve) for curve in p.curves], "map": p.map and _map(p.map)}
+        for p in figure.panels
+    ]
+    data = htmlsafe_json_dumps(
+        {"title": figure.title, "columns": figure.columns, "panels": panels},
+        separators=(",", ":"),
+        default=np.generic.item,
+    )
     return (
         f'<figure data-plot><script type="application/json">{data}</script>'
         f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
     )
-
-
-def _figure(figure: Figure) -> dict[str, Any]:
-    panels = [_panel(panel) for panel in figure.panels]
-    return {"title": figure.title, "columns": figure.columns, "panels": panels}
-
-
-def _panel(p: Panel) -> dict[str, Any]:
-    return {
-        "x": p.x,
-        "y": p.y,
-        "log_x": bool(p.log_x),
-        "log_y": bool(p.log_y),
-        "equal": p.equal,
-        "span": p.span and [float(v) for v in p.span],
-        "levels": [(float(v), label) for v, label in p.levels],
-        "bands": [(float(low), float(high), label) for low, high, label in p.bands],
-        "marks": [(float(v), label) for v, label in p.marks],
-        "curves": [_curve(curve) for curve in p.curves],
-        "map": p.map and _map(p.map),
-    }
 
 
 def _curve(curve: Curve) -> dict[str, Any]:

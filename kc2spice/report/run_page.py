@@ -1,18 +1,22 @@
-"""``report.html`` of a run: metrics, checks with wall times, model facts, omissions, figures."""
+"""``report.html`` of a run: figures, metrics, checks with wall times, model facts, omissions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.figure import Figure
+import numpy as np
+
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.sketch import circuit, devices
 from kc2spice.report.words import check_name, fact, flat, quantity, worded
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Probe, Scene
 from kc2spice.scene.plan import plan
 
+WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
 NETS = (
     "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
     "nets are those of the netlist."
@@ -28,19 +32,31 @@ def write_run(
 ) -> Path:
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
+    planned = plan(scene)
     sections = [
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
         Section("Circuit", drawing=circuit(scene), note=NETS),
         Section("Figures", figures=figures, note=HOW),
         _facts("Metrics", result.get("metrics", {}), result.get("metric_units", {})),
         _checks(result),
-        *(_energy(name, entries) for name, entries in result.get("energy_j", {}).items()),
+        *(
+            Section(f"Energy: {name}", [(entry, quantity(v, "J")) for entry, v in entries.items()])
+            for name, entries in result.get("energy_j", {}).items()
+        ),
         *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
         _facts("Reduced model", {k: v for k, v in result.get("rom", {}).items() if v is not None}),
         *(_modes(part, found) for part, found in result.get("modes", {}).items()),
-        _modelled(scene),
+        Section(
+            "What is modelled",
+            [(part.part, part.source, part.detail) for part in planned.parts],
+            ("part", "source", "model"),
+        ),
         _settings(scene, result),
-        _left_out(scene),
+        Section(
+            "What is left out",
+            [(item.effect, item.why, item.error) for item in planned.left_out],
+            ("effect", "why", "size"),
+        ),
         _simulator(result, scene),
         _attempts(result),
         _wall(result),
@@ -93,11 +109,6 @@ def _checks(result: Mapping[str, Any]) -> Section:
     return Section("Physics checks", rows, ("", "check", "value", "limit", "action"), note)
 
 
-def _energy(name: str, entries: Mapping[str, float]) -> Section:
-    rows = [(entry, quantity(value, "J")) for entry, value in entries.items()]
-    return Section(f"Energy: {name}", rows)
-
-
 def _attempts(result: Mapping[str, Any]) -> Section:
     rows = [
         (
@@ -138,16 +149,6 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
     return Section("Simulator", rows)
 
 
-def _modelled(scene: Scene) -> Section:
-    rows = [(part.part, part.source, part.detail) for part in plan(scene).parts]
-    return Section("What is modelled", rows, ("part", "source", "model"))
-
-
-def _left_out(scene: Scene) -> Section:
-    rows = [(item.effect, item.why, item.error) for item in plan(scene).left_out]
-    return Section("What is left out", rows, ("effect", "why", "size"))
-
-
 def _settings(scene: Scene, result: Mapping[str, Any]) -> Section:
     """Numerical settings, and what a refined run says that each does to the metrics."""
     found = result.get("convergence", {})
@@ -162,3 +163,51 @@ def _settings(scene: Scene, result: Mapping[str, Any]) -> Section:
 
 def _error(value: float | None) -> str:
     return "not estimated" if value is None else f"{value:.2g}"
+
+
+# --- figures ----------------------------------------------------------------------------------
+
+
+def probe_figures(
+    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
+) -> Iterator[Figure]:
+    """One figure with a panel for each unit; responses by their magnitude.
+
+    A mark stands where a probe takes its largest value, a level where it waits for a crossing.
+    """
+    scale = next(iter(waves.data))
+    x = waves[scale].real
+    if not probes or x.size < 2:
+        return
+    label, factor = scale_axis(scale, x)
+    log = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE)
+    panels = []
+    for unit in dict.fromkeys(units.get(probe.of, "") for probe in probes.values()):
+        own = {n: p for n, p in probes.items() if units.get(p.of, "") == unit and p.of in waves}
+        shown = {p.of: waves[p.of] for p in own.values()}
+        complex_ = any(np.iscomplexobj(v) for v in shown.values())
+        if complex_:
+            shown = {of: np.abs(values) for of, values in shown.items()}
+        size = "magnitude" if complex_ else "value"
+        panels.append(
+            Panel(
+                label,
+                f"{size} in {unit}" if unit else size,
+                tuple(Curve(of, factor * x, values) for of, values in shown.items()),
+                levels=tuple((p.level, n) for n, p in own.items() if p.level is not None),
+                marks=tuple(
+                    (factor * _place(p, x, shown[p.of]), n)
+                    for n, p in own.items()
+                    if p.take in ("argmax", "value")
+                ),
+                log_x=log,
+                log_y=complex_ and all((v != 0).all() for v in shown.values()),
+            )
+        )
+    if panels:
+        caption = "What the scene's probes look at, over the whole run."
+        yield Figure("probes", "Probed results", caption, tuple(panels))
+
+
+def _place(probe: Probe, x: np.ndarray, values: np.ndarray) -> float:
+    return float(x[values.argmax()] if probe.at is None else probe.at)

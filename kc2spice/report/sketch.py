@@ -7,7 +7,7 @@ from dataclasses import replace
 from html import escape
 
 from kc2spice.core.figure import Shape
-from kc2spice.report.plots import BLACK, BLUE, GREEN, GREY
+from kc2spice.report.figures import BLACK, BLUE, GREEN, GREY
 from kc2spice.scene.model import Scene, Terminal
 
 WIDE, HIGH = 520.0, 300.0  # of the devices, in units of the page

@@ -35,7 +35,7 @@ def in_hertz(pencil: Pencil, top: float) -> Pencil:
     """The inverse of what :func:`standard` does to time."""
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients
-    return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D)
+    return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)
 
 
 def by_gramians(model: Pencil, rows: np.ndarray, columns: np.ndarray) -> Pencil | None:
@@ -52,7 +52,7 @@ def by_samples(model: Response, s: np.ndarray, inputs: np.ndarray, outputs: np.n
     """The standard model balanced over samples at ``s``, with weights (len(s), inputs) and
     (len(s), outputs) on its answers and on those of its dual."""
     reached = _columns(model.states(s) * inputs[:, None, :])
-    seen = _columns(model.transposed().states(s) * outputs[:, None, :])
+    seen = _columns(Response(model.pencil.transposed()).states(s) * outputs[:, None, :])
     return _balanced(model.pencil, reached, seen)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.memory import require_memory
+from kc2spice.linalg.memory import require_factors
 from kc2spice.rom.operators import dense, largest
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
 
@@ -75,7 +75,7 @@ def _small(pencil: Pencil) -> np.ndarray:
 
 def _lowest(pencil: Pencil) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
-    require_memory(pencil)
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve = _at_rest(pencil)
     inertia = pencil.coefficients[-1]
     n = pencil.size

@@ -7,6 +7,7 @@ larger block; a defective pole does so by itself. Source: Bavely and Stewart, SI
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,9 +73,8 @@ def decoupled(A: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.nda
     T, Z = schur(A, output="real")
     if largest(A + A.T) <= SAME * largest(A):  # lossless: the poles stay on the axis
         T = 0.5 * (T - T.T)
-        sizes = _block_sizes(T)
-        ends = np.cumsum(sizes)
-        return tuple(T[e - k : e, e - k : e] for e, k in zip(ends, sizes, strict=True)), Z, Z.T
+        T[np.abs(T) <= SAME * largest(T)] = 0.0
+        return tuple(T[i : i + k, i : i + k] for i, k in _blocks(T)), Z, Z.T
     return _clustered(T, Z)
 
 
@@ -84,14 +84,6 @@ def _in_pairs(A: np.ndarray) -> bool:
         return False
     pair = np.kron(np.eye(n // 2), np.ones((2, 2))) > 0
     return not A[~pair].any()
-
-
-def _block_sizes(T: np.ndarray) -> list[int]:
-    sizes, i = [], 0
-    while i < len(T):
-        sizes.append(2 if i + 1 < len(T) and abs(T[i + 1, i]) > SAME * largest(T) else 1)
-        i += sizes[-1]
-    return sizes
 
 
 def _clustered(
@@ -121,23 +113,23 @@ def _clustered(
     return tuple(blocks), X, inverse
 
 
-def _first(T: np.ndarray, i: int) -> int:
-    return 2 if i + 1 < len(T) and T[i + 1, i] != 0 else 1
+def _blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
+    """Where each diagonal block of a real Schur form begins from ``start`` on, and its size."""
+    while start < len(T):
+        size = 2 if start + 1 < len(T) and T[start + 1, start] != 0 else 1
+        yield start, size
+        start += size
 
 
-def _starts(T: np.ndarray) -> list[int]:
-    starts, i = [], 0
-    while i < len(T):
-        starts.append(i)
-        i += _first(T, i)
-    return starts
+def _first(T: np.ndarray, start: int) -> int:
+    return next(_blocks(T, start))[1]
 
 
 def _poles(T: np.ndarray) -> np.ndarray:
     """Eigenvalues in the upper half plane of a real Schur form, in the order of its blocks."""
     found = []
-    for i in _starts(T):
-        product = T[i, i + 1] * T[i + 1, i] if _first(T, i) == 2 else 0.0
+    for i, size in _blocks(T):
+        product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0
         found.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
     return np.array(found)
 
@@ -146,5 +138,5 @@ def _nearest_first(T: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.n
     """Orthogonal Q that moves the pole nearest to the cluster's to the top of T."""
     candidates = _poles(T)
     nearest = int(np.argmin(np.abs(candidates[:, None] - cluster).min(axis=1)))
-    T22, Q, _ = lapack.dtrexc(T, np.eye(len(T)), _starts(T)[nearest] + 1, 1)
+    T22, Q, _ = lapack.dtrexc(T, np.eye(len(T)), list(_blocks(T))[nearest][0] + 1, 1)
     return Q, T22

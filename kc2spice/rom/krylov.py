@@ -52,3 +52,8 @@ def extend(
             basis = np.column_stack([basis, vector / remaining])
             images = np.column_stack([images, image / remaining])
     return basis[:, old:], images[:, old:]
+
+
+def real_parts(x: np.ndarray) -> list[np.ndarray]:
+    """Real vectors that span the same."""
+    return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from kc2spice.rom.modal import Resonators
 
-_BLOCK = 4096  # points whose propagators are in memory at a time
+_BLOCK = 4096  # steps whose propagators are in memory at a time
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,26 @@ def _relaxing(omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndar
 
 
 def _march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """(n, roots) of ``x' = a x + r`` from equilibrium."""
-    states = np.empty((t.size, roots.size), dtype=complex)
+    """(n, roots) of ``x' = a x + r`` from equilibrium.
+
+    Rows of steps are followed side by side from zero, then each from where the one before ends.
+    """
+    states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots
     for begin in range(0, t.size - 1, _BLOCK):
         part = slice(begin, min(begin + _BLOCK, t.size - 1) + 1)
-        for k, (grow, push) in enumerate(zip(*_steps(roots, t[part], drive[part]), strict=True)):
-            state = grow * state + push
-            states[begin + k + 1] = state
+        count = part.stop - part.start - 1
+        side = math.isqrt(count - 1) + 1
+        shape = (side, side, roots.size)
+        grow, push = (np.resize(each, shape) for each in _steps(roots, t[part], drive[part]))
+        for k in range(1, side):
+            push[:, k] += grow[:, k] * push[:, k - 1]
+            grow[:, k] *= grow[:, k - 1]
+        for row in range(side):
+            push[row] += grow[row] * state
+            state = push[row, -1]
+        states[part][1:] = push.reshape(side**2, roots.size)[:count]
+        state = states[part.stop - 1]
     return states
 
 

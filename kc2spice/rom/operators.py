@@ -9,8 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import Factor, inverses
+from kc2spice.linalg.factor import Factor, two_sided
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array, Schur or Sum; scipy brings no types
 
@@ -47,7 +46,7 @@ class Schur:
     @cached_property
     def inner(self) -> Factor:
         """Factor of ``pp``."""
-        return factor(self.pp, symmetric=same(self.pp, self.pp.T))
+        return two_sided(self.pp, symmetric=same(self.pp, self.pp.T))[0]
 
     @cached_property
     def T(self) -> Schur:
@@ -152,34 +151,3 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
             R = V.T @ (part @ V)
             total += 0.5 * (R + sign * R.T)
     return total
-
-
-def factor(matrix: Matrix, *, symmetric: bool) -> Factor:
-    """Sparse factor; without pivoting first where that keeps the fill of a symmetric matrix.
-
-    A trial solution shows whether that is accurate, and partial pivoting follows where it is not
-    (indefinite matrices, saddle points).
-
-    Raises
-    ------
-    SimulationError : singular.
-    """
-    return two_sided(matrix, symmetric=symmetric)[0]
-
-
-def two_sided(matrix: Matrix, *, symmetric: bool) -> tuple[Factor, Factor]:
-    """Factor of the matrix and of its transpose; see :func:`factor`."""
-    matrix = scipy.sparse.csc_array(matrix)
-    norm = float(abs(matrix).sum(axis=0).max()) if matrix.shape[0] else 0.0
-    trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
-    reason: Exception | None = None
-    for without_pivoting in (True, False) if symmetric else (False,):
-        try:
-            apply, transposed = inverses(matrix, symmetric=without_pivoting)
-            forward = Factor(matrix, norm, apply)
-            forward.solve(trial)
-            return forward, Factor(scipy.sparse.csc_array(matrix.T), norm, transposed)
-        except (RuntimeError, MemoryError, SimulationError) as error:
-            reason = error
-    text = reason.message if isinstance(reason, SimulationError) else str(reason)
-    raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)

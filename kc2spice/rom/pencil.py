@@ -10,7 +10,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Exact
-from kc2spice.linalg.factor import Factor, factorise
+from kc2spice.linalg.factor import Factor, factorise, two_sided
 from kc2spice.rom.operators import (
     SAME,
     Matrix,
@@ -18,12 +18,10 @@ from kc2spice.rom.operators import (
     Sum,
     congruence,
     dense,
-    factor,
     largest,
     same,
     scaled,
     symmetric,
-    two_sided,
 )
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
@@ -38,7 +36,8 @@ class Pencil:
 
     Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
     :class:`Schur` complement. ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K``.
-    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays.
+    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are motions
+    that nothing holds at rest; see :mod:`kc2spice.rom.free`.
     """
 
     coefficients: tuple[Matrix, ...]
@@ -46,6 +45,7 @@ class Pencil:
     C: np.ndarray
     D: np.ndarray
     rayleigh: tuple[float, float] | None = None
+    free: int = 0
 
     def __post_init__(self) -> None:
         if self.rayleigh is not None:
@@ -150,7 +150,7 @@ class Pencil:
         SimulationError : singular, or K not positive definite.
         """
         if square:
-            found = factor(self.bordered(1.0, 0.0, -square), symmetric=True)
+            found = factorise(self.bordered(1.0, 0.0, -square), definite=False)
             return Inverse(found, self.size)
         if not self._at_rest:
             self._at_rest.append(self._rest_solver())
@@ -168,7 +168,7 @@ class Pencil:
     def _rest_solver(self) -> Inverse:
         K = self.coefficients[0]
         if isinstance(K, Schur):
-            found = factor(self.bordered(1.0, 0.0, 0.0), symmetric=True)
+            found = factorise(self.bordered(1.0, 0.0, 0.0), definite=False)
         else:
             found = factorise(scipy.sparse.csc_array(K), definite=True)
         return Inverse(found, self.size)
@@ -201,14 +201,33 @@ class Pencil:
 
     def leading(self, order: int) -> Pencil:
         """The pencil of the first ``order`` unknowns."""
-        q = slice(order)
-        reduced = tuple(P[q, q] for P in self.coefficients)
-        return Pencil(reduced, self.B[q], self.C[:, q], self.D)
+        return self._part(slice(order), min(self.free, order))
+
+    @property
+    def held(self) -> Pencil:
+        """The pencil without its free motion."""
+        return self._part(slice(self.free, None), 0)
+
+    def _part(self, q: slice, free: int) -> Pencil:
+        parts = tuple(P[q, q] for P in self.coefficients)
+        return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
+
+    @property
+    def detached(self) -> bool:
+        """Whether there is free motion, and nothing couples it to the other unknowns."""
+        r = self.free
+        return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
+
+    def beside(self, free: Pencil) -> Pencil:
+        """This pencil and in front of it the ``free`` motion, which adds to its answers."""
+        parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
+        B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
+        return Pencil(parts, B, C, self.D, free=free.size)
 
     def transposed(self) -> Pencil:
         """The dual model: inputs and outputs change places."""
         flipped = tuple(P.T for P in self.coefficients)
-        return Pencil(flipped, self.C.T, self.B.T, self.D.T)
+        return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
     def scaled(self, omega: float) -> Pencil:
         """The same transfer function in unknowns whose energies at ``omega`` are alike."""
@@ -308,6 +327,18 @@ class Inverse:
         return self.factor.solve(np.concatenate([rhs, free]))[: self.size]
 
 
+def first_order(pencil: Pencil, omega: float) -> Pencil:
+    """The same model as ``E x' = A x + B u``, without any division; rates per ``omega``."""
+    if pencil.degree == 1:
+        return pencil
+    K, E, M = pencil.coefficients
+    n, zero, one = pencil.size, np.zeros_like(M), omega * np.eye(pencil.size)
+    rest = np.block([[zero, -omega * one], [K, omega * E]])
+    inertia = np.block([[one, zero], [zero, omega * M]])
+    B = np.vstack([np.zeros_like(pencil.B), pencil.B])
+    return Pencil((rest, inertia), B, np.hstack([pencil.C, np.zeros((len(pencil.C), n))]), pencil.D)
+
+
 def proportional(pencil: Pencil) -> Pencil:
     """The same model with ``rayleigh`` where its E is ``alpha M + beta K`` to rounding; with it a
     definite model is reduced by real solutions."""
@@ -351,9 +382,8 @@ def eliminated(pencil: Pencil) -> Pencil:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        back = factor(
-            scipy.sparse.csc_array(blocks[3].T), symmetric=same(blocks[3], blocks[3].T)
-        ).solve(pencil.C[:, p].T)
+        turned = two_sided(blocks[3], symmetric=same(blocks[3], blocks[3].T))[1]
+        back = turned.solve(pencil.C[:, p].T)
     except SimulationError:
         return pencil
     B = pencil.B[keep] - schur.up @ lift

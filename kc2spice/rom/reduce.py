@@ -4,10 +4,10 @@ Two stages. A *subspace model* that is far more accurate than asked comes first:
 up to a thousand unknowns or so, else block Krylov vectors (symmetric definite models: at zero,
 then at real shifts) or multi-point rational Krylov vectors with their derivatives (all others).
 Inside it the proper orthogonal decomposition of its own response orders the directions, and the
-first q of them make the model of order q. Static answers come first, so static gains are exact as
-soon as q covers them; a model that is free to move has its rigid body motions there instead.
-Everything is a congruence with one real basis, so symmetry, definiteness and skewness survive, and
-with them stability and passivity, at every order.
+first q of them make the model of order q. What is free to move is set apart first and stays exact.
+Static answers come next, so static gains are exact as soon as q covers them. Everything is a
+congruence with one real basis, so symmetry, definiteness and skewness survive, and with them
+stability and passivity, at every order.
 
 Errors are differences to the subspace model at every resonance, its flanks and every notch, plus
 the subspace model's own error in the full model.
@@ -21,14 +21,14 @@ from functools import cached_property
 from typing import get_args
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.linalg.memory import require_factors
 from kc2spice.rom import balance
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.krylov import block_arnoldi
 from kc2spice.rom.linear import Certificate, LinearModel, Norm
-from kc2spice.rom.memory import require_memory
 from kc2spice.rom.pencil import Pencil, eliminated, proportional
 from kc2spice.rom.response import (
     FLANK,
@@ -38,6 +38,7 @@ from kc2spice.rom.response import (
     above_band,
     around,
     grid,
+    inexact,
     telling,
 )
 from kc2spice.rom.structure import FORM, Structure, structure
@@ -48,7 +49,6 @@ LOWEST, MARGIN = 1e-10, 0.02  # tolerances that can be certified; the subspace m
 DIGITS = 4.0  # times rounding over a damping ratio: how well any solution knows that resonance
 FIXED_ORDER_TARGET = 1e-8  # of the subspace when the order is given
 SAFETY = 1.15  # on differences at samples, for what lies between them
-RIGID = 100.0  # times the rounding of the projected stiffness
 SOFT = 1e12  # condition of an energy that holds a motion which costs none but for rounding
 BALANCED = 1200  # first-order states at most
 CHEAP = 200  # of them where balancing only tells what the form costs
@@ -113,7 +113,7 @@ def reduce(
             "not a frequency band", where="band", got=band, expected="0 <= f0 < f1 in Hz"
         )
     band = float(band[0]), float(band[1])
-    require_memory(pencil)
+    require_factors(pencil.bordered(1.0, 1.0, 1.0))
     full = structure(pencil, band)
     if full.stable is False:
         warnings.warn(
@@ -149,9 +149,7 @@ def _reduced(
     limit = np.inf if tolerance is None else 0.5 * tolerance
     space = subspace(pencil, band, target, limit)
     sides = (False,) if pencil.symmetric and pencil.collocated else (False, True)
-    found = [
-        replace(ordered(model, space, band, two_sided, tolerance), norm=norm) for two_sided in sides
-    ]
+    found = [ordered(model, space, band, two_sided, tolerance, norm) for two_sided in sides]
     if order is None:
         assert tolerance is not None
         within = tolerance - space.floor  # what rounding leaves, where that leaves most of it
@@ -236,8 +234,8 @@ class Reduction:
     """The subspace model in ordered directions, so that the model of order q is its leading part,
     and the frequencies [Hz] where errors are measured.
 
-    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are the
-    static answers that conservative ports keep.
+    ``whole`` is the subspace model in coordinates that may decouple; ``first`` directions are free
+    motions and the static answers that conservative ports keep.
     """
 
     full: LinearModel
@@ -275,11 +273,11 @@ class Reduction:
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
         """Response of the subspace model at the frequencies and peaks of its entries."""
         H = self.whole.transfer(2j * np.pi * self.frequency)
-        return H, self.whole.peaks(self.frequency, H, self.band, self.space.static)
+        return H, self.whole.peaks(self.frequency, H)
 
     @cached_property
     def _judge(self) -> Judge:
-        return Judge(self.whole, self.frequency, self.band, self.space.static, self.norm)
+        return Judge(self.whole, self.frequency, self.band, self.norm)
 
     def error(self, order: int) -> float:
         """Estimated largest relative error of any transfer function over the band."""
@@ -316,21 +314,22 @@ class Reduction:
                 not keep or self.structure(order).stable is not False
             )
 
-        low = max(0, min(self.first, self.size) - 1)
+        least = low = max(0, min(self.first, self.size) - 1)
         # The last directions may be rounding and add but that: then fewer are better.
         fewer = [self.size, *(self.size - 2**k for k in range(10) if self.size - 2**k > low)]
         high = next((order for order in fewer if good(order)), None)
         if high is None:
-            raise SimulationError(
+            raise inexact(
                 "the tolerance is out of reach",
-                where="reduction",
-                got=f"estimate {min(map(self.error, fewer)):.1e} with up to {self.size} states",
-                expected=f"at most {tolerance:g}",
-                hint="ask for a larger tolerance or a narrower band",
+                f"estimate {min(map(self.error, fewer)):.1e} with up to {self.size} states",
+                tolerance,
+                "ask for a larger tolerance or a narrower band",
             )
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (low, middle) if good(middle) else (middle, high)
+        while high - 2 > least and good(high - 2):  # directions may come in pairs
+            high -= 2
         return high
 
     def model(self, order: int) -> LinearModel:
@@ -339,7 +338,7 @@ class Reduction:
         count = self.space.pencil.size
         method = f"{self.origin}difference to {count} states at resonances, flanks and notches; "
         method += f"those {self.space.proof}; stability from {found.proof}"
-        if not self.space.static:
+        if not self.space.static or self.space.pencil.free:
             method += "; free to move at zero frequency"
         reduced, error = self.pencil.leading(order), self.error(order) + self.space.floor
         more = error, method, found, self.norm
@@ -360,29 +359,24 @@ def _certified(
     ratio = larger.within(band)[1].min(initial=1.0)
     if ratio < SHARPEST:
         method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
+    if not np.isfinite(error):
+        raise SimulationError(
+            "the reduced model has a state that nothing holds, slows or carries",
+            where=model.name,
+            got="sizes that double precision cannot tell from zero",
+            hint="another order or a tolerance; units in which its entries are closer in size",
+        )
     rounding = max(ROUNDING, DIGITS * float(np.finfo(float).eps) / max(ratio, SHARPEST))
     certificate = Certificate(
         band, max(error, rounding), method, found.stable, found.passive, above, norm
     )
-    rest, *others = reduced.coefficients
-    letters = (
-        {"A": -rest, "E": others[0]}
-        if reduced.degree == 1
-        else {
-            "K": rest,
-            "E": others[0],
-            "M": others[1],
-        }
-    )
+    parts = reduced.coefficients
+    letters = dict(zip("KEM", parts, strict=True)) if parts[2:] else {"A": -parts[0], "E": parts[1]}
     result = LinearModel(
         **letters,
-        B=reduced.B,
-        C=reduced.C,
-        D=reduced.D,
-        ports=model.ports,
+        **{letter: getattr(reduced, letter) for letter in "BCD"},
+        **{key: getattr(model, key) for key in ("ports", "facts", "name")},
         certificate=certificate,
-        facts=model.facts,
-        name=model.name,
         band=band,
     )
     result.state_space()  # refuses what no netlist can hold before it is certified
@@ -393,10 +387,11 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
     """The same subspace model in first order and balanced coordinates, over all frequencies or over
     the band, if that has fewer states than ``like`` of this ``order``; None where it has not, or
     the model is free to move or too large."""
-    pencil, top = like.space.pencil, like.band[1]
-    if not like.space.static or like.states(pencil.size) > BALANCED:
+    core, top = like.whole.held.pencil, like.band[1]
+    free = like.whole.pencil.free
+    if not like.space.static or core.free or like.states(like.whole.pencil.size) > BALANCED:
         return None
-    model = Response(balance.standard(pencil, top))
+    model = Response(balance.standard(core, top))
     H, peak = like.reference
     ways = {"balanced truncation": lambda: balance.by_gramians(model.pencil, *balance.scales(peak))}
     if model.quick:
@@ -411,7 +406,10 @@ def balanced(like: Reduction, order: int, tolerance: float) -> tuple[Reduction, 
         small = way()
         if small is None:
             continue
-        other = replace(like, pencil=balance.in_hertz(small, top), first=0, origin=name)
+        if free:
+            small = small.beside(balance.standard(like.whole.pencil.leading(free), top))
+        pencil = balance.in_hertz(small, top)
+        other = replace(like, pencil=pencil, first=pencil.free, origin=name)
         fewer = other.fewer(tolerance, states)
         if fewer is not None:
             best, states = (other, fewer), fewer
@@ -424,34 +422,44 @@ def ordered(
     band: tuple[float, float],
     two_sided: bool,
     tolerance: float | None,
+    norm: Norm = "pointwise",
 ) -> Reduction:
     """Order the directions of the subspace by what they contribute to the response."""
     whole = space.response
-    basis = _energy_basis(space.pencil, 2 * np.pi * band[1], static=space.static)
-    # Modes are found anew where that is cheap and better conditioned.
-    response = Response(space.pencil.project(basis)) if whole.decoupled else whole.turned(basis)
+    core, omega = whole.held, 2 * np.pi * band[1]
+    free = core.pencil.free  # motions that damping couples to the others are kept as they are
+    energy = _energy_basis(core.pencil.held, omega, static=space.static)
+    basis = block_diag(np.eye(free), energy)
+    response = Response(core.pencil.project(basis))
     pencil = response.pencil
+    static = space.static and not space.pencil.free
     conservative = any(p.kind in ("mechanical", "rotational") for p in model.ports)
-    first = np.empty((pencil.size, 0)) if space.static else _rigid(pencil, space.rounding)
-    if space.static and (band[0] == 0 or conservative):
+    first = np.empty((pencil.size - free, 0))
+    if free:
+        K, E, _ = pencil.coefficients
+        loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
+        first = _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
+    elif space.static and ((static and band[0] == 0) or conservative):
         first = _range(response.states(np.zeros(1))[0].real)
-    frequency, weight = _snapshots(response, band, space.static, conservative, tolerance)
-    sets = [_weighted(response, frequency, weight)]
+    frequency, weight = _snapshots(response, band, static, conservative, tolerance)
+    s = 2j * np.pi * frequency
+    H = whole.transfer(s)
+    sets = [_weighted(response, s, weight, H, norm)]
     if two_sided:
-        sets.append(_weighted(response.transposed(), frequency, weight))
-    pencil = pencil.project(_directions(np.hstack(sets), first))
-    if not space.static:
-        rest = pencil.coefficients[0].copy()
-        rest[: first.shape[1]] = rest[:, : first.shape[1]] = 0.0
-        pencil = replace(pencil, coefficients=(rest, *pencil.coefficients[1:]))
+        sets.append(_weighted(Response(pencil.transposed()), s, weight, H.swapaxes(1, 2), norm))
+    directions = _directions(np.hstack(sets)[free:], first)
+    pencil = pencil.project(block_diag(np.eye(free), directions))
+    pencil = replace(pencil, free=free)
+    if core is not whole:
+        pencil = pencil.beside(whole.pencil.leading(whole.pencil.free))
     points = space.points(band)
-    kept = first.shape[1] if conservative else 0
-    return Reduction(model, pencil, space, band, kept, points, whole)
+    kept = pencil.free + (first.shape[1] if conservative else 0)
+    return Reduction(model, pencil, space, band, kept, points, whole, norm)
 
 
 def _energy_basis(pencil: Pencil, omega: float, *, static: bool) -> np.ndarray:
     """Coordinates in which the elastic energy (else that at ``omega``) is the plain square, where
-    there is one. A model that is free to move has none at rest, though rounding of its K may let
+    there is one. A model that is not ``static`` has none at rest, though rounding of its K may let
     a factor of it pass for one."""
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     moving = rest + omega**pencil.degree * inertia
@@ -487,28 +495,31 @@ def _snapshots(
     return frequency, weight
 
 
-def _weighted(response: Response, frequency: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _weighted(
+    response: Response, s: np.ndarray, weight: np.ndarray, whole: np.ndarray, norm: Norm
+) -> np.ndarray:
     """Real and imaginary parts of the states, each relative to the root of its port's response
-    (an energy) where ports have one, else to its own length."""
-    x = response.states(2j * np.pi * frequency)
+    (an energy) where ports have one, else to its own length; with that of a free motion, in the
+    response of the ``whole``. Relative to the peaks in that norm."""
+    x = response.states(s)
     P = response.pencil
+    H = P.C @ x + P.D
     if P.symmetric and P.collocated:
-        own = np.abs(np.einsum("ki,fki->fi", P.B, x) + np.diag(P.D))
-        own = np.sqrt(np.maximum(own, 1e-6 * own.max(axis=0)) + np.finfo(float).tiny)
+        share = 1.0 if norm == "peak" else 1e-6
+        least = share * np.abs(np.einsum("fii->fi", H)).max(axis=0)
+        own = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", whole)), least))
     else:
-        own = np.linalg.norm(x, axis=1) + np.finfo(float).tiny
-    x = x * (weight[:, None] / own)[:, None, :]
+        own = np.linalg.norm(x, axis=1)
+        if norm == "peak":
+            own = np.maximum(own, own.max(axis=0))
+        size = np.linalg.norm(H, axis=1)
+        more = np.divide(
+            np.linalg.norm(whole, axis=1), size, out=np.ones_like(size), where=size > 0
+        )
+        own = own * np.maximum(more, 1.0)
+    x = x * (weight[:, None] / (own + np.finfo(float).tiny))[:, None, :]
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     return np.hstack([columns.real, columns.imag])
-
-
-def _rigid(pencil: Pencil, rounding: float) -> np.ndarray:
-    """Directions of a symmetric model that cost no energy at rest, within rounding of its K."""
-    rest = pencil.coefficients[0]
-    if np.abs(rest - rest.T).max(initial=0.0) > 0:
-        return np.empty((pencil.size, 0))
-    values, vectors = np.linalg.eigh(rest)
-    return vectors[:, np.abs(values) <= RIGID * rounding]
 
 
 def _directions(columns: np.ndarray, first: np.ndarray) -> np.ndarray:

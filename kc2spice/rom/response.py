@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from scipy.linalg import LinAlgError, eigh, matrix_balance, null_space, schur
+from scipy.linalg import LinAlgError, eigh
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.rom.free import free_part
 from kc2spice.rom.linear import Norm, Port
 from kc2spice.rom.pencil import Pencil
 
@@ -31,85 +32,61 @@ NOTCHES, ZOOM, ROUNDS = 60, 9, 20
 SAME = 1e-12  # of a frequency, by which rounding alone sets two apart
 STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
 PEAKS, PEAK_ROUNDS = 40, 3
-# Poles of a model that is free to move below this share of the band's end are its free motion:
-# rigid bodies, with what slows them down, and integrators.
-LOOSE = 1e-2
-CONTOUR, APART = 128, 1.2  # points on a circle around those poles, ratio of radii that it parts
-
 FEW, MANY = 12, 900  # unknowns, and states, between which eigenvectors pay
-REPRODUCED, TOLERABLE = 1e-11, 1e-9  # by eigenvectors, by Schur vectors
-BLOCK = 32  # rows that are substituted together
+REPRODUCED = 1e-10  # relative difference to direct solutions
 SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
 DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
-Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...] | np.ndarray]
+Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """A dense pencil with coordinates in which it is diagonal or triangular, where it has such.
+    """A dense pencil with coordinates in which it is diagonal, where it has well-conditioned ones.
 
-    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``, or
-    ``(T, L, R)`` with upper triangular R: ``x = T (s - R)^-1 L B``.
-    ``decoupled`` says that T is a real congruence (``L = T'``).
+    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
+    ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
+    solved apart, and all this is that of ``held``, the others' response; else that is this one.
     """
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
+        self.held: Response = self
+        self.modes: Modes | None
+        self.decoupled: bool
+        if pencil.detached:
+            self.held = Response(pencil.held)
+            self.modes, self.decoupled = self.held.modes, self.held.decoupled
+            return
         self.modes = _decoupled(pencil)
         self.decoupled = self.modes is not None
         if self.modes is None and FEW < pencil.size <= MANY / pencil.degree:
             self.modes = _eigenvectors(pencil)
 
     @property
-    def sound(self) -> bool:
-        """Whether well-conditioned modes diagonalise it, or it is too small to look for any."""
-        return self.pencil.size <= FEW or (
-            self.modes is not None and isinstance(self.modes[2], tuple)
-        )
-
-    @property
     def quick(self) -> bool:
         """Whether no sample needs a factorisation of many unknowns."""
-        return self.modes is not None or self.pencil.size <= FEW
+        return self.modes is not None or self.held.pencil.size <= FEW
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
+        if self.held is not self:
+            free = self.pencil.leading(self.pencil.free)
+            return np.concatenate([free.states(s), self.held.states(s)], axis=1)
         if self.modes is None:
             return self.pencil.states(s)
-        return np.asarray(self.modes[0] @ self._modal(s))
+        T, L, _ = self.modes
+        return np.asarray(T @ (self._gains(s)[:, :, None] * (L @ self.pencil.B)))
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
         """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
+        if self.held is not self:
+            free = self.pencil.leading(self.pencil.free)
+            return self.held.transfer(s) + free.C @ free.states(s)
         if self.modes is None:
             return self.pencil.transfer(s)
-        T, L, core = self.modes
-        if not isinstance(core, tuple):
-            return np.asarray((self.pencil.C @ T) @ self._modal(s) + self.pencil.D)
+        T, L, _ = self.modes
         residues = (self.pencil.C @ T).T[:, :, None] * (L @ self.pencil.B)[:, None, :]
         found = self._gains(s) @ residues.reshape(len(residues), -1)
         return np.asarray(found.reshape(-1, *self.pencil.D.shape) + self.pencil.D)
-
-    def transposed(self) -> Response:
-        """That of the dual model, whose coordinates are known."""
-        return self._known(
-            self.pencil.transposed(),
-            lambda T, L, core: (
-                (L.T, T.T, core)
-                if isinstance(core, tuple)
-                else (L.T[:, ::-1], T.T[::-1], core.T[::-1, ::-1])
-            ),
-        )
-
-    def turned(self, V: np.ndarray) -> Response:
-        """That of the congruence ``V'PV`` by a square V."""
-        left = partial(np.linalg.solve, V)
-        return self._known(self.pencil.project(V), lambda T, L, core: (left(T), left(L.T).T, core))
-
-    def _known(self, pencil: Pencil, change: Callable[..., Modes]) -> Response:
-        found = object.__new__(Response)
-        found.pencil, found.decoupled, found.modes = pencil, self.decoupled, None
-        if self.modes is not None:
-            found.modes = change(*self.modes)
-        return found
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
         """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
@@ -119,80 +96,40 @@ class Response:
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
         return np.asarray(size <= CANCELLED * terms)
 
-    def free_motion(self, s: np.ndarray, below: float) -> np.ndarray:
-        """Part (len(s), outputs, inputs) of the transfer function that belongs to the poles of
-        less than ``below`` [rad/s], at ``s`` outside of them.
-
-        Symmetric second order: ``C X (s^2 X'MX + s X'EX + X'KX)^-1 X'B`` with the modes X of (K, M)
-        in question. Others: the principal part at zero, by integrals on a circle around the poles.
-        """
-        pencil, s = self.pencil, np.asarray(s, dtype=complex)
-        none = np.zeros((len(s), *pencil.D.shape), dtype=complex)
-        if pencil.degree == 2 and pencil.symmetric:
-            try:
-                k, T = eigh(pencil.coefficients[0], pencil.coefficients[2])
-            except LinAlgError:
-                return none  # no definite mass
-            few = pencil.project(T[:, np.abs(k) < below**2])
-            return few.transfer(s) - few.D if few.size else none
-        sizes = np.sort(np.abs(pencil.poles(below)))
-        inside = int((sizes < below).sum())
-        if not inside:
-            return none
-        ends = np.r_[np.maximum(sizes[:inside], 1e-3 * below), sizes[inside:], 1e3 * below]
-        ratios = ends[1 : inside + 1] / ends[:inside]
-        last = inside - int(np.argmax(ratios[::-1]))  # of several the one farthest out
-        if ratios[last - 1] < APART:
-            return none
-        radius = np.sqrt(ends[last - 1] * ends[last])
-        around = radius * np.exp(2j * np.pi * (np.arange(CONTOUR) + 0.5) / CONTOUR)
-        H = self.transfer(around)
-        powers = around[:, None] ** np.arange(1, last + 1)
-        moments = np.einsum("sk,sij->kij", powers, H) / CONTOUR
-        return np.asarray(
-            np.einsum("sk,kij->sij", s[:, None] ** -np.arange(1.0, last + 1), moments)
-        )
-
-    def peaks(
-        self, frequency: np.ndarray, H: np.ndarray, band: tuple[float, float], static: bool
-    ) -> np.ndarray:
-        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz]; of a model that
-        is free to move without its free motion, which grows without bound towards zero and would
-        hide everything else."""
-        if not static:
-            top = 2 * np.pi * band[1]
-            H = H - self.free_motion(2j * np.pi * frequency, LOOSE * top)
+    def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
+        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz] without the free
+        motion, which grows without bound towards zero and would hide everything else."""
+        free = free_part(self.pencil, 2 * np.pi * frequency.max())
+        if free is not None:
+            H = H - (free.transfer(2j * np.pi * frequency) - free.D)
         return np.asarray(np.abs(H).max(axis=0))
-
-    def _modal(self, s: np.ndarray) -> np.ndarray:
-        _, L, core = self.modes  # type: ignore[misc]
-        b = L @ self.pencil.B
-        if isinstance(core, tuple):
-            return np.asarray(self._gains(s)[:, :, None] * b)
-        return _substituted(core, np.asarray(s, dtype=complex), b)
 
     def _gains(self, s: np.ndarray) -> np.ndarray:
         """``1 / sum_k s^k diagonals_k`` (len(s), n)."""
         s = np.asarray(s, dtype=complex)[:, None]
-        diagonals = self.modes[2]  # type: ignore[index]
-        return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
+        assert self.modes is not None
+        diagonals = self.modes[2]
+        with np.errstate(divide="ignore", invalid="ignore"):  # refused where it is certified
+            return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
 
     @cached_property
     def poles(self) -> np.ndarray:
         """Finite poles [1/s] of a model whose modes are coupled."""
-        if self.modes is None:
-            return self.pencil.poles()
-        core = self.modes[2]
-        return -core[0] if isinstance(core, tuple) else np.diag(core)
+        if self.held is not self:
+            return np.r_[self.pencil.leading(self.pencil.free).poles(), self.held.poles]
+        return self.pencil.poles() if self.modes is None else -self.modes[2][0]
 
     @cached_property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
+        if self.held is not self:
+            return self.held.resonances
         if not self.decoupled or self.pencil.degree == 1:
             found = np.empty(0) if self.decoupled else self.poles
             found = found[found.imag > 0]
             return found.imag / (2 * np.pi), np.abs(found.real) / np.abs(found)
-        k, e, m = self.modes[2]  # type: ignore[index]
+        assert self.modes is not None
+        k, e, m = self.modes[2]
         oscillating = (k > 0) & (e**2 < 4 * k * m)
         k, e, m = k[oscillating], e[oscillating], m[oscillating]
         omega, ratio = np.sqrt(k / m), np.abs(e) / (2 * np.sqrt(k * m))
@@ -206,8 +143,7 @@ class Response:
 
 
 def _eigenvectors(pencil: Pencil) -> Modes | None:
-    """Eigenvectors of the first-order form, else its Schur vectors, if they reproduce direct
-    solutions to rounding."""
+    """Eigenvectors of the first-order form, if they reproduce direct solutions to rounding."""
     n, inertia = pencil.size, pencil.coefficients[-1]
     try:
         inner = np.linalg.solve(inertia, np.hstack([*pencil.coefficients[:-1], np.eye(n)]))
@@ -216,66 +152,16 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
             A = np.block([[np.zeros((n, n)), np.eye(n)], [A, -inner[:, n : 2 * n]]])
             drive = np.vstack([np.zeros((n, n)), inner[:, 2 * n :]])
         values, X = np.linalg.eig(A)
+        if np.linalg.cond(X) > DEFECTIVE:
+            return None
+        T, L = X[:n], np.linalg.solve(X, drive)
         s = 1j * np.array([0.03, 0.3, 1.0, 3.0]) * (float(np.median(np.abs(values))) or 1.0)
         exact = pencil.states(s)
-        if np.linalg.cond(X) <= DEFECTIVE:
-            diagonal = X[:n], np.linalg.solve(X, drive), (-values, np.ones(values.size))
-            if _apart(pencil, diagonal, s, exact)[0] < REPRODUCED:
-                return diagonal
-        balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-        R, Z = schur(balanced, output="complex")
-    except (LinAlgError, np.linalg.LinAlgError, SimulationError, ValueError):
+    except (np.linalg.LinAlgError, SimulationError, ValueError):
         return None
-    triangular = scale[:n, None] * Z[:n], Z.conj().T @ (drive / scale[:, None]), R
-    states, outputs = _apart(pencil, triangular, s, exact)
-    return triangular if states < TOLERABLE and outputs < 0.1 * TOLERABLE else None
-
-
-def _apart(pencil: Pencil, modes: Modes, s: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Largest differences to direct solutions, of the states and of each output's own size."""
-    T, L, core = modes
-    b = L @ pencil.B
-    if isinstance(core, tuple):
-        inner = b / (s[:, None] + core[0])[:, :, None]
-    else:
-        inner = _substituted(core, s, b)
-    apart = T @ inner - exact
-    H, dH = (np.abs(pencil.C @ x).max(axis=0) for x in (exact, apart))
-    states = np.abs(apart).max(axis=1) / np.abs(exact).max(axis=1)
-    return float(states.max()), float((dH / (H + np.finfo(float).tiny)).max())
-
-
-def _substituted(R: np.ndarray, s: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``(s - R)^-1 b`` (len(s), n, m) of an upper triangular R, all frequencies at once."""
-    n, m = b.shape
-    x = np.empty((n, len(s) * m), dtype=complex)
-    for end in range(n, 0, -BLOCK):
-        start = max(0, end - BLOCK)
-        right = np.repeat(b[start:end, None, :], len(s), axis=1).reshape(end - start, -1)
-        right = right + R[start:end, end:] @ x[end:]
-        for k in range(end - 1, start - 1, -1):
-            row = right[k - start] + R[k, k + 1 : end] @ x[k + 1 : end]
-            x[k] = row / np.repeat(s - R[k, k], m)
-    return np.asarray(np.moveaxis(x.reshape(n, len(s), m), 0, 1))
-
-
-def graded(inertia: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``M phi = mu K phi`` ascending, ``T'KT = 1``; modes that cost next to nothing (a free body's,
-    where rounding makes K definite) apart from the others, which would drown in their rounding.
-
-    Raises
-    ------
-    LinAlgError : K is not definite.
-    """
-    mu, T = eigh(inertia, rest)
-    gaps = np.flatnonzero((mu[:-1] > 0) & (mu[1:] > SOFT * mu[:-1]))
-    if not gaps.size:
-        return mu, T
-    soft = slice(gaps[-1] + 1, mu.size)
-    others = null_space((inertia @ T[:, soft]).T)
-    P, Q = (others.T @ X @ others for X in (inertia, rest))
-    stiff, V = eigh(0.5 * (P + P.T), 0.5 * (Q + Q.T))
-    return np.r_[stiff, mu[soft]], np.hstack([others @ V, T[:, soft]])
+    apart = T @ ((L @ pencil.B) / (s[:, None] - values)[:, :, None]) - exact
+    error = np.abs(apart).max(axis=1) / np.abs(exact).max(axis=1)
+    return (T, L, (-values, np.ones(values.size))) if error.max() < REPRODUCED else None
 
 
 def _decoupled(pencil: Pencil) -> Modes | None:
@@ -284,7 +170,9 @@ def _decoupled(pencil: Pencil) -> Modes | None:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
-        mu, T = graded(inertia, rest)
+        mu, T = eigh(inertia, rest)
+        if (mu[1:] > SOFT * np.abs(mu[:-1])).any():  # what rounding lets pass for stiffness
+            raise LinAlgError
         ends = np.ones(pencil.size), mu
     except LinAlgError:
         try:
@@ -350,6 +238,21 @@ def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray)
     return points[nearest >= 0.98 * gap]
 
 
+def samples(
+    response: Response,
+    band: tuple[float, float],
+    count: int,
+    static: bool,
+    widths: np.ndarray | tuple[float, ...] = (0.0,),
+) -> np.ndarray:
+    """Frequencies [Hz] of a grid and on every resonance, at multiples of its half width, inside the
+    band and clear of poles without damping."""
+    at, ratio = response.within(band)
+    points = np.union1d(grid(band, count, static), around(at, ratio, np.asarray(widths)))
+    points = points[(points >= band[0]) & (points <= band[1])]
+    return clear_of_poles(points, at, ratio)
+
+
 def telling(response: Response, band: tuple[float, float], static: bool) -> np.ndarray:
     """Frequencies [Hz] at which relative errors show: a grid, every resonance with its flanks, and
     every deep notch of any entry, found by zooming in."""
@@ -361,7 +264,7 @@ def telling(response: Response, band: tuple[float, float], static: bool) -> np.n
     frequency = clear_of_poles(frequency, at, ratio)
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(ROUNDS):
-        peak = response.peaks(frequency, H, band, static) + np.finfo(float).tiny
+        peak = response.peaks(frequency, H) + np.finfo(float).tiny
         lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
@@ -402,13 +305,11 @@ def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once;
-    ``static`` says that this is not free to move."""
+    """Judges models by the ``exact`` one at ``frequency`` [Hz], at which that is solved once."""
 
     exact: Response
     frequency: np.ndarray
     band: tuple[float, float]
-    static: bool = True
     norm: Norm = "pointwise"
 
     @cached_property
@@ -416,7 +317,7 @@ class Judge:
         """The exact response, which entries are not zero but for rounding, their floors."""
         s = 2j * np.pi * self.frequency
         reference = self.exact.transfer(s)
-        peak = self.exact.peaks(self.frequency, reference, self.band, self.static)
+        peak = self.exact.peaks(self.frequency, reference)
         share = FLOOR if self.norm == "pointwise" else 1.0
         return reference, ~self.exact.cancelled(s), share * peak
 
@@ -476,3 +377,9 @@ def relative_size(
     size = np.abs(reference)
     base = np.maximum(size, FLOOR * (size.max(axis=0) if peak is None else peak))
     return np.divide(np.abs(difference), base, out=np.zeros_like(size), where=base > 0)
+
+
+def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:
+    """What a reduction says when an error stays above the limit."""
+    expected = f"at most {limit:.1e}"
+    return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)

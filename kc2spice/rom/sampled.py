@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import Solver
-from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.response import FLOOR, Response, around, clear_of_poles, grid
+from kc2spice.rom.krylov import real_parts
+from kc2spice.rom.pencil import Pencil, first_order
+from kc2spice.rom.response import FLOOR, Response, grid, inexact, relative_size, samples
 
 FIRST, MOST = 12, 90  # frequencies before the error is judged, and at all
 CANDIDATES = 151
@@ -51,9 +51,9 @@ class Samples:
         self.H = np.concatenate([self.H, (P.C @ x + P.D)[None]])
         image = s * (self._E @ x) - P.B
         size = np.linalg.norm(x, axis=0)
-        self._right = np.hstack([self._right, *_parts(x / size)])
-        self._images = np.hstack([self._images, *_parts(image / size)])
-        self._left = np.hstack([self._left, *_parts(y / np.linalg.norm(y, axis=0))])
+        self._right = np.hstack([self._right, *real_parts(x / size)])
+        self._images = np.hstack([self._images, *real_parts(image / size)])
+        self._left = np.hstack([self._left, *real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
         """The oblique projection that reproduces the samples best, and its largest error there."""
@@ -67,19 +67,15 @@ class Samples:
             left, right = U[:, :order] / root, Vt[:order].T / root
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
             small = _decaying(small)
-            error = self._error(small)
-            models.append((error.max(initial=0.0), order, small))
+            found = Response(small).transfer(2j * np.pi * self.frequency)
+            error = self.relative(found - self.H, self.H).max(initial=0.0)
+            models.append((error, order, small))
         error, _, best = min(models, key=lambda found: found[:2])
         return best, float(error)
 
-    def _error(self, small: Pencil) -> np.ndarray:
-        found = Response(small).transfer(2j * np.pi * self.frequency)
-        return self.relative(found - self.H, self.H)
-
     def relative(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Sizes relative to ``H`` or to the floor of the samples' peak."""
-        base = np.maximum(np.abs(H), FLOOR * np.abs(self.H).max(axis=0)) + np.finfo(float).tiny
-        return np.asarray(np.abs(difference) / base)
+        return relative_size(difference, H, np.abs(self.H).max(axis=0))
 
 
 def sampled(
@@ -92,68 +88,57 @@ def sampled(
     ------
     SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
     """
-    samples = Samples(first_order(pencil, 2 * np.pi * band[1]), band)
-    candidates = grid(band, CANDIDATES, True)
-    for k in np.unique(np.linspace(0, len(candidates) - 2, FIRST).astype(int)):
-        samples.add(float(candidates[k]))
-    last = Response(samples.model()[0])
-    samples.add(float(band[1]))
-    model, _ = samples.model()
+    known = Samples(first_order(pencil, 2 * np.pi * band[1]), band)
+    every = grid(band, CANDIDATES, True)
+    for k in np.unique(np.linspace(0, len(every) - 2, FIRST).astype(int)):
+        known.add(float(every[k]))
+    last = Response(known.model()[0])
+    known.add(float(band[1]))
+    model, _ = known.model()
     recent = [np.inf]
-    while len(samples.frequency) < MOST:
+    while len(known.frequency) < MOST:
         before = Response(model)
-        at, ratio = before.within(band)
-        points = np.union1d(candidates, around(at, ratio, np.zeros(1)))
-        points = points[(points >= band[0]) & (points <= band[1])]
-        points = clear_of_poles(points, at, ratio)
-        points = points[~np.isclose(points[:, None], samples.frequency, rtol=1e-7).any(axis=1)]
+        points = samples(before, band, CANDIDATES, True)
+        points = points[~np.isclose(points[:, None], known.frequency, rtol=1e-7).any(axis=1)]
         if not points.size:
             break
         H = before.transfer(2j * np.pi * points)
-        change = samples.relative(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
+        change = known.relative(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
         worst = int(np.argmax(change))
-        samples.add(float(points[worst]))
-        error = float(samples.relative(H[worst] - samples.H[-1], samples.H[-1]).max())
+        known.add(float(points[worst]))
+        error = float(known.relative(H[worst] - known.H[-1], known.H[-1]).max())
         last = before
-        model, fit = samples.model()
+        model, fit = known.model()
         recent = [*recent[-1:], max(error, fit)]
-        if max(recent) <= target or (len(samples.frequency) > MOST // 2 and max(recent) <= limit):
+        if max(recent) <= target or (len(known.frequency) > MOST // 2 and max(recent) <= limit):
             break
     if not max(recent) <= limit:
-        raise SimulationError(
+        raise inexact(
             "the model cannot be told from rounding",
-            where="reduction",
-            got=f"relative error {max(recent):.1e} with {model.size} states",
-            expected=f"at most {limit:.1e}",
-            hint="ask for a looser tolerance or a narrower band",
+            f"relative error {max(recent):.1e} with {model.size} states",
+            limit,
+            "ask for a looser tolerance or a narrower band",
         )
-    return model, max(recent), len(samples.frequency)
+    return model, max(recent), len(known.frequency)
 
 
-def uncertainty(pencil: Pencil, frequency: np.ndarray) -> np.ndarray:
+def uncertainty(
+    pencil: Pencil, frequency: np.ndarray, states: np.ndarray | None = None
+) -> np.ndarray:
     """How far the last digits of a dense model's entries move its response (relative) at each
-    ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares."""
+    ``frequency`` [Hz]: ``eps |y_i P_ij x_j|``, root of the sum of squares.
+
+    ``states`` x (frequencies, n, inputs) may be known better than from solutions here."""
+    s = 2j * np.pi * frequency
+    x = pencil.states(s) if states is None else states
+    y = x if pencil.symmetric and pencil.collocated else pencil.transposed().states(s)
     found = []
-    dual = pencil.transposed()
-    for s in 2j * np.pi * frequency:
-        x, y = pencil.states(s[None])[0], dual.states(s[None])[0]
-        H = np.abs(pencil.C @ x + pencil.D)
-        squares = sum(np.abs(s**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
-        moved = np.sqrt((np.abs(y.T) ** 2) @ squares @ (np.abs(x) ** 2))
-        found.append(float((moved / np.maximum(H, FLOOR * H.max())).max()))
-    return np.finfo(float).eps * np.array(found)
-
-
-def first_order(pencil: Pencil, omega: float) -> Pencil:
-    """The same model as ``E x' = A x + B u``, without any division; rates per ``omega``."""
-    if pencil.degree == 1:
-        return pencil
-    K, E, M = pencil.coefficients
-    n, zero, one = pencil.size, np.zeros_like(M), omega * np.eye(pencil.size)
-    rest = np.block([[zero, -omega * one], [K, omega * E]])
-    inertia = np.block([[one, zero], [zero, omega * M]])
-    B = np.vstack([np.zeros_like(pencil.B), pencil.B])
-    return Pencil((rest, inertia), B, np.hstack([pencil.C, np.zeros((len(pencil.C), n))]), pencil.D)
+    for each, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
+        squares = sum(np.abs(each**k * P) ** 2 for k, P in enumerate(pencil.coefficients))
+        found.append(np.sqrt(left.T @ squares @ right))
+    H = np.abs(pencil.C @ x + pencil.D)
+    size = np.array(found) / np.maximum(H, FLOOR * H.max(axis=(1, 2), keepdims=True))
+    return np.asarray(np.finfo(float).eps * size.max(axis=(1, 2)))
 
 
 def _decaying(small: Pencil) -> Pencil:
@@ -172,7 +157,3 @@ def _decaying(small: Pencil) -> Pencil:
     B, C = inverse @ small.B, small.C @ X
     part = A[np.ix_(keep, keep)]
     return replace(small, coefficients=(-part, np.eye(len(keep))), B=B[keep], C=C[:, keep])
-
-
-def _parts(x: np.ndarray) -> list[np.ndarray]:
-    return [x.real, x.imag] if np.abs(x.imag).any() else [x.real]

@@ -7,7 +7,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.operators import largest
-from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.pencil import Pencil, first_order
 from kc2spice.rom.structure import semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -29,44 +29,32 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     ------
     UsageError : the model answers to derivatives of its input, or its massless part is singular.
     """
-    B, C, D = pencil.B, pencil.C, pencil.D
+    pencil = pencil.dense()
     if pencil.degree == 1:
-        minus_a, E = pencil.dense().coefficients
-        return _first_order(E, -minus_a, B, C, D)
-    K, E, M = pencil.dense().coefficients
+        return _energy_states(pencil)
+    K, _, M = pencil.coefficients
     top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if semidefinite(M):
         mass = np.linalg.eigvalsh(M)
-        if mass[0] <= MASSLESS * mass[-1]:
-            return _massless(M, E, K, B, C, D, omega)
-        return _modal(M, E, K, B, C, D, omega)
-    q = len(M)
-    if _singular(M, M):
+        if mass[0] > MASSLESS * mass[-1]:
+            return _modal(pencil, omega)
+        pencil = _without_static(pencil)
+    elif _singular(M, M):
         raise UsageError(
             "the mass matrix is singular and not symmetric",
             where="state space",
             expected="a regular or a symmetric positive semi-definite M",
         )
-    inner = scipy.linalg.solve(M, np.hstack([K, E, B]))
-    zero = np.zeros((q, q))
-    A = np.block([[zero, omega * np.eye(q)], [-inner[:, :q] / omega, -inner[:, q : 2 * q]]])
-    drive = np.vstack([np.zeros_like(B), inner[:, 2 * q :]])
-    return A, drive, np.hstack([C / omega, np.zeros_like(C)]), D
+    A, B, C, D = _energy_states(first_order(pencil, omega))
+    return A, omega * B, C / omega, D
 
 
-def _modal(
-    M: np.ndarray,
-    E: np.ndarray,
-    K: np.ndarray,
-    B: np.ndarray,
-    C: np.ndarray,
-    D: np.ndarray,
-    omega: float,
-) -> ABCD:
+def _modal(pencil: Pencil, omega: float) -> ABCD:
     """States ``w z`` and ``z'`` of mass-normalised coordinates; modes of a symmetric K."""
-    T, stiffness = _mass_normal(M, K, omega)
-    K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T
+    K, E, M = pencil.coefficients
+    T, stiffness = _mass_normal(M, K)
+    K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ pencil.B, pencil.C @ T
     w = np.full(len(M), omega)
     if stiffness is not None:
         moving = np.abs(stiffness) > MASSLESS * omega**2
@@ -76,16 +64,13 @@ def _modal(
     scale = np.sqrt(np.outer(damp, damp)) + np.finfo(float).tiny
     if (np.abs(E - np.diag(np.diag(E))) <= COUPLING * scale).all():
         E = np.diag(np.diag(E))
-    zero = np.zeros_like(K)
-    A = np.block([[zero, np.diag(w)], [-K / w, -E]])
+    A = np.block([[np.zeros_like(K), np.diag(w)], [-K / w, -E]])
     pairs = np.arange(2 * len(M)).reshape(2, len(M)).T.ravel()  # z1, z1', z2, z2', ...
     drive, read = np.vstack([np.zeros_like(B), B]), np.hstack([C / w, np.zeros_like(C)])
-    return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], D
+    return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], pencil.D
 
 
-def _mass_normal(
-    M: np.ndarray, K: np.ndarray, omega: float
-) -> tuple[np.ndarray, np.ndarray | None]:
+def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """``T'MT = 1``; for a symmetric K also its eigenvalues, which T then diagonalises.
 
     A definite K takes the part of the better conditioned matrix, so that low modes are exact.
@@ -100,59 +85,35 @@ def _mass_normal(
     return T, stiffness
 
 
-def _massless(
-    M: np.ndarray,
-    E: np.ndarray,
-    K: np.ndarray,
-    B: np.ndarray,
-    C: np.ndarray,
-    D: np.ndarray,
-    omega: float,
-) -> ABCD:
-    """Coordinates without mass: damped ones are first order, the others are eliminated."""
+def _without_static(pencil: Pencil) -> Pencil:
+    """Without the coordinates that have neither mass nor damping; the others without mass last."""
+    K, E, M = pencil.coefficients
+    B, C, D = pencil.B, pencil.C, pencil.D
     mass, V = scipy.linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
     size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
-    free = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
-    heavy, light, rigid = V[:, ~none], V[:, none] @ U[:, ~free], V[:, none] @ U[:, free]
-    if rigid.size:
-        if max(largest(E @ rigid), largest(E.T @ rigid)) > COUPLING * largest(E):
+    still = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
+    light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
+    if static.size:
+        if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
             raise _improper("massless coordinates are coupled by damping alone")
-        inner = rigid.T @ K @ rigid
+        inner = static.T @ K @ static
         if _singular(inner, K):
             raise _improper("massless, undamped coordinates without stiffness")
-        held = scipy.linalg.solve(inner, np.hstack([rigid.T @ K, rigid.T @ B]))
+        held = scipy.linalg.solve(inner, np.hstack([static.T @ K, static.T @ B]))
         n = len(M)
-        D = D + (C @ rigid) @ held[:, n:]
-        B = B - (K @ rigid) @ held[:, n:]
-        C = C - (C @ rigid) @ held[:, :n]
-        K = K - (K @ rigid) @ held[:, :n]
-    T = np.hstack([heavy, light])
-    h = heavy.shape[1]
-    K, E, B, C, m = T.T @ K @ T, T.T @ E @ T, T.T @ B, C @ T, mass[~none]
-    # x = [heavy * omega; heavy'; light]
-    left = np.block(
-        [
-            [np.eye(h), np.zeros((h, len(T.T)))],
-            [np.zeros((h, h)), np.diag(m), E[:h, h:]],
-            [np.zeros((len(K) - h, 2 * h)), E[h:, h:]],
-        ]
-    )
-    right = np.block(
-        [
-            [np.zeros((h, h)), omega * np.eye(h), np.zeros((h, len(K) - h))],
-            [-K[:h, :h] / omega, -E[:h, :h], -K[:h, h:]],
-            [-K[h:, :h] / omega, -E[h:, :h], -K[h:, h:]],
-        ]
-    )
-    drive = np.vstack([np.zeros((h, B.shape[1])), B])
-    read = np.hstack([C[:, :h] / omega, np.zeros((len(C), h)), C[:, h:]])
-    return _first_order(left, right, drive, read, D)
+        B, D = B - (K @ static) @ held[:, n:], D + (C @ static) @ held[:, n:]
+        C, K = C - (C @ static) @ held[:, :n], K - (K @ static) @ held[:, :n]
+    T = np.hstack([V[:, ~none], light])
+    M = np.diag(np.r_[mass[~none], np.zeros(light.shape[1])])
+    return Pencil((T.T @ K @ T, T.T @ E @ T, M), T.T @ B, C @ T, D)
 
 
-def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> ABCD:
+def _energy_states(pencil: Pencil) -> ABCD:
     """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
+    rest, E = pencil.coefficients
+    A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
     if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
         T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
@@ -167,10 +128,8 @@ def _first_order(E: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: 
         if _singular(inner, A):
             raise _improper("algebraic equations that do not determine their unknowns")
         held = scipy.linalg.solve(inner, np.hstack([A[r:, :r], B[r:]]))
-        D = D - C[:, r:] @ held[:, r:]
-        C = C[:, :r] - C[:, r:] @ held[:, :r]
-        B = B[:r] - A[:r, r:] @ held[:, r:]
-        A = A[:r, :r] - A[:r, r:] @ held[:, :r]
+        B, D = B[:r] - A[:r, r:] @ held[:, r:], D - C[:, r:] @ held[:, r:]
+        C, A = C[:, :r] - C[:, r:] @ held[:, :r], A[:r, :r] - A[:r, r:] @ held[:, :r]
     return A / E, B / E, C, D
 
 

@@ -9,6 +9,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
+from kc2spice.rom.free import apart
 from kc2spice.rom.operators import Matrix, Schur, Sum, largest, symmetric
 from kc2spice.rom.pencil import Pencil
 
@@ -51,13 +52,22 @@ def structure(
     if states > DENSE:
         return Structure(None, False, f"nothing: {states} states are too many to know all poles")
     omega = 2 * np.pi * band[1]
-    values = pencil.poles(omega) if poles is None else poles
+    values = _poles(pencil, omega) if poles is None else poles
     limit = GROWTH * np.maximum(np.abs(values), omega)
     grows = values.real > limit
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
     if grows.any() and (values.real[grows] <= rounded).all():
         return Structure(None, False, "nothing: rounding of the poles hides which side they are on")
     return Structure(not grows.any(), False, "poles")
+
+
+def _poles(pencil: Pencil, omega: float) -> np.ndarray:
+    """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
+    half of the digits."""
+    found = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega)[0]
+    if not found.detached:
+        return pencil.poles(omega)
+    return np.r_[found.leading(found.free).poles(omega), found.held.poles(omega)]
 
 
 def dissipative(pencil: Pencil) -> bool:

@@ -23,20 +23,21 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.krylov import DEFLATION, extend
+from kc2spice.rom.free import apart, congruent
+from kc2spice.rom.krylov import DEFLATION, extend, real_parts
 from kc2spice.rom.operators import Schur, symmetric
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import (
     FLANK,
-    FLOOR,
     GRID,
     SHARPEST,
     Response,
     around,
     clear_of_poles,
-    graded,
     grid,
+    inexact,
     relative_size,
+    samples,
     telling,
 )
 from kc2spice.rom.sampled import sampled, uncertainty
@@ -46,6 +47,7 @@ EXTENDED = 500  # unknowns up to which a model is turned into its modes with 19 
 UNCERTAIN = 1e-9  # a response of less uncertainty needs no word
 # Unknowns of decoupled models, states of others up to which nothing is sampled.
 WHOLE_DECOUPLED, WHOLE = 1300, 600
+DIRECT = 150  # unknowns up to which every frequency may be solved by itself
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
 SINGULAR = 1e-6
 # Krylov blocks at zero and at each other point before their gain is judged; less gain calls for a
@@ -57,23 +59,21 @@ MANY, COSTLY = 20, 10_000  # factorisations that need a word, from so many unkno
 SKETCH = 32  # random combinations of equations that stand for all residuals
 CANDIDATES = 101
 FREE = 100.0  # times rounding: less energy than that is none
-SHARP = 8  # resonances at which rounding of a small model is looked at
+SHARP = 8  # lowest and sharpest resonances at which rounding of a small model is looked at
 ROUNDED, SPREAD = 4, 3.0  # trials of rounding, and the margin on the largest of them
 
 
 @dataclass(frozen=True)
 class Subspace:
-    """``pencil`` (dense), its largest relative error in the full model, whether the static answer
-    exists (no rigid body motion, no free integrator), what the error rests on, the rounding
-    [of K's entries] in a projected K of a model that is free to move, and how far rounding of the
-    full model's entries moves its own responses (relative): no reduction is nearer than that.
+    """``pencil`` (dense), its largest relative error in the full model, whether all but its free
+    motion has a static answer, what the error rests on, and how far rounding of the full model's
+    entries moves its own responses (relative): no reduction is nearer than that.
     """
 
     pencil: Pencil
     error: float
     static: bool
     proof: str
-    rounding: float = 0.0
     floor: float = 0.0
 
     @cached_property
@@ -84,7 +84,7 @@ class Subspace:
     def points(self, band: tuple[float, float]) -> np.ndarray:
         """Frequencies [Hz] over the band at which its errors show."""
         if band not in self._points:
-            self._points[band] = telling(self.response, band, self.static)
+            self._points[band] = telling(self.response, band, self.static and not self.pencil.free)
         return self._points[band]
 
     @cached_property
@@ -107,7 +107,7 @@ def subspace(pencil: Pencil, band: tuple[float, float], target: float, limit: fl
             whole = _whole(full, band, limit)
         except SimulationError as error:
             inaccurate = error
-        sound = whole is not None and whole.response.sound
+        sound = whole is not None and whole.response.quick
         # Without an energy a congruence needs well-conditioned modes to converge.
         if pencil.degree == 1 and not sound and not dissipative(full):
             try:
@@ -176,37 +176,39 @@ def _whole(full: Pencil, band: tuple[float, float], limit: float) -> Subspace | 
     ------
     SimulationError : two solutions are further apart than ``limit``.
     """
-    sizes = np.linalg.svd(full.coefficients[0], compute_uv=False)
-    eps = np.finfo(float).eps
-    static = bool(sizes[-1] > 8 * eps * full.size * sizes[0])
-    rounding = eps * full.size * float(sizes[0])
-    given, T = full, _undamped_modes(full) if static else None
+    given = full
+    full, V, static = apart(given, 2 * np.pi * band[1])
+    T = _undamped_modes(full.held) if static else None
     if T is not None:
-        full = full.project_exactly(T)
+        V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
+        full = congruent(given, V, full.free)
     response = Response(full)
     if not response.decoupled and (
-        full.degree * full.size > WHOLE or (response.modes is None and full.size > 150)
+        full.degree * full.size > WHOLE or (response.modes is None and full.size > DIRECT)
     ):
         return None
-    error = _solution_error(response, band, static)
+    error = _solution_error(response, band)
     if error > limit:
-        raise SimulationError(
+        raise inexact(
             "the full model itself is not that accurate",
-            where="reduction",
-            got=f"two direct solutions differ by {error:.1e}",
-            expected=f"at most {limit:.1e}",
-            hint="ask for a looser tolerance; other units or fewer elements may help",
+            f"two direct solutions differ by {error:.1e}",
+            limit,
+            "ask for a looser tolerance; other units or fewer elements may help",
         )
     proof = f"being all of the full model, solved to {error:.0e}"
-    if T is not None:
-        proof += _own_uncertainty(given, T, response, band, 2 * limit)
     floor = 0.0
     at, ratio = response.within(band)
-    if T is None and at.size:  # products and solutions round its entries
-        sharp = np.argsort(ratio)[:SHARP]
-        at = at[sharp] * (1 + FLANK * (ratio[sharp] < SHARPEST))
-        floor = SPREAD * float(uncertainty(full, at).max())
-    found = Subspace(full, error, static, proof, rounding, floor)
+    if at.size:
+        looked = np.union1d(np.argsort(at)[:SHARP], np.argsort(ratio)[:SHARP])
+        at = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
+        states = None if T is None else V @ response.states(2j * np.pi * at)
+        size = uncertainty(given, at, states)
+        if T is not None:
+            proof += _told(at, size, 2 * limit)
+        # products and solutions round its entries
+        if T is None or full.free or full.size < given.size:
+            floor = SPREAD * float(size.max())
+    found = Subspace(full, error, static, proof, floor)
     found.__dict__["response"] = response  # as the cached property would
     return found
 
@@ -219,31 +221,13 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
     if not (symmetric(K) and symmetric(M)):
         return None
     try:
-        values, T = graded(M, K)
+        values, T = scipy.linalg.eigh(M, K)
     except np.linalg.LinAlgError:
         return None
-    return T if values.min() > 0 else None
+    return np.asarray(T) if values.min() > 0 else None
 
 
-def _own_uncertainty(
-    given: Pencil, T: np.ndarray, response: Response, band: tuple[float, float], tolerance: float
-) -> str:
-    """What rounding of the given stiffness could mean: it is solved as it was given, but entries of
-    16 digits move a resonance by ``eps |t_i K_ij t_j| / (t'Kt)``, root of the sum of squares."""
-    K = given.coefficients[0]
-    at, ratio = response.within(band)
-    if not at.size:
-        return ""
-    energy = np.einsum("ij,ij->j", T, K @ T)
-    frequency = np.sqrt(np.abs(energy / np.einsum("ij,ij->j", T, given.coefficients[2] @ T)))
-    moved = np.sqrt(np.maximum(np.einsum("ij,ij->j", T**2, K**2 @ T**2), 0.0))
-    moved *= np.finfo(float).eps / np.maximum(np.abs(energy), np.finfo(float).tiny)
-    nearest = np.abs(frequency[:, None] / (2 * np.pi) - at).argmin(axis=0)
-    size = moved[nearest] / (2 * np.maximum(ratio, FLANK))
-    return _told(at, size, tolerance)
-
-
-def _solution_error(response: Response, band: tuple[float, float], static: bool = True) -> float:
+def _solution_error(response: Response, band: tuple[float, float]) -> float:
     """How far direct solutions in two orders of elimination, and the modes', are apart."""
     full = response.pencil
     at, ratio = response.within(band)
@@ -252,16 +236,14 @@ def _solution_error(response: Response, band: tuple[float, float], static: bool 
     s = 2j * np.pi * points
     coarse = clear_of_poles(grid(band, 50, False), at, ratio)
     everywhere = 2j * np.pi * coarse
-    peak = response.peaks(coarse, response.transfer(everywhere), band, static)
+    peak = response.peaks(coarse, response.transfer(everywhere))
     flipped = Pencil(
         tuple(P[::-1, ::-1] for P in full.coefficients), full.B[::-1], full.C[:, ::-1], full.D
     )
     found = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
-    base = np.maximum(np.abs(found[0]), FLOOR * peak) + np.finfo(float).tiny
+    apart = [relative_size(one - found[0], found[0], peak) for one in found[1:]]
     counted = ~response.cancelled(everywhere)
-    return max(
-        float((np.abs(one - found[0]) / base)[:, counted].max(initial=0.0)) for one in found[1:]
-    )
+    return float(np.array(apart)[..., counted].max(initial=0.0))
 
 
 # ---------------------------------------------------------------------- definite sparse models
@@ -281,7 +263,7 @@ def _block_krylov(
         columns, column_images = extend(V, images, candidates, lambda v: K @ v)
         V, images = np.hstack([V, columns]), np.hstack([images, column_images])
         response = Response(pencil.project(V))
-        frequency = _telling_quickly(response, band, True)
+        frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
         s = 2j * np.pi * frequency
         found = response.transfer(s)
         size = np.ones((len(s), 1, 1))
@@ -309,25 +291,16 @@ def _block_krylov(
     raise _unsettled(response, band, change, limit)
 
 
-def _telling_quickly(response: Response, band: tuple[float, float], static: bool) -> np.ndarray:
-    """A grid and every resonance with its flanks; notches are left to the last check."""
-    at, ratio = response.within(band)
-    points = np.union1d(grid(band, GRID, static), around(at, ratio, np.array([0.0, 1.0, 4.0])))
-    points = points[(points >= band[0]) & (points <= band[1])]
-    return clear_of_poles(points, at, ratio)
-
-
 def _unsettled(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
     modes = response.within(band)[0].size
-    return SimulationError(
+    return inexact(
         "the reduced model does not settle",
-        where="reduction",
-        got=f"relative error {error:.1e} with {response.pencil.size} states; the band holds at "
-        f"least {modes} resonances",
-        expected=f"at most {limit:.1e}",
-        hint="narrow the band or ask for a looser tolerance"
+        f"relative error {error:.1e} with {response.pencil.size} states; the band holds at least "
+        f"{modes} resonances",
+        limit,
+        "narrow the band or ask for a looser tolerance"
         if modes
         else "widen the band until it holds a resonance, or ask for a looser tolerance",
     )
@@ -355,12 +328,8 @@ def _rational(pencil: Pencil, band: tuple[float, float], target: float, limit: f
     if worst > limit:
         raise _unsettled(search.response, band, worst, limit)
     proof = f"checked against the full model at {search.points} frequencies"
-    rounding = 0.0
-    if not search.static:
-        K, V = pencil.coefficients[0], abs(search.basis)
-        K = abs(K.uu if isinstance(K, Schur) else K)
-        rounding = np.finfo(float).eps * float((V.T @ (K @ V)).max())
-    found = Subspace(search.response.pencil, worst, search.static, proof, rounding)
+    small = search.response.pencil
+    found = Subspace(small, worst, search.static or small.free > 0, proof)
     return _with_rounding(pencil, search.modal, band, found)
 
 
@@ -418,6 +387,7 @@ class _Search:
         self.turn = np.empty((0, 0))
         self.response = Response(pencil.project(self.basis))
         self._previous = self.response
+        self.static = False
         self.static = self._add_static()
 
     def add(self, s: complex) -> None:
@@ -433,9 +403,8 @@ class _Search:
         true = self.pencil.C @ x + self.pencil.D
         points = self._candidates()
         grid_s = 2j * np.pi * points
-        peak = self.response.peaks(points, self.response.transfer(grid_s), self.band, self.static)
-        base = np.maximum(np.abs(true), FLOOR * peak) + np.finfo(float).tiny
-        error = np.abs(self.response.transfer(np.array([s]))[0] - true) / base
+        peak = self.response.peaks(points, self.response.transfer(grid_s))
+        error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, peak)
         error[self.response.cancelled(np.r_[grid_s, s])] = 0.0
         before = self.basis.shape[1]
         self._extend(s, x, *others)
@@ -447,7 +416,7 @@ class _Search:
         points = self._candidates()
         s = 2j * np.pi * points
         found = self.response.transfer(s)
-        peak = self.response.peaks(points, found, self.band, self.static)
+        peak = self.response.peaks(points, found)
         size = relative_size(self._previous.transfer(s) - found, found, peak)
         size[:, self.response.cancelled(s)] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
@@ -463,12 +432,7 @@ class _Search:
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _candidates(self) -> np.ndarray:
-        at, ratio = self.response.within(self.band)
-        points = np.union1d(
-            grid(self.band, CANDIDATES, self.static), around(at, ratio, np.zeros(1))
-        )
-        points = points[(points >= self.band[0]) & (points <= self.band[1])]
-        return clear_of_poles(points, at, ratio)
+        return samples(self.response, self.band, CANDIDATES, self.static)
 
     def _add_static(self) -> bool:
         """Add the static answers if there are any; False for a model that is free to move."""
@@ -497,7 +461,7 @@ class _Search:
 
     def _extend(self, s: complex, *answers: np.ndarray) -> None:
         self._used.append(s)
-        new = np.column_stack([part for x in answers for part in _parts(x)])
+        new = np.column_stack([part for x in answers for part in real_parts(x)])
         fresh = np.column_stack([np.empty((self.pencil.size, 0)), *_independent(self.basis, new)])
         if not fresh.shape[1]:
             self._previous = self.response
@@ -506,7 +470,24 @@ class _Search:
         for side in self._sides:
             side.extend(fresh)
         self.turn = _modes(self.pencil.project(self.basis))
-        self._previous, self.response = self.response, Response(self.pencil.project(self.modal))
+        small = self.pencil.project(self.modal)
+        if not self.static:
+            small, turn = self._apart(small)
+            self.turn = self.turn @ turn
+        self._previous, self.response = self.response, Response(small)
+
+    def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
+        """The free motion of the projected model, within rounding of the full one's stiffness."""
+        K, V = self.pencil.coefficients[0], np.abs(self.modal)
+        K = abs(K.uu if isinstance(K, Schur) else K)
+        size = np.einsum("ij,ij->j", V, K @ V)
+        stiffness = np.abs(np.diag(small.coefficients[0]))
+        soft = stiffness <= FREE * np.finfo(float).eps * size
+        if not soft.any():
+            return small, np.eye(small.size)
+        limit = 2 * float(stiffness[soft].max())
+        found, turn, _ = apart(small, 2 * np.pi * self.band[1], limit)
+        return (found, turn) if found.degree == small.degree else (small, np.eye(small.size))
 
     @property
     def modal(self) -> np.ndarray:
@@ -545,10 +526,6 @@ def _modes(pencil: Pencil) -> np.ndarray:
         except np.linalg.LinAlgError:  # no definite mass
             pass
     return np.eye(pencil.size)
-
-
-def _parts(x: np.ndarray) -> list[np.ndarray]:
-    return [x.real, x.imag] if np.iscomplexobj(x) else [x]
 
 
 def _independent(basis: np.ndarray, new: np.ndarray) -> Iterator[np.ndarray]:

@@ -7,7 +7,7 @@ from math import inf
 
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plausible import judged
+from kc2spice.scene.plausible import ImplausibleError, judged
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
 
@@ -23,16 +23,15 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             hint="kc2spice scenes lists scenes to start from",
         )
         return
-    for part in scene.parts.values():
-        yield from part.type.problems(part, scene)
-    yield from _implausible(scene)
+    doubtful = []
+    for each in (each for part in scene.parts.values() for each in part.type.problems(part, scene)):
+        if isinstance(each, ImplausibleError):
+            doubtful.append(each)
+        else:
+            yield each
+    yield from judged(doubtful, scene.checks.plausible)
     yield from _settings(scene)
     yield from _analysis(scene)
-
-
-def _implausible(scene: Scene) -> Iterator[UsageError]:
-    found = (each for part in scene.parts.values() for each in part.type.implausible(part, scene))
-    yield from judged(found, scene.checks.plausible)
 
 
 def _settings(scene: Scene) -> Iterator[UsageError]:
@@ -40,7 +39,7 @@ def _settings(scene: Scene) -> Iterator[UsageError]:
     if not 0 <= low < high:
         got = f"{low:g} … {high:g} Hz"
         yield UsageError("empty band", where="rom.band", got=got, expected="0 <= low < high")
-    if scene.include and not any(part.type.uses_netlists(part) for part in scene.parts.values()):
+    if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
             "nothing uses these netlists",
             where="include",

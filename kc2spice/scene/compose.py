@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 from string import ascii_lowercase
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.words import did_you_mean
@@ -37,61 +38,57 @@ def composed(scene: Scene) -> Scene:
         for pin in part.type.pins(part, scene)
     }
     _told_apart(terminals)
-    union = _Union([_GROUND, *terminals])
+    scene = replace(scene, terminals=terminals)
+    union = Groups([_GROUND, *terminals])
     for part in scene.parts.values():
-        for pin, target, where in _joins(part, scene, terminals):
-            other = _target(target, terminals, where, scene)
-            _same_kind((part.name, pin), other, terminals, where)
+        for pin, target, where in _joins(part, scene):
+            other = _target(target, scene, where)
+            _same_kind((part.name, pin), other, scene, where)
             union.join((part.name, pin), other)
-    for net in union.groups():
-        _one_kind(net, terminals)
-    nets = _names(union, terminals)
-    joined = replace(scene, nets=nets)
-    found = replace(joined, own=_own(joined, nets.values()))
-    _required(found, terminals, union)
-    _outputs(found, terminals)
-    _across_nothing(found, terminals)
-    _source_loops(found)
-    _grounded(found)
-    return found
+    groups = union.groups()
+    for net in groups:
+        _one_kind(net, scene)
+    scene = replace(scene, nets=_names(groups, scene))
+    scene = replace(scene, own=_own(scene))
+    _required(scene, {net[0] for net in groups if len(net) == 1})
+    _outputs(scene)
+    _across_nothing(scene)
+    _source_loops(scene)
+    _grounded(scene)
+    return scene
 
 
-def _joins(
-    part: Part, scene: Scene, terminals: Mapping[Pin, Terminal]
-) -> Iterator[tuple[str, str, str]]:
+def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Pin, target and the key that says so: the scene's own, then links, then defaults.
 
     A pin that any part of the scene names is where the scene says, not at its default as well.
     """
     named = {target for other in scene.parts.values() for target in other.pins.values()}
-    own = {pin for name, pin in terminals if name == part.name}
+    own = {pin for name, pin in scene.terminals if name == part.name}
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
         if pin not in own:
-            raise UsageError(
-                f"{part.type.name} has no such pin",
-                where=where,
-                got=repr(pin),
-                expected="one of " + ", ".join(sorted(own)),
-                hint=did_you_mean(pin, own),
-            )
+            expected = "one of " + ", ".join(sorted(own))
+            hint = did_you_mean(pin, own)
+            message = f"{part.type.name} has no such pin"
+            raise part.wrong(f"pins.{pin}", message, repr(pin), expected, hint)
         yield pin, target, where
-    links = {k: v for k, v in part.type.links(part, scene).items() if k not in part.pins}
+    links = {k: v for k, v in part.type.default_joins(part, scene).items() if k not in part.pins}
     yield from ((pin, target, part.name) for pin, target in links.items())
     for pin in sorted(own - {*links, *part.pins}):
-        default = terminals[part.name, pin].default
+        default = scene.terminals[part.name, pin].default
         if default is not None and f"{part.name}.{pin}" not in named:
             yield pin, default, part.name
 
 
-def _target(target: str, terminals: Mapping[Pin, Terminal], where: str, scene: Scene) -> Pin:
+def _target(target: str, scene: Scene, where: str) -> Pin:
     """The pin that a target names."""
     if target in (GROUND, "0"):
         return _GROUND
     name, dot, pin = target.partition(".")
-    if (name, pin) in terminals:
+    if (name, pin) in scene.terminals:
         return (name, pin)
-    pins = [other for part, other in terminals if part == name]
+    pins = [other for part, other in scene.terminals if part == name]
     if pins and not dot:
         expected = f"{name} with one of its pins: " + ", ".join(f"{name}.{p}" for p in pins)
     elif pins:
@@ -104,10 +101,10 @@ def _target(target: str, terminals: Mapping[Pin, Terminal], where: str, scene: S
     )
 
 
-def _same_kind(a: Pin, b: Pin, terminals: Mapping[Pin, Terminal], where: str) -> None:
+def _same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
     if _GROUND in (a, b):
         return
-    first, second = terminals[a], terminals[b]
+    first, second = scene.terminals[a], scene.terminals[b]
     if not _compatible(first, second):
         raise UsageError(
             "joins pins of different kinds",
@@ -122,12 +119,10 @@ def _compatible(a: Terminal, b: Terminal) -> bool:
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
-def _one_kind(net: list[Pin], terminals: Mapping[Pin, Terminal]) -> None:
+def _one_kind(net: list[Pin], scene: Scene) -> None:
     """A signal may listen to two conservative pins only if these fit each other as well."""
-    if _GROUND in net:
-        return
-    for a, b in ((x, y) for k, x in enumerate(net) for y in net[k + 1 :]):
-        _same_kind(a, b, terminals, f"{a[0]}.pins.{a[1]}")
+    for a, b in combinations(() if _GROUND in net else net, 2):
+        _same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
 def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
@@ -144,15 +139,14 @@ def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
             )
 
 
-def _names(union: _Union, terminals: Mapping[Pin, Terminal]) -> dict[Pin, str]:
-    groups = union.groups()
-    plain = [("_".join(group[0]).lower(), group[0]) for group in groups if _GROUND not in group]
-    names = allocated(((first, name) for name, first in plain), ("0", GROUND))
+def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
+    plain = [(group[0], "_".join(group[0]).lower()) for group in groups if _GROUND not in group]
+    names = allocated(plain, ("0", GROUND))
     nets = {pin: names.get(group[0], "0") for group in groups for pin in group}
-    return {pin: nets[pin] for pin in terminals}
+    return {pin: nets[pin] for pin in scene.terminals}
 
 
-def _own(scene: Scene, nets: Iterable[str]) -> dict[tuple[str, ...], str]:
+def _own(scene: Scene) -> dict[tuple[str, ...], str]:
     """Names of nodes and cards that parts have besides their pins and ``LETTERname``."""
     cards = (f"{letter}{name.lower()}" for name in scene.parts for letter in ascii_lowercase)
     wanted = (
@@ -164,13 +158,16 @@ def _own(scene: Scene, nets: Iterable[str]) -> dict[tuple[str, ...], str]:
         ((part, pin, METER), f"v{part}_{pin}_{METER}".lower())
         for part, pin in dict.fromkeys(metered(scene))
     )
-    return allocated((*wanted, *meters), {*nets, *cards})
+    return allocated((*wanted, *meters), {*scene.nets.values(), *cards})
 
 
 def electrical(part: Part, scene: Scene) -> tuple[str, ...]:
     """Its pins that carry a current and are not on ground."""
-    pins = (pin for pin in part.type.pins(part, scene) if (pin.unit, pin.flow) == ("V", "A"))
-    return tuple(pin.name for pin in pins if scene.nets[part.name, pin.name] != "0")
+    return tuple(
+        pin
+        for (name, pin), end in scene.terminals.items()
+        if name == part.name and (end.unit, end.flow) == ("V", "A") and scene.net(name, pin) != "0"
+    )
 
 
 def metered(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -211,115 +208,113 @@ def allocated(wanted: Iterable[tuple[Key, str]], taken: Collection[str]) -> dict
     return found
 
 
-def _required(scene: Scene, terminals: Mapping[Pin, Terminal], union: _Union) -> None:
-    alone = {group[0] for group in union.groups() if len(group) == 1}
-    for (name, pin), terminal in terminals.items():
+def _required(scene: Scene, alone: Collection[Pin]) -> None:
+    for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
             fitting = [
                 f"{n}.{p}"
-                for (n, p), other in terminals.items()
+                for (n, p), other in scene.terminals.items()
                 if n != name and _compatible(terminal, other)
             ]
+            target = fitting[0] if fitting else GROUND
             raise UsageError(
                 f"pin {pin} of {name} is not joined",
                 where=f"{name}.pins.{pin}",
                 expected="gnd or one of " + ", ".join(fitting) if fitting else "gnd",
-                hint=f'add  pins = {{ {pin} = "{fitting[0] if fitting else GROUND}" }}  '
-                f"to [{name}]",
+                hint=f'add  pins = {{ {pin} = "{target}" }}  to [{name}]',
             )
 
 
-def _outputs(scene: Scene, terminals: Mapping[Pin, Terminal]) -> None:
-    taken: dict[str, Pin] = {}
-    for pin, terminal in terminals.items():
-        if not terminal.signal_out:
-            continue
-        net = scene.nets[pin]
-        if net == "0" or net in taken:
-            other = "ground" if net == "0" else ".".join(taken[net])
-            raise UsageError(
-                "two outputs set one net",
-                where=f"{pin[0]}.pins.{pin[1]}",
-                got=f"{'.'.join(pin)} and {other}",
-                expected="one output",
-            )
-        taken[net] = pin
+def _outputs(scene: Scene) -> None:
+    taken = {"0": "ground"}
+    for (name, pin), terminal in scene.terminals.items():
+        net = scene.nets[name, pin]
+        if terminal.signal_out and net in taken:
+            got = f"{name}.{pin} and {taken[net]}"
+            where = f"{name}.pins.{pin}"
+            message = "two outputs set one net"
+            raise UsageError(message, where=where, got=got, expected="one output")
+        if terminal.signal_out:
+            taken[net] = f"{name}.{pin}"
 
 
-def _across_nothing(scene: Scene, terminals: Mapping[Pin, Terminal]) -> None:
+def _across_nothing(scene: Scene) -> None:
     """A part of two pins alone does nothing if both are on one net; most often a slip."""
-    for name in scene.parts:
-        pins = [(pin, terminal) for (part, pin), terminal in terminals.items() if part == name]
-        if len(pins) != 2 or any(terminal.flow == "-" for _, terminal in pins):
+    for part in scene.parts.values():
+        pins = [pin for (name, _), pin in scene.terminals.items() if name == part.name]
+        if len(pins) != 2 or any(pin.flow == "-" for pin in pins):
             continue
-        (first, a), (second, b) = pins
-        net = scene.nets[name, first]
-        if a.kind == b.kind and net == scene.nets[name, second]:
-            raise UsageError(
+        a, b = pins
+        net, other = (scene.nets[part.name, pin.name] for pin in pins)
+        if a.kind == b.kind and net == other:
+            ends, at = (
+                f"{part.name}.{a.name} and {part.name}.{b.name}",
+                "gnd" if net == "0" else net,
+            )
+            raise part.wrong(
+                f"pins.{a.name}",
                 "both ends are on one net",
-                where=f"{name}.pins.{first}",
-                got=f"{name}.{first} and {name}.{second} on {'gnd' if net == '0' else net}",
-                expected="two nets",
-                hint=f'join one of them elsewhere: pins = {{ {first} = "part.pin" }}',
+                f"{ends} on {at}",
+                "two nets",
+                f'join one of them elsewhere: pins = {{ {a.name} = "part.pin" }}',
             )
 
 
 def _source_loops(scene: Scene) -> None:
     """No two ideal sources in parallel, no loop of them: their currents would be undetermined."""
-    union = _Union(["0", *scene.nets.values()])
+    union = Groups(["0", *scene.nets.values()])
     for part in scene.parts.values():
-        for plus, minus in part.type.prescribes(part):
+        for plus, minus in part.type.at_rest(part, scene).ideal:
             a, b = scene.nets[part.name, plus], scene.nets[part.name, minus]
-            if union.find(a) == union.find(b):
-                raise UsageError(
+            if union.together(a, b):
+                raise part.wrong(
+                    "",
                     "closes a loop of ideal sources",
-                    where=part.name,
-                    got=f"{part.name}.{plus} and {part.name}.{minus} are already held apart",
-                    expected="one ideal source between two nets",
-                    hint="put a resistor (or a spring) in between, or drop one source",
+                    f"{part.name}.{plus} and {part.name}.{minus} are already held apart",
+                    "one ideal source between two nets",
+                    "put a resistor (or a spring) in between, or drop one source",
                 )
             union.join(a, b)
 
 
 def _grounded(scene: Scene) -> None:
     """Every part is joined to ground, over others if need be: else its potentials are open."""
-    first = {part: (part, pin) for part, pin in reversed(list(scene.nets))}
-    union = _Union([_GROUND, *scene.nets])
-    at: dict[str, Pin] = {"0": _GROUND}
-    for pin, net in scene.nets.items():
-        union.join(pin, at.setdefault(net, pin))
-        union.join(pin, first[pin[0]])
-    for part, name in scene.nets:
-        if union.find((part, name)) != union.find(_GROUND):
-            free = [f"{n}.{p}" for n, p in scene.nets if union.find((n, p)) != union.find(_GROUND)]
-            raise UsageError(
-                "nothing of this circuit is on ground",
-                where=part,
-                got=", ".join(free),
-                expected='one of these pins at "gnd"',
-            )
+    union = Groups(["0", *scene.nets.values()])
+    first: dict[str, str] = {}
+    for (part, _), net in scene.nets.items():
+        union.join(first.setdefault(part, net), net)
+    free = [pin for pin, net in scene.nets.items() if not union.together(net, "0")]
+    if free:
+        raise UsageError(
+            "nothing of this circuit is on ground",
+            where=free[0][0],
+            got=", ".join(map(".".join, free)),
+            expected='one of these pins at "gnd"',
+        )
 
 
-class _Union:
-    """Disjoint sets in the order of their members."""
+class Groups:
+    """Members that are joined, directly or over others, in the order in which they are given."""
 
-    def __init__(self, members: list) -> None:
-        self._parent = {member: member for member in members}
-        self._order = list(dict.fromkeys(members))
+    def __init__(self, members: Iterable[Hashable]) -> None:
+        self._of = {member: [member] for member in members}
 
-    def find(self, x: object) -> object:
-        while self._parent[x] != x:
-            self._parent[x] = self._parent[self._parent[x]]
-            x = self._parent[x]
-        return x
+    def together(self, a: Hashable, b: Hashable) -> bool:
+        """Whether both are joined."""
+        return self._of[a] is self._of[b]
 
-    def join(self, a: object, b: object) -> None:
-        self._parent[self.find(a)] = self.find(b)
+    def join(self, a: Hashable, b: Hashable) -> None:
+        """Join the groups of both."""
+        one, two = self._of[a], self._of[b]
+        if one is not two:
+            one += two
+            self._of.update(dict.fromkeys(two, one))
 
-    def groups(self) -> list[list]:
-        found: dict[object, list] = {}
-        for member in self._order:
-            found.setdefault(self.find(member), []).append(member)
+    def groups(self) -> list[list[Any]]:
+        """All groups by their first members."""
+        found: dict[int, list[Any]] = {}
+        for member, group in self._of.items():
+            found.setdefault(id(group), []).append(member)
         return list(found.values())
 
 

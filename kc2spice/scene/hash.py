@@ -27,7 +27,9 @@ def scene_hash(scene: Scene) -> str:
         for part in scene.parts.values()
     }
     whole = [part.name for part in scene.parts.values() if part.type.declares]
-    if scene.exported and whole and len(scene.parts) > 1:  # a single part keeps all in any case
+    if (
+        scene.ports == "declared" and whole and len(scene.parts) > 1
+    ):  # a single part keeps all in any case
         content["every_port"] = whole
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import resources
 from importlib.resources.abc import Traversable
 from itertools import chain
@@ -15,8 +16,15 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.foreign import identifier, read_bounded, text_of
-from kc2spice.core.toml import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml
+from kc2spice.core.foreign import (
+    DEEPEST,
+    LONGEST_KEY,
+    MAX_BYTES,
+    identifier,
+    parse_toml,
+    read_bounded,
+    text_of,
+)
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import allocated, composed
@@ -24,7 +32,7 @@ from kc2spice.scene.keys import model_keys, scene_keys, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, part_type, type_names
 from kc2spice.scene.plausible import drives, judged
-from kc2spice.scene.rest import without_equilibrium
+from kc2spice.scene.rest import without_equilibrium, without_finite_force
 from kc2spice.scene.short import SHORT
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
@@ -96,25 +104,21 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:
     types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
-    for name, kind in types.items():
-        if "part" not in data[name]:
-            data[name] = {**kind.defaults(data[name], data), **data[name]}
     tables = _copied(data)
     frame = {key: data[key] for key in data if key not in types}
     try:
         scene = Scene(Frame.model_validate(frame), {}, home=source.folder)
     except ValidationError as error:
         raise _explain(_first(error), (), Frame, source) from None
-    parts = {name: _part(name, data[name], kind, source) for name, kind in types.items()}
+    parts = {}
+    for name, kind in types.items():
+        short = () if "part" in data[name] else tuple(data)
+        parts[name] = _part(name, data[name], kind, source, short=short)
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
             if name.lower() in map(str.lower, parts):
-                raise UsageError(
-                    "this name is taken",
-                    where=source.where((name,)),
-                    got=name,
-                    expected=f"another name: {part.name} brings a part of this one along",
-                )
+                expected = f"another name: {part.name} brings a part of this one along"
+                raise source.error((name,), "this name is taken", name, expected)
             own, at = dict(table), tuple(table.get("at", (name,)))
             own.pop("at", None)
             parts[name] = _part(name, own, _type(name, own, source), source, at)
@@ -130,7 +134,8 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
             raise problem
         scene = composed(_driven(scene, source))
         wild = judged(drives(scene), scene.checks.plausible)
-        for problem in chain(without_equilibrium(Build(scene, {})), wild):
+        build = Build(scene, {})
+        for problem in chain(without_equilibrium(build), without_finite_force(build), wild):
             raise problem
         return scene
     except UsageError as problem:
@@ -150,9 +155,10 @@ def _driven(scene: Scene, source: _Source) -> Scene:
     parts = scene.parts
     if scene.analysis.type != "ac" or any(p.type.excites(p, scene) for p in parts.values()):
         return scene
+    whole = replace(scene, ports="all")
     bodies = (part for part in parts.values() if part.type.reduced)
     electrical = (
-        [f"{part.name}.{pin.name}" for pin in part.type.every_pin(part, scene) if pin.unit == "V"]
+        [f"{part.name}.{pin.name}" for pin in part.type.pins(part, whole) if pin.unit == "V"]
         for part in bodies
     )
     ports = [found[0] for found in electrical if found]
@@ -185,36 +191,23 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
         if name in Frame.model_fields:
             continue
         if not isinstance(table, Mapping) and name in SHORT:
-            raise UsageError(
-                "not a table",
-                where=source.where((name,)),
-                got=_shown(table),
-                expected=f"a table, [{name}]",
-            )
+            raise source.error((name,), "not a table", _shown(table), f"a table, [{name}]")
         if not isinstance(table, Mapping):
             near = did_you_mean(name, Frame.model_fields)
             near = near or did_you_mean(name, [key.name for key in scene_keys()])
-            raise UsageError(
-                "unknown key",
-                where=source.where((name,)),
-                hint=near,
-                expected=", ".join(Frame.model_fields) + ", or a table with part = TYPE",
-            )
+            expected = ", ".join(Frame.model_fields) + ", or a table with part = TYPE"
+            raise source.error((name,), "unknown key", None, expected, near)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
-            raise UsageError(
-                "not a name for a part",
-                where=source.where((name,)),
-                got=repr(_short(name)),
-                expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
-            )
-        if name.lower() in taken:
-            raise UsageError(
+            expected = "a letter, then letters, digits and _, at most 48 in all; not gnd"
+            raise source.error((name,), "not a name for a part", repr(_short(name)), expected)
+        first = taken.setdefault(name.lower(), name)
+        if first != name:
+            raise source.error(
+                (name,),
                 "two parts whose names differ in case only",
-                where=source.where((name,)),
-                got=f"{taken[name.lower()]} and {name}",
-                expected="netlists do not tell case apart",
+                f"{first} and {name}",
+                "netlists do not tell case apart",
             )
-        taken[name.lower()] = name
         yield name, table
 
 
@@ -222,21 +215,17 @@ def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
     chosen = table.get("part", SHORT.get(name))
     if chosen is None:
         near = did_you_mean(name, [*Frame.model_fields, *SHORT])
-        raise UsageError(
+        raise source.error(
+            (name,),
             "this table is no part of the grammar and says no part type",
-            where=source.where((name,)),
             expected="part = one of " + ", ".join(type_names()),
             hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
         )
     found = part_type(chosen) if isinstance(chosen, str) else None
     if found is None:
-        raise UsageError(
-            "unknown part type",
-            where=source.where((name, "part")),
-            got=_shown(chosen),
-            expected="one of " + ", ".join(type_names()),
-            hint=did_you_mean(str(chosen), type_names()),
-        )
+        names = type_names()
+        expected, near = "one of " + ", ".join(names), did_you_mean(str(chosen), names)
+        raise source.error((name, "part"), "unknown part type", _shown(chosen), expected, near)
     return found
 
 
@@ -246,20 +235,19 @@ def _part(
     kind: PartType,
     source: _Source,
     at: KeyPath = (),
+    short: tuple[str, ...] = (),
 ) -> Part:
-    """A part of its table; ``at`` is where the file has it, if not under its name."""
+    """A part of its table; ``at`` is where the file has it, if not under its name. ``short`` are
+    the tables of the scene where this one's name says its type, which some keys depend on."""
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
-        raise UsageError(
-            "pins is no table of names",
-            where=source.where((name, "pins")),
-            got=_short(repr(pins)),
-            expected='pins = { PIN = "part.pin" } or "gnd"',
-        )
+        expected = 'pins = { PIN = "part.pin" } or "gnd"'
+        message = "pins is no table of names"
+        raise source.error((name, "pins"), message, _short(repr(pins)), expected)
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
     keys = _completed(keys, kind.schema)
     try:
-        checked = kind.schema.model_validate(keys, context={"home": source.folder})
+        checked = kind.schema.model_validate(keys, context={"home": source.folder, "short": short})
     except ValidationError as error:
         raise _explain(_first(error), at or (name,), kind.schema, source) from None
     return Part(name, kind, checked, dict(pins), at)
@@ -307,6 +295,17 @@ class _Source:
         place = self.label if line is None else f"{self.label}, line {line}"
         return f"{place}, key {_dotted(path)}"
 
+    def error(
+        self,
+        path: KeyPath,
+        message: str,
+        got: object = None,
+        expected: str | None = None,
+        hint: str | None = None,
+    ) -> UsageError:
+        """The error of a key."""
+        return UsageError(message, where=self.where(path), got=got, expected=expected, hint=hint)
+
 
 def _open(name_or_path: str | Path) -> _Source:
     scenes = gallery()
@@ -350,15 +349,14 @@ def _no_override(text: str) -> UsageError:
 
 def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source) -> None:
     """Set the key ``name``; tables on the way are made, entries of lists must be there."""
-    words = re.findall(r"[^.\[\]]+", name)
-    long = len(words) > DEEPEST or max(map(len, words), default=0) > LONGEST_KEY
+    steps = re.findall(rf"{_WORD}|{_INDEX}", name)
+    long = len(steps) > DEEPEST or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _KEY.fullmatch(name):
         raise _no_override(text)
     path: list[str] = []  # as the schema has it: entries of lists counted from their beginning
     where, so_far = f"--set {_short(text)!r}", ""
     holder: Any = data
     key: str | int = ""
-    steps = re.findall(rf"{_WORD}|{_INDEX}", name)
     for step in steps:
         key = _place(holder, step, so_far, where)
         path.append(str(key))
@@ -416,70 +414,61 @@ def _explain(
 ) -> UsageError:
     """One finding of a schema in the words of a scene's author."""
     path, context = (*prefix, *error["loc"]), error.get("ctx", {})
-    where, got = source.where(path), _shown(error["input"])
+    told = partial(source.error, path, got=_shown(error["input"]))
     match error["type"]:
         case "extra_forbidden":
-            return _unknown_key(error["loc"], schema, where, prefix)
+            return _unknown_key(error["loc"], schema, prefix, source)
         case "missing":
-            return UsageError(f"{_dotted(path)} is missing", where=where)
+            return source.error(path, f"{_dotted(path)} is missing")
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
-            if path[0] in (
-                "title",
-                "include",
-            ):  # it ends up in the netlist, where a line is a command
+            if path[0] in ("title", "include"):  # it ends up in the netlist: a line is a command
                 expected = "one line of text without control characters"
-            return UsageError("not allowed", where=where, got=got, expected=expected)
+            return told("not allowed", expected=expected)
         case "quantity":
-            return UsageError(context["reason"], where=where, got=got, expected=context["expected"])
+            return told(context["reason"], expected=context["expected"])
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
-            hint = did_you_mean(str(error["input"]), choices)
-            expected = f"one of {', '.join(choices)}"
-            return UsageError("no such choice", where=where, got=got, expected=expected, hint=hint)
+            near = did_you_mean(str(error["input"]), choices)
+            return told("no such choice", expected=f"one of {', '.join(choices)}", hint=near)
         case "int_type":
-            expected = "a whole number, without quotes"
-            return UsageError("not a whole number", where=where, got=got, expected=expected)
+            return told("not a whole number", expected="a whole number, without quotes")
         case "model_type" | "dict_type":
-            expected = f"a table, [{_dotted(path)}]"
-            if isinstance(path[-1], int):  # an entry of a list
-                expected = "a table, { KEY = VALUE, … }"
-            return UsageError("not a table", where=where, got=got, expected=expected)
+            entry = isinstance(path[-1], int)  # of a list
+            table = "{ KEY = VALUE, … }" if entry else f"[{_dotted(path)}]"
+            return told("not a table", expected=f"a table, {table}")
         case "tuple_type" | "list_type":
             expected = f"a list, {path[-1]} = [{_entry(error['input'])}]"
-            return UsageError("not a list", where=where, got=got, expected=expected)
-        case "too_short" | "too_long":
-            word, least = ("least", "min") if error["type"] == "too_short" else ("most", "max")
-            count = context[f"{least}_length"]
-            expected = f"a list of at {word} {count} entr{'y' if count == 1 else 'ies'}"
-            few = "too few" if word == "least" else "too many"
-            return UsageError(f"{few} entries", where=where, got=got, expected=expected)
+            return told("not a list", expected=expected)
+        case "too_short" | "too_long" as kind:
+            few = kind == "too_short"
+            count = context["min_length" if few else "max_length"]
+            expected = f"{'least' if few else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
+            message = f"too {'few' if few else 'many'} entries"
+            return told(message, expected=f"a list of at {expected}")
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
-            return UsageError(
-                "out of range",
-                where=where,
-                got=got,
-                expected=limit + _in_unit(error["loc"], schema),
-            )
+            return told("out of range", expected=limit + _in_unit(error["loc"], schema))
         case "value_error":  # of keys that contradict each other: what is wrong with them
-            found = None if isinstance(error["input"], Mapping) else got
-            return UsageError(str(context["error"]), where=where, got=found)
-        case _:
-            return UsageError(error["msg"], where=where, got=got)
+            contradict = isinstance(error["input"], Mapping)
+            message = str(context["error"])
+            return source.error(path, message) if contradict else told(message)
+    return told(error["msg"])
 
 
-def _unknown_key(path: KeyPath, schema: type[BaseModel], where: str, prefix: KeyPath) -> UsageError:
+def _unknown_key(
+    path: KeyPath, schema: type[BaseModel], prefix: KeyPath, source: _Source
+) -> UsageError:
     model: Any = schema
     for part in path[:-1]:
         if isinstance(part, str) and part in model.model_fields:
             model = submodel(model.model_fields[part].annotation) or model
     fields = [*model.model_fields, *(_GRAMMAR if prefix and len(path) == 1 else ())]
     near = did_you_mean(str(path[-1]), fields)
-    if near is None:
-        near = did_you_mean(str(path[-1]), [key.name for key in model_keys(schema)])
-    return UsageError("unknown key", where=where, expected="one of " + ", ".join(fields), hint=near)
+    near = near or did_you_mean(str(path[-1]), [key.name for key in model_keys(schema)])
+    expected = "one of " + ", ".join(fields)
+    return source.error((*prefix, *path), "unknown key", None, expected, near)
 
 
 def _entry(value: Any) -> str:

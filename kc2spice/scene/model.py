@@ -40,6 +40,7 @@ class Terminal:
 
     ``default`` is where it goes when the scene says nothing (``"gnd"`` or ``"part.pin"``).
     A ``required`` pin must be joined. ``signal_out`` marks the one pin that sets a signal.
+    ``rated`` [V] is the largest voltage that an electrode stands, where it is known.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Terminal:
     default: str | None = None
     required: bool = False
     signal_out: bool = False
+    rated: float | None = None
 
     @property
     def kind(self) -> str:
@@ -73,6 +75,23 @@ class Part:
     keys: Any
     pins: Mapping[str, str] = field(default_factory=dict)
     at: tuple[str | int, ...] = ()
+
+    @property
+    def netlist(self) -> bool:
+        """Whether it is a subcircuit out of a file of the user's, which has names of its own."""
+        return hasattr(self.keys, "subckt")
+
+    def wrong(
+        self,
+        key: str,
+        message: str,
+        got: object = None,
+        expected: str | None = None,
+        hint: str | None = None,
+    ) -> UsageError:
+        """The error of one of its keys, or of itself without a key."""
+        where = f"{self.name}.{key}" if key else self.name
+        return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     def __repr__(self) -> str:
         joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())
@@ -159,20 +178,22 @@ class Frame(Section):
 class Scene:
     """A checked scene. ``parts`` are in the order of the file, what they expand to behind them.
 
-    ``nets`` maps ``(part, pin)`` to the node of the netlist (``"0"`` is ground), ``own``
-    ``(part, *words)`` to what else the part names there (:meth:`PartType.own_names`); ``home`` is
-    the folder of the scene's file, ``tables`` what it says with all overrides. In one that is
-    ``exported`` bodies keep all ports that its author declares, joined or not
-    (:attr:`kc2spice.scene.parttype.PartType.declares`).
+    ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
+    ground); ``own`` maps ``(part, *words)`` to what else the part names there
+    (:meth:`PartType.own_names`); ``home`` is the folder of the scene's file, ``tables`` what it
+    says with all overrides. Bodies keep the ``ports`` that are needed, in an export all that their
+    author declares, joined or not (:attr:`kc2spice.scene.parttype.PartType.declares`), for
+    documentation all of them.
     """
 
     frame: Frame
     parts: Mapping[str, Part]
+    terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict, compare=False)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
     own: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     home: Path = Path()
     tables: Mapping[str, Any] = field(default_factory=dict, compare=False)
-    exported: bool = False
+    ports: Literal["needed", "declared", "all"] = "needed"
 
     def __getattr__(self, name: str) -> Any:
         """Keys of the frame: ``scene.solver``, ``scene.rom``, ``scene.gravity``, …"""

@@ -7,9 +7,9 @@ Pins depend on a part's keys and on what is joined to it. They are those of the 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from kc2spice.core.toml import parse_toml
+from kc2spice.core.foreign import parse_toml
 from kc2spice.scene.keys import Key, model_keys
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Part, Scene, Terminal
@@ -41,7 +41,7 @@ def part_docs() -> Iterator[PartDoc]:
             pins = _pins(load_scene({"name": "example", **parse_toml(kind.example)}), kind)
         elif name in shown:
             scene_name, part, scene = shown[name]
-            pins = kind.every_pin(part, scene)
+            pins = kind.pins(part, replace(scene, ports="all"))
         yield PartDoc(
             name,
             kind.title,
@@ -55,7 +55,7 @@ def part_docs() -> Iterator[PartDoc]:
 
 
 def _pins(scene: Scene, kind: PartType) -> tuple[Terminal, ...]:
-    return kind.every_pin(scene.of(kind.name)[0], scene)
+    return kind.pins(scene.of(kind.name)[0], replace(scene, ports="all"))
 
 
 def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:

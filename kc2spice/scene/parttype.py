@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import pkgutil
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -30,11 +29,10 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     import numpy as np
 
-    from kc2spice.bodies.pressure import Hats
+    from kc2spice.bodies.pressure import PressureBasis
     from kc2spice.core.laws import Equations
     from kc2spice.core.waveforms import Waveforms
-    from kc2spice.scene.gates import Gate
-    from kc2spice.scene.judge import Balance, Check
+    from kc2spice.scene.judge import Balance, Check, Gate
 
 PACKAGE = "kc2spice.parts"
 METER = "meter"  # word of an ammeter's name, behind those of its pin
@@ -42,16 +40,7 @@ TABLE = "_types"  # ends the name of a module with several types
 
 
 @dataclass(frozen=True)
-class Modelled:
-    """A part of the deck: where it comes from and how large its model is."""
-
-    part: str
-    source: str
-    detail: str
-
-
-@dataclass(frozen=True)
-class LeftOut:
+class Neglected:
     """An effect without a model, why, and what its absence changes at most."""
 
     effect: str
@@ -60,7 +49,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Dents:
+class LocalCompliance:
     """``compliance`` (n, n) [m/N]: what hats of pressure give more than the patch that they are in,
     which itself gives ``patch`` [m/N]; they follow the pressure within ``pace`` [s]."""
 
@@ -73,31 +62,63 @@ class Dents:
 class Surface:
     """What a part offers to a contact: its pins there and their distance from the axis [m].
 
-    ``force`` pins take the force, ``place`` pins give the position in um; they differ where a
-    force acts on a velocity node. ``radius`` [m] is that of a sphere, None for a plane.
+    ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
+    ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
     that is a patch of pressure has its radius ``patch`` [m], and its ``dents`` under hats of it.
-    ``elastic`` is the part whose port ``patch`` a rigid surface carries.
+    ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
+    of indentation of the half-space that a contact presses on, where it is one.
     """
 
+    part: str
     ports: tuple[str, ...]
-    force: tuple[str, ...]
-    place: tuple[str, ...]
     distance: tuple[float, ...]
+    velocity: str = ""
     radius: float | None = None
     sectors: int = 1
     patch: float = 0.0
-    dents: Callable[[Hats], Dents] | None = None
+    dents: Callable[[PressureBasis], LocalCompliance] | None = None
     elastic: str = ""
+    modulus: float | None = None
 
     @property
     def rigid(self) -> bool:
         """Whether forces act on a velocity node."""
-        return self.force != self.place
+        return bool(self.velocity)
+
+    @property
+    def pushed(self) -> tuple[str, ...]:
+        """Pins that take the force."""
+        return (self.velocity,) if self.velocity else self.ports
 
 
 @dataclass(frozen=True)
-class Reach:
+class State:
+    """How a motion begins: velocity [m/s] and height over touching [m]."""
+
+    velocity: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What a part does to its pins that move at rest.
+
+    ``held`` are pairs of them, or such a pin and ``gnd``, that it keeps apart, ``ideal`` pairs of
+    any pins whose difference it sets as an ideal source. On ``pushed`` ones it puts a constant
+    force at t = 0. ``kinked`` is the key of a motion that it prescribes with jumps of velocity,
+    ``inert`` are pins whose velocity no finite force makes jump.
+    """
+
+    held: tuple[tuple[str, str], ...] = ()
+    ideal: tuple[tuple[str, str], ...] = ()
+    pushed: tuple[str, ...] = ()
+    kinked: str = ""
+    inert: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Penetration:
     """How far two surfaces can approach each other beyond touching [m], and by what.
 
     ``prescribed`` beats all estimates.
@@ -115,6 +136,16 @@ class Vector:
     expression: str
     factor: float
     unit: str
+
+
+@dataclass(frozen=True)
+class Swept:
+    """The source that a dc sweep of a key moves, its volts or amperes per SI unit, and first and
+    last value in SI where they are not the scene's."""
+
+    source: str
+    scale: float
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -176,9 +207,20 @@ class Build:
         """The model of a part, None where it has none."""
         return self.models.get(part if isinstance(part, str) else part.name)
 
+    def facts(self, part: Part) -> Mapping[str, float]:
+        """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
+        found: Mapping[str, float] = getattr(self.model(part), "facts", {})
+        return found
+
     def net(self, part: Part, pin: str) -> str:
         """Node of the netlist that a pin is joined to."""
         return self.scene.net(part.name, pin)
+
+    def across(self, part: Part, pin: str) -> Vector:
+        """What a pin shows of itself, in SI."""
+        unit = next(each.unit for each in part.type.pins(part, self.scene) if each.name == pin)
+        factor, si = (1e-6, "m") if unit == "um" else (1.0, unit)
+        return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter(self, part: Part, pin: str) -> str | None:
         """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
@@ -189,8 +231,8 @@ class Build:
         return self.scene.own[part.name, *words]
 
 
-class PartType(ABC):
-    """Base of all part types; every hook but ``schema``, ``pins`` and ``subcircuits`` may stay.
+class PartType:
+    """Base of all part types; every hook may stay, ``schema`` must be there.
 
     ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
     """
@@ -200,6 +242,10 @@ class PartType(ABC):
     schema: ClassVar[type[Section]]
     #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
     example: ClassVar[str] = ""
+    #: where its model comes from, for ``explain``
+    source: ClassVar[str] = "circuit"
+    #: its pins where all parts of the type have the same
+    fixed: ClassVar[tuple[Terminal, ...]] = ()
     #: whether its model is a reduced one, so that ``rom`` matters
     reduced: ClassVar[bool] = False
     #: whether its ports are those that the scene's author declares, which an export all keeps
@@ -208,14 +254,8 @@ class PartType(ABC):
     heavy: ClassVar[bool] = False
     #: whether it measures a motion and acts on it, which closes a loop
     controls: ClassVar[bool] = False
-    #: type of the analysis that it asks for (:meth:`analysis`)
-    analysis_type: ClassVar[str | None] = None
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
-
-    def defaults(self, table: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-        """Keys that a table without ``part`` means by itself (short form of a scene)."""
-        return {}
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         """Tables of further parts that this one stands for; ``data`` is the whole scene.
@@ -224,75 +264,42 @@ class PartType(ABC):
         """
         return {}
 
-    @abstractmethod
     def pins(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
+        return self.fixed
 
-    def every_pin(self, part: Part, scene: Scene) -> tuple[Terminal, ...]:
-        """Its pins and those that it would have if the scene asked for them."""
-        return self.pins(part, scene)
-
-    def links(self, part: Part, scene: Scene) -> Mapping[str, str]:
+    def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
         return {}
-
-    def uses_netlists(self, part: Part) -> bool:
-        """Whether it names a subcircuit out of the scene's ``include`` files."""
-        return False
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Names of the files beside the scene that it reads."""
         return ()
 
-    def wants(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Pins of other parts (``"part.pin"``) that must exist for its :meth:`links`."""
-        return ()
-
-    def massless(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Ports of other bodies (``"part.port"``) that meet something without inertia there."""
-        return ()
-
-    def coil_currents(self, part: Part, scene: Scene) -> float | None:
-        """Largest current [A] if it feeds two coils each on their own, else None."""
-        return None
-
-    def drives(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Parts whose motion it prescribes, so that they have none of their own."""
-        return ()
-
-    def starts(self, part: Part, scene: Scene) -> Mapping[str, tuple[float, float]]:
-        """Velocity [m/s] and height [m] at t = 0 that it gives to other parts."""
+    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
+        """Pins of other parts (``"part.pin"``) that :meth:`default_joins` needs, and whether
+        the bodies that they belong to meet something without inertia there."""
         return {}
 
-    def prescribes(self, part: Part) -> tuple[tuple[str, str], ...]:
-        """Pairs of pins whose difference it sets as an ideal source."""
-        return ()
+    def moves(self, part: Part, scene: Scene) -> Mapping[str, State | None]:
+        """Parts whose motion it decides: all of it (None), so that they have none of their own, or
+        how it begins."""
+        return {}
 
-    def holds(self, part: Part, scene: Scene, model: Any | None) -> Iterable[tuple[str, str]]:
-        """Pairs of pins that move, or such a pin and ``gnd``, that it keeps apart at rest.
+    def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
+        """What it does to the pins that move at rest; ``model`` is None before it is built.
 
-        By default it holds all of its own in place; ``model`` is None before it is built.
+        By default it holds all of its own in place.
         """
-        return tuple((pin.name, GROUND) for pin in self.pins(part, scene) if pin.moving)
-
-    def pushes(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        """Pins that move on which it puts a constant force at t = 0."""
-        return ()
+        return Rest(tuple((p.name, GROUND) for p in self.pins(part, scene) if p.moving))
 
     def problems(self, part: Part, scene: Scene) -> Iterable[UsageError]:
-        """What is wrong with it in this scene, ``where`` a dotted key."""
-        return ()
+        """What is wrong with it in this scene, ``where`` a dotted key.
 
-    def implausible(self, part: Part, scene: Scene) -> Iterable[UsageError]:
-        """Keys that can be computed but hardly exist, with the physical reason; often a wrong unit.
-
-        ``checks.plausible`` turns them into warnings or off.
+        Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
+        warnings or nothing by ``checks.plausible``.
         """
         return ()
-
-    def rated(self, part: Part) -> float | None:
-        """Largest voltage [V] that it stands between electrodes, None if not known."""
-        return None
 
     def analysis(self, part: Part, scene: Scene) -> Analysis | None:
         """The analysis that this part asks for, if the scene has none."""
@@ -306,7 +313,7 @@ class PartType(ABC):
         """What it offers to a contact."""
         return None
 
-    def reach(self, part: Part, scene: Scene) -> Iterable[Reach]:
+    def penetrations(self, part: Part, scene: Scene) -> Iterable[Penetration]:
         """How far it can press contacts of the scene together."""
         return ()
 
@@ -315,13 +322,6 @@ class PartType(ABC):
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
         """What its model depends on; parts with equal keys share a model. None: no model."""
         return None
-
-    def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
-        """What the costly first stage of its model depends on, where that is less: finite elements.
-
-        Parts and sweeps with equal keys share that stage.
-        """
-        return self.model_key(part, scene)
 
     def reduction(self, part: Part, scene: Scene) -> Rom | None:
         """Settings of its reduction, None where its model is not a reduced one."""
@@ -355,42 +355,27 @@ class PartType(ABC):
         """
         return ()
 
-    def instances(self, part: Part, build: Build) -> Mapping[str, tuple[str, ...]]:
-        """Cards that stand instead of those of other parts, by part: copies for several loads."""
+    def replaces(self, part: Part, scene: Scene) -> tuple[str, ...]:
+        """Parts without cards and results of their own, as its cards have copies of them."""
+        return ()
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled]:
+        """Sources that something outside of the netlist sets: by key what a dc sweep of it moves,
+        and the function that runs beside the simulator."""
         return {}
-
-    def dc(self, part: Part, key: str, build: Build) -> tuple[str, float] | None:
-        """The source that a dc sweep of ``key`` moves, and its volts or amperes per SI unit."""
-        return None
-
-    def sweep_range(self, part: Part, scene: Scene) -> tuple[float, float] | None:
-        """First and last value of its own dc analysis, in SI."""
-        return None
 
     def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
         """Simulator options that it needs, with the reason."""
         return {}
-
-    def goals(self, part: Part, scene: Scene, moved: Part) -> Iterable[tuple[float, float, str]]:
-        """Heights [m] that it wants ``moved`` to reach, their band [m] and what they are called."""
-        return ()
 
     def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
         """What it does in time: a source's frequency and edges, a carrier, a contact; and how
         close steps must follow it."""
         return ()
 
-    def sampled(self, part: Part, build: Build) -> Sampled | None:
-        """The function that runs beside the simulator for it."""
-        return None
-
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
         """Node voltages at t = 0 (``.ic``), by node."""
         return {}
-
-    def without_operating_point(self, part: Part, scene: Scene) -> bool:
-        """Whether a transient starts from the parts' initial states (``uic``)."""
-        return False
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         """Its results by name."""
@@ -414,36 +399,14 @@ class PartType(ABC):
         """Physics that the simulator was not told."""
         return ()
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Balance]:
-        """Energy balances that it can draw up, by name."""
-        return {}
-
-    def exact_outputs(
-        self, part: Part, build: Build, waves: Waveforms
-    ) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
-        """What a run has and what a linear part answers exactly to the loads of that run, by wave;
-        none where not all loads were recorded."""
-        return {}
-
-    def facts(self, part: Part, build: Build) -> Mapping[str, float]:
-        """``model`` of ``result.json``: the numbers by which an engineer knows the part."""
-        return {}
-
-    def rom(self, part: Part, build: Build) -> Mapping[str, Any] | None:
-        """``rom`` of ``result.json``, where its model is a reduced one."""
+    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+        """Its energy balance over a transient, where the run has all that it needs."""
         return None
-
-    def arrays(self, part: Part, build: Build) -> Mapping[str, Mapping[str, Any]]:
-        """Files of arrays that a run writes for it, ``{file name: {array: values}}``."""
-        return {}
 
     def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
-        """Further files of a run; writes them into ``folder`` and gives their names."""
+        """Further files of a run, arrays or fields; writes them into ``folder`` and gives their
+        names."""
         return ()
-
-    def indentation_modulus(self, part: Part) -> float | None:
-        """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
-        return None
 
     def sources(self) -> tuple[str, ...]:
         """Modules whose text its models depend on, for the cache."""
@@ -473,13 +436,32 @@ class PartType(ABC):
 
     # --- what explain says ---------------------------------------------------------------------
 
-    def modelled(self, part: Part, scene: Scene) -> Modelled:
-        """Its row of ``explain``."""
-        return Modelled(part.name, "circuit", self.title)
+    def detail(self, part: Part, scene: Scene) -> str:
+        """What is modelled of it, for ``explain``."""
+        return self.title
 
-    def left_out(self, part: Part, scene: Scene) -> Iterable[LeftOut]:
+    def neglected(self, part: Part, scene: Scene) -> Iterable[Neglected]:
         """Effects that it has no model of."""
         return ()
+
+
+def mover(name: str, scene: Scene) -> str | None:
+    """The part that prescribes all motion of another one, None where that moves by itself."""
+    rows = ((p.name, p.type.moves(p, scene)) for p in scene.parts.values())
+    return next((each for each, moved in rows if moved.get(name, ...) is None), None)
+
+
+def begins(scene: Scene) -> dict[str, State]:
+    """The parts whose state at t = 0 is given; a transient then has no operating point.
+
+    What another part says of one beats its own keys.
+    """
+    found: dict[str, State] = {}
+    for part in scene.parts.values():
+        for name, state in part.type.moves(part, scene).items():
+            if state is not None and (name != part.name or name not in found):
+                found[name] = state
+    return found
 
 
 def time_scales(scene: Scene) -> list[TimeScale]:

@@ -1,13 +1,180 @@
-"""What a scene needs and what it leaves out: parts, joins, numerical settings, omissions."""
+"""What runs for a scene: parts, joins, omissions, and the numerical settings, each an axis.
+
+A key that trades time for error is marked with :class:`kc2spice.core.quantities.Notch` where it is
+declared. ``error_budget`` and ``bench`` move along the same axes, and ``explain`` lists them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from kc2spice.scene.axes import axes
+from annotated_types import Ge, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from kc2spice.core.quantities import Notch
 from kc2spice.scene.compose import drawing
-from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build, LeftOut, Modelled
+from kc2spice.scene.model import Analysis, Part, Scene
+from kc2spice.scene.parttype import Build, Neglected
+from kc2spice.scene.settings import Rom, Solver
+
+MOST_POINTS = 2e5  # of a transient
+WIDER = 2.0  # the highest frequency of a reduction, whose body steps and contacts excite above it
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A setting: the dotted ``name`` of its key, its ``value`` today, what a notch does to it.
+
+    ``low`` and ``high`` bound the value. ``finer`` are further keys that any notch finer sets.
+    ``band`` goes with a reduction's tolerance; its highest frequency grows by ``wider`` a notch
+    finer. ``decades`` are those of a grid of equal points in each, whose finer ones contain it.
+    ``model`` marks settings that cost no time of the simulator, as that of a mesh.
+    """
+
+    name: str
+    value: float
+    notch: Notch
+    low: float
+    high: float
+    finer: Mapping[str, Any] = field(default_factory=dict)
+    band: tuple[float, float] | None = None
+    wider: float = 1.0
+    decades: float = 0.0
+    model: bool = False
+
+    def at(self, notches: float) -> dict[str, Any]:
+        """Keys so many notches finer, or coarser below zero; none where that changes nothing."""
+        value = self.notch.moved(self.value, notches)
+        if self.decades and notches:
+            each = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
+            value = math.floor(each * self.decades)
+        value = min(max(value, self.low), self.high)
+        if value == self.value:
+            return {}
+        found: dict[str, Any] = {self.name: value}
+        if notches > 0:
+            found |= self.finer
+        if self.band is not None:
+            low, high = self.band
+            top = float(f"{self.wider ** max(notches, 0.0) * high:.9g}")
+            found[self.name.replace("tolerance", "band")] = [low, top]
+        return found
+
+
+def axes(scene: Scene, build: Build | None = None) -> tuple[Axis, ...]:
+    """The settings of ``scene`` that trade time for error; with its ``build`` the time step too
+    where nobody set it."""
+    return tuple(axis for axis in _axes(scene, build) if axis.at(1.0))
+
+
+def _axes(scene: Scene, build: Build | None) -> Iterator[Axis]:
+    if scene.analysis.type == "transient":
+        solver = {axis.name: axis for axis in _marked(scene.solver, "solver")}
+        yield solver["solver.reltol"]
+        yield replace(solver["solver.chgtol"], finer={"solver.ringing": "followed"})
+        step = scene.solver.max_step
+        if step is None and build is not None and build.largest is not None:
+            step = build.largest.step
+        if step is not None:
+            axis = _axis("solver.max_step", step, Solver.model_fields["max_step"])
+            yield replace(axis, low=min(step, scene.stop / MOST_POINTS))
+    elif scene.analysis.type == "ac" and "analysis" in scene.tables:
+        (axis,) = _marked(scene.analysis, "analysis")
+        yield replace(axis, decades=_decades(scene.analysis))
+    yield from _reductions(scene, build)
+    for part in scene.parts.values():
+        yield from _marked(part.keys, _prefix(part))
+
+
+def _decades(analysis: Analysis) -> float:
+    """Decades over which frequencies are equally spaced in each; 0 on a linear scale."""
+    if analysis.scale == "linear":
+        return 0.0
+    return math.log10(float(analysis.stop or analysis.start) / analysis.start)
+
+
+def _prefix(part: Part) -> str:
+    """Where the scene has the keys of a part."""
+    return ".".join(map(str, part.at or (part.name,)))
+
+
+def _marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
+    """Axes of the marked keys of a table and of the tables in it, but for reductions."""
+    for name, declared in type(keys).model_fields.items():
+        value = getattr(keys, name)
+        if isinstance(value, BaseModel) and not isinstance(value, Rom):
+            yield from _marked(value, f"{prefix}.{name}")
+        notch = _notch(declared)
+        if notch is not None and value is not None and notch.applies(keys):
+            yield _axis(f"{prefix}.{name}", value, declared)
+
+
+def _reductions(scene: Scene, build: Build | None) -> Iterator[Axis]:
+    """One axis for all bodies that follow the scene's ``rom``, one for each of its own."""
+    timed = scene.analysis.type == "transient"
+    known: set[str] = set()
+    for part in scene.parts.values():
+        rom = part.type.reduction(part, scene)
+        if rom is None:
+            continue
+        own = getattr(part.keys, "rom", None) is not None
+        follows = not hasattr(part.keys, "rom") or (not own and _alone(part, scene))
+        prefix = "rom" if follows else f"{_prefix(part)}.rom"
+        if prefix in known:
+            continue
+        known.add(prefix)
+        if rom.tolerance is None:
+            yield _axis(f"{prefix}.order", int(rom.order or 1), Rom.model_fields["order"])
+            continue
+        band = rom.band
+        if build is not None and not own and "rom" not in scene.tables:
+            certificate = getattr(build.model(part), "certificate", None)
+            band = rom.band if certificate is None else certificate.band_hz
+        axis = _axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
+        yield replace(axis, band=band, wider=WIDER if timed else 1.0)
+
+
+def _alone(part: Part, scene: Scene) -> bool:
+    """Whether all reductions of the scene are that of ``part``, so that one key moves them all."""
+    every = [each.type.reduction(each, scene) for each in scene.parts.values()]
+    own = part.type.reduction(part, scene)
+    return all(rom is None or rom == own for rom in every)
+
+
+def _axis(name: str, value: float, declared: FieldInfo) -> Axis:
+    notch = _notch(declared)
+    assert notch is not None
+    bounds: dict[type, float] = {
+        type(m): getattr(m, type(m).__name__.lower())
+        for m in declared.metadata
+        if isinstance(m, (Ge, Le, Lt))
+    }
+    low, high = bounds.get(Ge, 0.0), bounds.get(Le, bounds.get(Lt, float("inf")) / 2)
+    if notch.factor < 1 and notch.finest:
+        low = min(notch.finest, value)
+    return Axis(name, value, notch, low, high, model=notch.model)
+
+
+def _notch(declared: FieldInfo) -> Notch | None:
+    return next((each for each in declared.metadata if isinstance(each, Notch)), None)
+
+
+def keys_at(found: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
+    """Keys of a scene whose axes are moved by so many notches, by the names of the axes."""
+    return {k: v for axis in found for k, v in axis.at(notches.get(axis.name, 0.0)).items()}
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """A part of the deck: where it comes from and how large its model is."""
+
+    part: str
+    source: str
+    detail: str
 
 
 @dataclass(frozen=True)
@@ -26,7 +193,7 @@ class Plan:
 
     parts: tuple[Modelled, ...]
     joins: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Neglected, ...]
     error_budget: float | None
     settings: tuple[Setting, ...]
 
@@ -37,10 +204,10 @@ def plan(scene: Scene, build: Build | None = None) -> Plan:
     With its ``build`` the time step is among the settings where nobody set it.
     """
     parts = scene.parts.values()
-    left_out = [row for part in parts for row in part.type.left_out(part, scene)]
+    left_out = [row for part in parts for row in part.type.neglected(part, scene)]
     certified = scene.analysis.type == "ac"  # steps and contacts excite what is above the band
     return Plan(
-        parts=tuple(part.type.modelled(part, scene) for part in parts),
+        parts=tuple(Modelled(p.name, p.type.source, p.type.detail(p, scene)) for p in parts),
         joins=drawing(scene),
         left_out=tuple(dict.fromkeys(left_out)),
         error_budget=scene.error_budget,

@@ -13,8 +13,12 @@ from pydantic import BaseModel
 from kc2spice.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from kc2spice.scene.model import Part, Scene
+    from kc2spice.scene.model import Scene
     from kc2spice.scene.parttype import Build
+
+
+class ImplausibleError(UsageError):
+    """Of what can be computed but hardly exists; often a wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ def within(
 ) -> Iterator[UsageError]:
     """The error for a value outside ``low`` to ``high``, with the physical reason; else nothing."""
     if not low <= value <= high:
-        yield UsageError(
+        yield ImplausibleError(
             f"hardly exists: {why}",
             where=where,
             got=f"{value:.4g} {unit}",
@@ -116,12 +120,13 @@ def drives(scene: Scene) -> Iterator[UsageError]:
 
     What is beyond the rating, but not by far, or far below it, is a warning.
     """
-    for body in scene.parts.values():
-        limit = body.type.rated(body) if body.type.reduced else None
-        if limit is None:
-            continue
+    limits: dict[str, float] = {}
+    for (name, _), pin in scene.terminals.items():
+        if pin.rated:
+            limits.setdefault(name, pin.rated)
+    for body, limit in limits.items():
         for name, peak in _voltages(body, scene):
-            told = f"{peak:.4g} V at {body.name}, whose ceramic stands {limit:.4g} V"
+            told = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
             if peak > BREAKDOWN * limit:
                 yield UsageError(
                     "the ceramic depolarises or breaks down",
@@ -145,14 +150,14 @@ def _volts(peak: float, limit: float) -> str | None:
     return None
 
 
-def _voltages(body: Part, scene: Scene) -> Iterator[tuple[str, float]]:
+def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
     """Ideal sources between an electrode and ground, and the largest of their voltages."""
-    pins = {p.name for p in body.type.pins(body, scene) if p.unit == "V"}
+    volts = (key for key, pin in scene.terminals.items() if pin.unit == "V")
+    nets = {scene.nets[key] for key in volts if key[0] == body}
     for source in scene.of("source"):
         if source.keys.kind != "voltage" or scene.nets[source.name, "ret"] != "0":
             continue
-        net = scene.nets[source.name, "out"]
-        if any(scene.nets[body.name, pin] == net for pin in pins):
+        if scene.nets[source.name, "out"] in nets:
             wave = source.keys.waveform(scene.home)
             corners = np.concatenate([[0.0], wave.corners(scene.stop), [scene.stop]])
             peak = abs(wave.amplitude) if wave.kind == "sine" else np.abs(wave(corners)).max()
@@ -164,7 +169,7 @@ def built(build: Build) -> Iterator[UsageError]:
     for part in build.scene.parts.values():
         if build.model(part) is None:
             continue
-        facts: Mapping[str, float] = part.type.facts(part, build)
+        facts: Mapping[str, float] = build.facts(part)
         for rule in RULES:
             for fact in rule.keys:
                 if fact in facts:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from kc2spice.core.errors import UsageError
+from kc2spice.scene.compose import Groups
 from kc2spice.scene.model import GROUND, Part, Scene
 from kc2spice.scene.parttype import Build
 
@@ -35,23 +35,16 @@ def free(build: Build) -> tuple[Free, ...]:
     Parts whose model is not built yet count as held.
     """
     scene = build.scene
-    pairs = [
-        pair
-        for part in scene.parts.values()
-        for pair in _named(part, part.type.holds(part, scene, build.model(part)), scene)
-    ]
-    found = _groups(_moving(scene), pairs)
-    return tuple(_free(group, scene) for group in found if "0" not in group)
+    parts = scene.parts.values()
+    held = [(part, part.type.at_rest(part, scene, build.model(part)).held) for part in parts]
+    return tuple(_free(group, scene) for group in _groups(scene, held) if "0" not in group)
 
 
-def rigid(scene: Scene) -> list[frozenset[str]]:
-    """Nets whose displacements ideal sources tie to each other; alone where nothing does."""
-    pairs = [
-        pair
-        for part in scene.parts.values()
-        for pair in _named(part, part.type.prescribes(part), scene)
-    ]
-    return _groups(_moving(scene), pairs)
+def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
+    """Nets whose displacements ideal sources, all but ``without``, tie to each other; alone where
+    nothing does."""
+    parts = [part for part in scene.parts.values() if part.name != without]
+    return _groups(scene, [(part, part.type.at_rest(part, scene).ideal) for part in parts])
 
 
 def without_equilibrium(build: Build) -> Iterator[UsageError]:
@@ -87,49 +80,62 @@ def without_equilibrium(build: Build) -> Iterator[UsageError]:
             )
 
 
+def without_finite_force(build: Build) -> Iterator[UsageError]:
+    """Sources that make the velocity of inertia jump, with nothing that yields in between: the
+    force is an impulse, and a simulator gives what its step makes of it, ringing after it.
+
+    Bodies whose model is not built yet count as yielding.
+    """
+    scene = build.scene
+    if scene.analysis.type != "transient":
+        return
+    rests = [(p, p.type.at_rest(p, scene, build.model(p))) for p in scene.parts.values()]
+    inert = {scene.nets[p.name, pin]: p.name for p, rest in rests for pin in rest.inert}
+    inert.pop("0", None)
+    for part, rest in rests:
+        if not rest.kinked:
+            continue
+        ends = {scene.nets[part.name, pin] for pair in rest.ideal for pin in pair}
+        sides = [nets for nets in rigid(scene, part.name) if nets & ends]
+        driven = [inert[net] for nets in sides for net in sorted(nets) if net in inert]
+        if driven and len(sides) > 1 and all(nets & {"0", *inert} for nets in sides):
+            yield part.wrong(
+                rest.kinked,
+                f"the velocity of {driven[0]} jumps with this displacement, which takes an "
+                "infinite force",
+                f"{driven[0]} fixed to {part.name}",
+                "a spring or a body that yields between both",
+                f'kind = "force" pushes {driven[0]}; a spring as stiff as the joint follows a '
+                "displacement",
+            )
+
+
 def _moving(scene: Scene) -> dict[str, str]:
     """Nets of conservative pins that move and the unit there, in the order of the scene."""
-    found = {
-        scene.nets[part.name, pin.name]: pin.unit
-        for part in scene.parts.values()
-        for pin in part.type.pins(part, scene)
-        if pin.moving
-    }
-    return {"0": ""} | found
+    ends = ((key, pin.unit) for key, pin in scene.terminals.items() if pin.moving)
+    return {"0": ""} | {scene.nets[key]: unit for key, unit in ends}
 
 
-def _named(part: Part, pairs: Any, scene: Scene) -> Iterator[tuple[str, str]]:
-    for pins in pairs:
-        a, b = ("0" if pin == GROUND else scene.nets[part.name, pin] for pin in pins)
-        yield a, b
-
-
-def _groups(nets: Mapping[str, str], pairs: list[tuple[str, str]]) -> list[frozenset[str]]:
-    """``nets`` by what the pairs join; pairs of others, such as voltages, say nothing."""
-    found = {net: {net} for net in nets}
-    for a, b in pairs:
-        if a in found and b in found and found[a] is not found[b]:
-            found[a] |= found[b]
-            for net in found[b]:
-                found[net] = found[a]
-    return list(dict.fromkeys(frozenset(group) for group in found.values()))
+def _groups(
+    scene: Scene, joined: list[tuple[Part, tuple[tuple[str, str], ...]]]
+) -> list[frozenset[str]]:
+    """Nets that move by what pairs of pins join; pairs of others, such as voltages, say nothing."""
+    union = Groups(nets := _moving(scene))
+    for part, pairs in joined:
+        for pins in pairs:
+            a, b = ("0" if pin == GROUND else scene.nets[part.name, pin] for pin in pins)
+            if a in nets and b in nets:
+                union.join(a, b)
+    return list(map(frozenset, union.groups()))
 
 
 def _free(group: frozenset[str], scene: Scene) -> Free:
-    ends = {
-        (part.name, pin.name)
-        for part in scene.parts.values()
-        for pin in part.type.pins(part, scene)
-        if pin.moving
-    }
-    names = dict.fromkeys(
-        n for (n, pin), net in scene.nets.items() if net in group and (n, pin) in ends
-    )
-    parts = {name: scene.parts[name] for name in names}
+    ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
+    parts = {name: scene.parts[name] for name, _ in ends}
     pushed = tuple(
         name
         for name, part in parts.items()
-        if any(scene.nets[name, pin] in group for pin in part.type.pushes(part, scene))
+        if any(scene.nets[name, pin] in group for pin in part.type.at_rest(part, scene).pushed)
     )
     bodies = tuple(name for name, part in parts.items() if part.type.reduced)
     nets = tuple(n for n, unit in _moving(scene).items() if n in group and unit == "um")

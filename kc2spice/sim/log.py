@@ -1,10 +1,16 @@
-"""What ngspice said: failures told from warnings, and both from harmless notes."""
+"""What ngspice said: failures told from warnings, both from harmless notes, and whom it blames."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from typing import Literal
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.scope import Scope, inside
 
 Kind = Literal["timestep", "singular", "operating point"]
 
@@ -95,3 +101,107 @@ def statistics(text: str) -> dict[str, float]:
     """Accepted and rejected points, iterations and CPU seconds that ``.options acct`` prints."""
     found = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
     return {key: float(match.group(1)) for key, match in found.items() if match}
+
+
+# --- failed runs ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Cause of a failed run, what settings might cure and whom the log blames; ``time`` [s],
+    ``partial`` the waveforms up to there, if any."""
+
+    cause: str
+    kind: Kind | None = None
+    node: str | None = None
+    time: float | None = None
+    part: str | None = None
+    partial: Waveforms | None = None
+
+
+class FailedRunError(SimulationError):
+    """ngspice ended without a result; ``failure`` says why."""
+
+    failure: Failure
+
+
+def failed_run(
+    deck: Deck,
+    where: str,
+    text: str,
+    code: int = 0,
+    last: float | None = None,
+) -> FailedRunError | None:
+    """What a run that said ``text`` has failed of; None where it has not.
+
+    ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
+    and say nothing.
+    """
+    report = classify(text)
+    said = bool(report.errors) or code != 0
+    stop = deck.stop
+    early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
+    if not said and not early:
+        return None
+    part = belongs_to(deck, report.node) if report.node else None
+    at = None if report.time is None else f"t = {report.time:g} s"
+    blame = [report.node and f"node {report.node}", part, at]
+    tail = " | ".join(text.strip().splitlines()[-3:])
+    if said:
+        cause = report.cause or f"exit code {code}"
+        got = ", ".join(filter(None, blame)) or (None if report.cause else tail)
+        error = FailedRunError(f"ngspice failed: {cause}", where=where, got=got)
+    else:
+        cause = "ngspice stopped before the end of the transient"
+        told = ", ".join(filter(None, [f"last time point {last:g} s", blame[0]]))
+        error = FailedRunError(cause, where=where, got=told, expected=f"{stop:g} s")
+    error.failure = Failure(cause, report.kind, report.node, report.time, part)
+    return error
+
+
+def belongs_to(deck: Deck, node: str) -> str | None:
+    """In words, the part of ``deck`` that ``node`` belongs to and the pins next to it.
+
+    ``node`` as ngspice says it: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for the
+    current of a source. None where nothing of that name is in the deck.
+    """
+    path = node.lower().partition("#")[0].split(".")
+    if len(path) > 1 and len(path[0]) == 1:  # a device: its letter stands before the instance
+        path = path[1:]
+    try:
+        scope = inside(deck.scope, tuple(path[:-1]))
+    except UsageError:
+        return None
+    if scope is None:
+        return None
+    *_, name = path
+    return _within(deck, scope, path[-2], name) if len(path) > 1 else _at_top(deck, scope, name)
+
+
+def _at_top(deck: Deck, scope: Scope, name: str) -> str | None:
+    """The card of this name, or all that is wired to the node."""
+    if any(element.key == name for element in scope.elements):
+        return f"{name} in {deck.main}"
+    wired = []
+    for element in scope.elements:
+        for position, node in enumerate(element.ends):
+            called = scope.find(element.model) if element.kind == "x" else None
+            if node == name and called is not None:
+                wired.append(f"{element.key} ({called.name}) pin {called.pins[position]}")
+            elif node == name:
+                wired.append(element.key)
+    return f"node of {', '.join(wired)}" if wired else None
+
+
+def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
+    """What the library says that the ``instance`` is, and its documented pin that an inner node or
+    element is named after: ``fring0`` after ring0."""
+    part = next((part for part in deck.parts if part.name.lower() == scope.name), None)
+    title = part.text.splitlines()[0].lstrip("* ") if part else scope.name
+    pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
+    named = [pin for pin in pins if name.endswith(pin.name.lower())]
+    if not named:
+        return f"part {instance} ({title}), inside at {name}"
+    pin = max(named, key=lambda pin: len(pin.name))
+    flow = "" if pin.flow == "-" else f", 1 A = 1 {pin.flow}"
+    return f"part {instance} ({title}) at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"

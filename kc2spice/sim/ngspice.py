@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import re
 import shutil
@@ -12,9 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +26,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.vectors import terms
-from kc2spice.sim.failure import FailedRunError, diagnose
-from kc2spice.sim.log import classify, statistics
+from kc2spice.sim.log import failed_run, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
-from kc2spice.sim.settings import own_reltol
 
 ANSWERS = 20.0  # s that ngspice may take to tell its version
 STALLED = 60.0  # s without processor time after which a run hangs
@@ -62,40 +62,24 @@ def find_ngspice() -> Simulator:
             expected="the program ngspice, version 39 or later",
             hint="Debian or Ubuntu: apt-get install ngspice; else https://ngspice.sourceforge.io",
         )
-    said = _version(path)
-    version = re.search(r"ngspice-(\S+)", said)
-    if version is None:
-        raise MissingToolError(
-            "this ngspice does not tell its version", where=path, got=said.strip()[:80]
-        )
-    return Simulator("ngspice", version.group(1), path)
-
-
-def _version(path: str) -> str:
-    """What the program says of itself.
-
-    Raises
-    ------
-    MissingToolError : it does not run, or says nothing for so long that it hangs.
-    """
+    asked: Any = {"capture_output": True, "timeout": ANSWERS, "stdin": subprocess.DEVNULL}
     try:
-        done = subprocess.run(
-            [path, "--version"],
-            capture_output=True,
-            check=False,
-            timeout=ANSWERS,
-            stdin=subprocess.DEVNULL,
-        )
+        said = subprocess.run([path, "--version"], check=False, **asked).stdout
     except (OSError, subprocess.TimeoutExpired) as error:
         hangs = isinstance(error, subprocess.TimeoutExpired)
-        reason = f"no answer within {ANSWERS:g} s" if hangs else str(error)
         raise MissingToolError(
             "this ngspice does not run",
             where=path,
-            got=reason,
+            got=f"no answer within {ANSWERS:g} s" if hangs else str(error),
             hint="install it again; kc2spice doctor checks it",
         ) from None
-    return done.stdout.decode(errors="replace")
+    text = said.decode(errors="replace")
+    version = re.search(r"ngspice-(\S+)", text)
+    if version is None:
+        raise MissingToolError(
+            "this ngspice does not tell its version", where=path, got=text.strip()[:80]
+        )
+    return Simulator("ngspice", version.group(1), path)
 
 
 @cache
@@ -170,11 +154,17 @@ def run_deck(
     try:
         code = _execute(simulator, main, unfinished, log, deck.stop, progress, timeout)
         text = log.read_text(encoding="utf-8", errors="replace")
-        _judge_log(deck, directory, code, text, unfinished)
-        vectors = read_raw(unfinished)
-        _judge_end(deck, directory, vectors, text)
-        facts = {**statistics(text), "reltol": own_reltol(deck)}
-        waveforms = Waveforms(_named(deck, vectors), facts)
+        failed = failed_run(deck, str(main), text, code)
+        if failed is None:
+            vectors = read_raw(unfinished)
+            facts = {**statistics(text), "reltol": own_reltol(deck)}
+            waves = Waveforms(named(deck, vectors), facts)
+            last = float(vectors["time"][-1]) if "time" in vectors else math.nan
+            failed = failed_run(deck, str(main), text, last=last)
+        if failed is not None:
+            failed.hint = f"the whole log is {log.name} in the same directory"
+            failed.failure = replace(failed.failure, partial=_partial(deck, unfinished, text))
+            raise failed
         unfinished.rename(raw)
     except SimulationError as error:
         free = shutil.disk_usage(directory).free
@@ -188,7 +178,7 @@ def run_deck(
         raise
     finally:
         unfinished.unlink(missing_ok=True)
-    return waveforms
+    return waves
 
 
 def _fits(deck: Deck) -> None:
@@ -218,11 +208,17 @@ def _execute(
     progress: Callable[[float], None] | None,
     timeout: float | None,
 ) -> int:
-    """Run ngspice with the user's start-up files kept out; return its exit code."""
+    """Run ngspice with the user's start-up files kept out; return its exit code.
+
+    Raises
+    ------
+    SimulationError : it takes longer than ``timeout``, hangs, or fills the disk.
+    """
     command = [simulator.path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
-    begin = time.monotonic()
+    begin = worked = time.monotonic()
+    spent = None
     with log.open("wb") as sink:
         words, within = _mortal()
         # No context of the process: at an exit it would wait for a simulator that nobody has ended.
@@ -237,58 +233,42 @@ def _execute(
         )
         try:
             # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
-            ended = threading.Event()
-
-            def wait() -> None:
-                process.wait()
-                ended.set()
-
-            threading.Thread(target=wait, daemon=True).start()
-            alive = begin, _processor_time(process.pid)
-            while not ended.wait(POLL):
-                alive = _still_alive(process.pid, alive, main)
-                if timeout is not None and time.monotonic() - begin > timeout:
-                    raise SimulationError(
-                        f"ngspice did not finish within {timeout:g} s",
-                        where=str(main.parent),
-                        got=f"time point {last_scale_value(raw)} s of {stop} s",
-                        hint="give it more time, a looser solver.reltol or a shorter stop",
-                    )
+            waiting = threading.Thread(target=process.wait, daemon=True)
+            waiting.start()
+            waiting.join(POLL)
+            while waiting.is_alive():
+                now, ticks = time.monotonic(), _processor_time(process.pid)
+                if ticks is None or ticks != spent:
+                    worked, spent = now, ticks
                 size = raw.stat().st_size if raw.exists() else 0
-                if size > LARGEST_RAW:
-                    raise SimulationError(
-                        "the raw file grows beyond its limit",
-                        where=str(main.parent),
-                        got=f"{size} bytes at {last_scale_value(raw)} s of {stop} s",
-                        expected=f"at most {LARGEST_RAW} bytes",
-                        hint="raise solver.max_step or reltol, end earlier, save fewer vectors",
-                    )
+                at = last_scale_value(raw)
+                for too_much, what, hint in (
+                    (
+                        timeout is not None and now - begin > timeout,
+                        f"ngspice did not finish within {timeout} s",
+                        "give it more time, a looser solver.reltol or a shorter stop",
+                    ),
+                    (
+                        now - worked > STALLED,
+                        f"ngspice hangs: no processor time for {STALLED:g} s",
+                        "does it run by itself? kc2spice doctor checks it",
+                    ),
+                    (
+                        size > LARGEST_RAW,
+                        f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes",
+                        "raise solver.max_step or reltol, end earlier, save fewer vectors",
+                    ),
+                ):
+                    if too_much:
+                        got = f"{size} bytes at time point {at} s of {stop} s"
+                        raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
                 if progress is not None and stop:
-                    progress(min(1.0, (last_scale_value(raw) or 0.0) / stop))
+                    progress(min(1.0, (at or 0.0) / stop))
+                waiting.join(POLL)
         finally:
             process.kill()  # nothing to one that has ended
             process.wait()
         return process.returncode
-
-
-def _still_alive(pid: int, alive: tuple[float, int | None], main: Path) -> tuple[float, int | None]:
-    """When the process was last seen at work, and its processor time then.
-
-    Raises
-    ------
-    SimulationError : it has not worked for ``STALLED`` seconds.
-    """
-    now, spent = time.monotonic(), _processor_time(pid)
-    if spent is None or spent != alive[1]:
-        return now, spent
-    if now - alive[0] > STALLED:
-        raise SimulationError(
-            "ngspice hangs",
-            where=str(main.parent),
-            got=f"no processor time for {STALLED:g} s",
-            hint="does it run by itself? kc2spice doctor checks it",
-        )
-    return alive
 
 
 def _processor_time(pid: int) -> int | None:
@@ -300,69 +280,41 @@ def _processor_time(pid: int) -> int | None:
         return None
 
 
-def _judge_log(deck: Deck, directory: Path, code: int, text: str, raw: Path) -> None:
-    """Refuse a run whose log holds a failure, or whose process was killed."""
-    report = classify(text)
-    if not report.errors and code == 0:
-        return
-    failure = diagnose(deck, report, f"exit code {code}", _partial(deck, raw, text))
-    blame = [f"node {failure.node}"] if failure.node else []
-    blame += [failure.part] if failure.part else []
-    blame += [f"t = {failure.time:g} s"] if failure.time is not None else []
-    tail = " | ".join(text.strip().splitlines()[-3:])
-    error = FailedRunError(
-        f"ngspice failed: {failure.cause}",
-        where=str(directory / deck.main),
-        got=", ".join(blame) or (None if report.cause else tail),
-        hint=f"the whole log is {Path(deck.main).with_suffix('.log')} in the same directory",
-    )
-    error.failure = failure
-    raise error
-
-
 def _partial(deck: Deck, raw: Path, text: str) -> Waveforms | None:
     """What a failed run had saved; None where nothing, or not all that the deck asks for."""
     vectors = read_partial(raw)
-    if vectors is None:
-        return None
     try:
-        return Waveforms(_named(deck, vectors), statistics(text))
+        return Waveforms(named(deck, vectors), statistics(text)) if vectors else None
     except SimulationError:
         return None
 
 
-def _judge_end(deck: Deck, directory: Path, vectors: dict[str, np.ndarray], text: str) -> None:
-    """Refuse a transient that did not reach its end; ngspice can stop early and return 0."""
-    if deck.stop is None:
-        return
-    last = float(vectors["time"][-1]) if "time" in vectors else float("nan")
-    if not abs(last - deck.stop) <= 1e-9 * deck.stop:
-        report = classify(text)
-        error = FailedRunError(
-            "ngspice stopped before the end of the transient",
-            where=str(directory / deck.main),
-            got=f"last time point {last:g} s" + (f", node {report.node}" if report.node else ""),
-            expected=f"{deck.stop:g} s",
-        )
-        partial = Waveforms(_named(deck, vectors), statistics(text))
-        error.failure = diagnose(deck, report, error.message, partial)
-        raise error
+def own_reltol(deck: Deck) -> float:
+    """The ``reltol`` of ``deck``, or ngspice's own."""
+    return float(deck.option("reltol") or 1e-3)
 
 
-def _named(deck: Deck, vectors: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``."""
-    names = list(vectors)
-    scale = names[0] if names[0] in ("time", "frequency") else "sweep"
-    data = {scale: vectors[names[0]].real.copy()}
+def named(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``, the first.
+
+    Raises
+    ------
+    SimulationError : a vector is missing.
+    """
+    first = next(iter(vectors))
+    scale = first if first in ("time", "frequency") else "sweep"
+    data = {scale: vectors[first].real.copy()}
     for key, (expression, factor) in deck.vectors.items():
         parts = [sign * _vector(deck, vectors, v) for sign, v in terms(expression)]
         data[key] = factor * np.sum(parts, axis=0)
     return data
 
 
-def _vector(deck: Deck, vectors: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """One raw vector; ngspice wraps device currents as ``i(@device[i])``."""
-    for spelling in (name, f"i({name})"):
+def _vector(deck: Deck, vectors: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """One vector. Currents of devices are ``i(@device[i])`` in a raw file; in the library ``v(y)``
+    is ``y``, and ``i(vkick)`` is ``vkick#branch``."""
+    within = name[2:-1] + "#branch" * name.startswith("i(")
+    for spelling in (name, f"i({name})", within):
         if spelling in vectors:
             return vectors[spelling]
     raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,23 +13,69 @@ _BINARY = b"Binary:\n"
 _HEAD = 1 << 20  # bytes in which the header must end
 
 
-@dataclass(frozen=True)
-class RawHeader:
-    """What stands before the numbers: vectors in order, points as written, offset of the data."""
+class _Header(NamedTuple):
+    """Vectors in order, type of the numbers, points as promised, offset [bytes] of the data."""
 
-    plot: str
-    is_complex: bool
     names: tuple[str, ...]
+    kind: np.dtype
     points: int
     offset: int
 
-    @property
-    def record(self) -> int:
-        """Bytes of one point."""
-        return len(self.names) * (16 if self.is_complex else 8)
+    def held(self, path: Path) -> tuple[int, int]:
+        """Complete points in the file, and bytes left over."""
+        return divmod(path.stat().st_size - self.offset, self.kind.itemsize * len(self.names))
 
 
-def read_header(path: Path) -> RawHeader | None:
+def read_raw(path: Path) -> dict[str, np.ndarray]:
+    """Vectors of the one plot in ``path``, lower-case names, the scale (always real) first.
+
+    Raises
+    ------
+    SimulationError : missing, empty, truncated, with more data than promised, or not finite.
+    """
+    if not path.is_file():
+        raise SimulationError("the simulator wrote no raw file", where=str(path))
+    header = _header(path)
+    if header is None:
+        raise _corrupt(path, "its header is cut off")
+    held, left = header.held(path)
+    if held < 1 or (held, left) != (header.points, 0):
+        raise _corrupt(
+            path, f"it promises {header.points} points and holds {held} and {left} bytes"
+        )
+    table = _table(path, header, held)
+    if not _finite(table).all():
+        raise _corrupt(path, "it holds values that are not finite")
+    return _columns(header, table)
+
+
+def read_partial(path: Path) -> dict[str, np.ndarray] | None:
+    """What an aborted run wrote: its complete points up to the first that is not finite.
+
+    None where there are fewer than two.
+    """
+    try:
+        header = _header(path)
+    except (OSError, SimulationError):
+        return None
+    if header is None:
+        return None
+    table = _table(path, header, header.held(path)[0])
+    good = int(np.argmin(np.append(_finite(table), False)))
+    return _columns(header, table[:good]) if good > 1 else None
+
+
+def last_scale_value(path: Path) -> float | None:
+    """Scale (time) of the last complete point while ngspice still writes; None before the first."""
+    header = _header(path) if path.is_file() else None
+    held = header.held(path)[0] if header else 0
+    if header is None or held < 1:
+        return None
+    offset = header.offset + (held - 1) * header.kind.itemsize * len(header.names)
+    return float(np.fromfile(path, np.float64, 1, offset=offset)[0])
+
+
+def _header(path: Path) -> _Header | None:
     """Header of the first plot in ``path``; None as long as it is not complete.
 
     Raises
@@ -51,63 +97,14 @@ def read_header(path: Path) -> RawHeader | None:
         raise _corrupt(path, "its header is not that of a binary raw file") from None
     if len(names) != count or count < 1:
         raise _corrupt(path, f"its header promises {count} vectors and names {len(names)}")
-    is_complex = "complex" in fields.get("Flags", "")
-    return RawHeader(
-        fields.get("Plotname", "").strip(), is_complex, names, points, end + len(_BINARY)
-    )
+    kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
+    return _Header(names, kind, points, end + len(_BINARY))
 
 
-def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Vectors of the one plot in ``path``, lower-case names, the scale (always real) first.
-
-    Raises
-    ------
-    SimulationError : missing, empty, truncated, with more data than promised, or not finite.
-    """
-    if not path.is_file():
-        raise SimulationError("the simulator wrote no raw file", where=str(path))
-    header = read_header(path)
-    if header is None:
-        raise _corrupt(path, "its header is cut off")
-    body = _body(path, header)
-    expected = header.points * header.record
-    if header.points < 1 or len(body) != expected:
-        raise _corrupt(
-            path, f"it promises {header.points} points ({expected} bytes) and holds {len(body)}"
-        )
-    table = _table(header, body)
-    if not _finite(table).all():
-        raise _corrupt(path, "it holds values that are not finite")
-    return _columns(header, table)
-
-
-def read_partial(path: Path) -> dict[str, np.ndarray] | None:
-    """What an aborted run wrote: its complete points up to the first that is not finite.
-
-    None where there are fewer than two.
-    """
-    try:
-        header = read_header(path)
-    except (OSError, SimulationError):
-        return None
-    if header is None:
-        return None
-    body = _body(path, header)
-    table = _table(header, body[: len(body) // header.record * header.record])
-    good = int(np.argmin(np.append(_finite(table), False)))
-    return _columns(header, table[:good]) if good > 1 else None
-
-
-def _body(path: Path, header: RawHeader) -> bytes:
-    with path.open("rb") as stream:
-        stream.seek(header.offset)
-        return stream.read()
-
-
-def _table(header: RawHeader, body: bytes) -> np.ndarray:
+def _table(path: Path, header: _Header, points: int) -> np.ndarray:
     """One row a point."""
-    kind = np.complex128 if header.is_complex else np.float64
-    return np.frombuffer(body, dtype=kind).reshape(-1, len(header.names))
+    count = points * len(header.names)
+    return np.fromfile(path, header.kind, count, offset=header.offset).reshape(points, -1)
 
 
 def _finite(table: np.ndarray) -> np.ndarray:
@@ -116,24 +113,9 @@ def _finite(table: np.ndarray) -> np.ndarray:
     return np.isfinite(table[:, 0].real) & np.isfinite(table[:, 1:]).all(axis=1)
 
 
-def _columns(header: RawHeader, table: np.ndarray) -> dict[str, np.ndarray]:
+def _columns(header: _Header, table: np.ndarray) -> dict[str, np.ndarray]:
     columns = (table[:, 0].real, *table[:, 1:].T)
     return {name: column.copy() for name, column in zip(header.names, columns, strict=True)}
-
-
-def last_scale_value(path: Path) -> float | None:
-    """Scale (time) of the last complete point while ngspice still writes; None before the first."""
-    if not path.is_file():
-        return None
-    header = read_header(path)
-    if header is None:
-        return None
-    points = (path.stat().st_size - header.offset) // header.record
-    if points < 1:
-        return None
-    with path.open("rb") as stream:
-        stream.seek(header.offset + (points - 1) * header.record)
-        return float(np.frombuffer(stream.read(8), dtype=np.float64)[0])
 
 
 def _corrupt(path: Path, what: str) -> SimulationError:

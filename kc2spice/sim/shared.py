@@ -1,4 +1,6 @@
-"""Binding of libngspice (ngspice manual, chapter "Ngspice as shared library") by ctypes.
+"""Decks in libngspice inside this process, with Python functions in the loop.
+
+The calls are those of the ngspice manual's chapter "Ngspice as shared library".
 
 Each :class:`Library` is a private copy of the library: other users of libngspice in the process
 (PySpice, InSpice) keep theirs, in either order, and a copy that ngspice has given up after a fatal
@@ -9,57 +11,44 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_int, c_short, c_void_p
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import MissingToolError
-
-Sampler = Callable[[float, Callable[[], dict[str, float]]], None]
-Source = Callable[[float, str], float]
-Limit = Callable[[float, float], float]
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
+from kc2spice.scene.parttype import Sampled
+from kc2spice.sim.log import failed_run, statistics
+from kc2spice.sim.ngspice import named
 
 _HINT = "Debian or Ubuntu: apt-get install libngspice0"
 
 
-class _Complex(ctypes.Structure):
-    _fields_ = (("real", c_double), ("imag", c_double))
+def _structure(**fields: Any) -> Any:
+    return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
-class _Vector(ctypes.Structure):  # vector_info
-    _fields_ = (
-        ("name", c_char_p),
-        ("type", c_int),
-        ("flags", c_short),
-        ("real", POINTER(c_double)),
-        ("complex", POINTER(_Complex)),
-        ("length", c_int),
-    )
-
-
-class _Value(ctypes.Structure):  # vecvalues
-    _fields_ = (
-        ("name", c_char_p),
-        ("real", c_double),
-        ("imag", c_double),
-        ("is_scale", c_bool),
-        ("is_complex", c_bool),
-    )
-
-
-class _Values(ctypes.Structure):  # vecvaluesall
-    _fields_ = (("count", c_int), ("index", c_int), ("vectors", POINTER(POINTER(_Value))))
-
-
-class _Place(ctypes.Structure):  # Dl_info
-    _fields_ = (("file", c_char_p), ("base", c_void_p), ("symbol", c_char_p), ("at", c_void_p))
-
+# vector_info, vecvalues and vecvaluesall of sharedspice.h; Dl_info of dlfcn.h
+_Vector = _structure(
+    name=c_char_p,
+    type=c_int,
+    flags=c_short,
+    real=POINTER(c_double),
+    complex=POINTER(c_double),
+    length=c_int,
+)
+_Value = _structure(name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool)
+_Values = _structure(count=c_int, index=c_int, vectors=POINTER(POINTER(_Value)))
+_Place = _structure(file=c_char_p, base=c_void_p, symbol=c_char_p, at=c_void_p)
 
 _SEND_CHAR = CFUNCTYPE(c_int, c_char_p, c_int, c_void_p)
 _EXIT = CFUNCTYPE(c_int, c_int, c_bool, c_bool, c_int, c_void_p)
@@ -67,6 +56,115 @@ _SEND_DATA = CFUNCTYPE(c_int, POINTER(_Values), c_int, c_int, c_void_p)
 _SEND_INIT = CFUNCTYPE(c_int, c_void_p, c_int, c_void_p)
 _SOURCE = CFUNCTYPE(c_int, POINTER(c_double), c_double, c_char_p, c_int, c_void_p)
 _SYNC = CFUNCTYPE(c_int, c_double, POINTER(c_double), c_double, c_int, c_int, c_int, c_void_p)
+
+
+_library: Library | None = None
+
+
+class _Sampler:
+    """Calls the functions of a deck at their instants and holds their answers."""
+
+    def __init__(
+        self,
+        sampled: Sequence[Sampled],
+        stop: float,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self.sampled, self.stop, self.progress = tuple(sampled), stop, progress
+        self.samples = [0] * len(self.sampled)
+        self.shown = 0.0
+        self.held: dict[str, float] = {}
+        self.answers: dict[str, tuple[float, float]] = {}
+
+    def point(self, time: float, values: Callable[[], dict[str, float]]) -> None:
+        """An accepted time point."""
+        share = min(1.0, time / self.stop)
+        if self.progress is not None and (share - self.shown >= 1e-3 or share > 1 - 1e-9):
+            self.shown = share
+            self.progress(share)
+        for k, each in enumerate(self.sampled):
+            due = self.samples[k] * each.period
+            if time >= due * (1 - 1e-12):
+                self.samples[k] += 1
+                self.answers[each.source] = (due + each.delay, each.call(due, values()))
+
+    def source(self, time: float, name: str) -> float:
+        """Volts; nothing changes before the step that ends at the instant is over."""
+        if name in self.answers and time > self.answers[name][0] * (1 + 1e-12):
+            self.held[name] = self.answers.pop(name)[1]
+        return self.held.get(name, 0.0)
+
+    def limit(self, time: float, step: float) -> float:
+        """A step that ends at the next instant at the latest."""
+        ahead = [
+            (math.floor((time - shift) / each.period + 1 + 1e-9) * each.period + shift) - time
+            for each in self.sampled
+            for shift in (0.0, each.delay)
+        ]
+        return min((a for a in ahead if a > 0), default=step)
+
+
+def run_shared(
+    deck: Deck,
+    sampled: Sequence[Sampled] = (),
+    progress: Callable[[float], None] | None = None,
+) -> Waveforms:
+    """Run the transient ``deck`` in libngspice; results and names as from the batch engine.
+
+    The ``sampled`` functions see the deck's saved node voltages in ngspice's names and set the
+    ``EXTERNAL`` sources that they name. ngspice gets a time point at both instants of each, also in
+    a deck that has no source with breakpoints there.
+
+    Raises
+    ------
+    UsageError : the deck has no end of a transient.
+    MissingToolError : libngspice is not on this machine.
+    SimulationError : ngspice failed or stopped early, or a function did.
+    """
+    if deck.stop is None:
+        raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
+    library = _fresh()
+    loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
+    try:
+        ran = library.load(_flattened(deck)) and library.run(loop)
+        if library.broken is not None:
+            raise SimulationError(
+                "the function in the loop failed", where=deck.name, got=repr(library.broken)
+            ) from library.broken
+        vectors = library.vectors() if ran else {}
+        said = library.said
+    finally:
+        library.clear()
+    time = vectors.get("time", np.zeros(1))
+    failed = failed_run(deck, deck.name, said, last=float(time[-1]))
+    if failed is not None:
+        raise SimulationError(
+            failed.message, where=deck.name, got=failed.got, expected=failed.expected
+        )
+    data = named(deck, {"time": time, **vectors})
+    return Waveforms(data, {"accepted": float(time.size)} | statistics(said))
+
+
+def _flattened(deck: Deck) -> str:
+    """The deck as one text, its includes in their places."""
+
+    def lines(file: str) -> list[str]:
+        found: list[str] = []
+        for line in deck.files[file].splitlines():
+            word, _, target = line.partition(" ")
+            included = word.lower() in (".include", ".inc")
+            found += lines(target.strip().strip("\"'")) if included else [line]
+        return found
+
+    return "\n".join(lines(deck.main))
+
+
+def _fresh() -> Library:
+    """The library of this process; a new copy where ngspice has given up the last one."""
+    global _library
+    if _library is None or _library.dead:
+        _library = Library()
+    return _library
 
 
 class Library:
@@ -82,12 +180,10 @@ class Library:
     """
 
     def __init__(self) -> None:
-        self._lines: list[str] = []
-        self._sampler: Sampler | None = None
-        self._source: Source | None = None
-        self._limit: Limit | None = None
-        self.broken: Exception | None = None
+        self.said = ""
         self.dead = False
+        self.broken: Exception | None = None
+        self._loop: _Sampler | None = None
         self._library = _private_copy()
         self._library.ngSpice_AllVecs.restype = POINTER(c_char_p)
         self._library.ngSpice_CurPlot.restype = c_char_p
@@ -96,49 +192,26 @@ class Library:
         self._kept = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
-            _SEND_DATA(self._on_point),
-            _SEND_INIT(lambda *_: 0),
-            _SOURCE(self._on_source),
-            _SYNC(self._on_step),
+            _SEND_DATA(self._guarded(self._on_point)),
+            _SEND_INIT(lambda *_: 0),  # without it no point is sent
+            _SOURCE(self._guarded(self._on_source)),
+            _SYNC(self._guarded(self._on_step)),
         )
         text, leave, point, begin, source, step = self._kept
         with _no_start_up_files(self._library):
             self._library.ngSpice_Init(text, None, leave, point, begin, None, None)
         self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
-    @property
-    def said(self) -> str:
-        """Lines of standard output and error."""
-        return "\n".join(self._lines) + "\n"
-
     def load(self, circuit: str) -> bool:
         """Read ``circuit``, a deck without includes; False if ngspice refuses it."""
-        self._lines.clear()
-        self._forget()
+        self.said, self.broken = "", None
         lines = [line.encode() for line in circuit.splitlines()] + [None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
-    def run(
-        self,
-        sampler: Sampler | None = None,
-        source: Source | None = None,
-        limit: Limit | None = None,
-    ) -> bool:
-        """Run the analyses of the circuit; False if ngspice reports a failure.
-
-        Parameters
-        ----------
-        sampler : called at each accepted time point with the time [s] and a function that gives
-            the saved vectors there, ``{name: value}``, in ngspice's lower-case names.
-        source : volts of a source of kind ``EXTERNAL`` at a time [s], from its lower-case name.
-        limit : the step [s] to take from a time [s], given the step that ngspice would take.
-        """
-        self._sampler, self._source, self._limit = sampler, source, limit
-        return self.command("run")
-
-    def command(self, text: str) -> bool:
-        """One command of ngspice's interactive language; False if it failed."""
-        return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
+    def run(self, loop: _Sampler | None) -> bool:
+        """Run the circuit's analyses with ``loop`` in them; False if ngspice reports a failure."""
+        self._loop = loop
+        return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
         """Results of the last analysis by lower-case name, real or complex, as copies."""
@@ -157,63 +230,52 @@ class Library:
     def clear(self) -> None:
         """Remove circuit and results."""
         for text in ("destroy all", "remcirc"):
-            self.command(text)
-        self._forget()
+            self._command(text)
+        self._loop = self.broken = None
+
+    def _command(self, text: str) -> bool:
+        return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
 
     # -- what ngspice calls ------------------------------------------------------------------
 
-    def _forget(self) -> None:
-        self._sampler = self._source = self._limit = self.broken = None
+    def _guarded(self, call: Callable[..., None]) -> Callable[..., int]:
+        """``call`` while there is a loop that has not failed."""
+
+        def guarded(*asked: Any) -> int:
+            try:
+                if self._loop is not None and self.broken is None:
+                    call(self._loop, *asked)
+            except Exception as error:
+                self.broken = error
+            return 0
+
+        return guarded
 
     def _on_text(self, text: bytes, ident: int, user: object) -> int:
         line = text.decode(errors="replace")
-        self._lines.append(line.removeprefix("stdout ").removeprefix("stderr "))
+        self.said += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0
 
-    def _on_exit(self, status: int, immediate: bool, quit_: bool, ident: int, user: object) -> int:
+    def _on_exit(self, *_: object) -> int:
         self.dead = True
         return 0
 
-    def _on_point(self, data: object, count: int, ident: int, user: object) -> int:
-        if self._sampler is None or self.broken is not None:
-            return 0
-        vectors, last = data.contents.vectors, data.contents.count  # type: ignore[attr-defined]
+    def _on_point(self, loop: _Sampler, data: Any, *_: object) -> None:
+        points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
+        scale = next((point.real for point in points if point.is_scale), 0.0)
+        loop.point(scale, lambda: {p.name.decode().lower(): p.real for p in points})
 
-        def values() -> dict[str, float]:
-            points = (vectors[k].contents for k in range(last))
-            return {p.name.decode().lower(): p.real for p in points}
+    def _on_source(self, loop: _Sampler, value: Any, time: float, name: bytes, *_: object) -> None:
+        value[0] = loop.source(time, name.decode().lower())
 
-        try:
-            scale = next((v for k in range(last) if (v := vectors[k].contents).is_scale), None)
-            self._sampler(0.0 if scale is None else scale.real, values)
-        except Exception as error:
-            self.broken = error
-        return 0
-
-    def _on_source(self, value: object, time: float, name: bytes, ident: int, user: object) -> int:
-        try:
-            if self._source is not None and self.broken is None:
-                value[0] = self._source(time, name.decode().lower())  # type: ignore[index]
-        except Exception as error:
-            self.broken = error
-        return 0
-
-    def _on_step(
-        self, time: float, step: object, old: float, redo: int, ident: int, loc: int, user: object
-    ) -> int:
-        try:
-            if self._limit is not None and self.broken is None:
-                step[0] = min(step[0], self._limit(time, step[0]))  # type: ignore[index]
-        except Exception as error:
-            self.broken = error
-        return 0
+    def _on_step(self, loop: _Sampler, time: float, step: Any, *_: object) -> None:
+        step[0] = min(step[0], loop.limit(time, step[0]))
 
 
-def _copied(vector: _Vector) -> np.ndarray:
+def _copied(vector: Any) -> np.ndarray:
     if vector.real:
         return np.ctypeslib.as_array(vector.real, (vector.length,)).copy()
-    flat = ctypes.cast(vector.complex, POINTER(c_double))
-    return np.ctypeslib.as_array(flat, (2 * vector.length,)).copy().view(complex)
+    return np.ctypeslib.as_array(vector.complex, (2 * vector.length,)).copy().view(complex)
 
 
 def _private_copy() -> ctypes.CDLL:

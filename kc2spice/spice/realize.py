@@ -30,7 +30,10 @@ LEAK = 1e-12  # S; the charge of a floating anode decays in hours
 FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
+JUMP = 1e-9  # of C B by its summands: a rate that jumps with an input; less is rounding
 _INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of the templates
+_MOVING = ("mechanical", "rotational")
+_DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class Watch:
 FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
 STRIKING = Watch(3.0, 6, 0.01)  # until it has struck: a quarter fewer points at an equal launch
 COARSE = Watch(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
+UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
 @dataclass(frozen=True)
@@ -63,10 +67,12 @@ class _Card:
 
 @dataclass(frozen=True)
 class _Terminal:
-    """A port as the templates see it; ``sums`` come from states, ``through`` from other ports."""
+    """A port as the templates see it: ``column`` of B and ``row`` of C, ``clamped`` farad.
 
-    kind: str
-    label: str
+    ``sums`` are its output by states, ``through`` by the inputs of ports.
+    """
+
+    port: Port
     pins: tuple[str, ...]
     tag: str
     column: int | None
@@ -75,15 +81,50 @@ class _Terminal:
     sums: tuple[_Card, ...] = ()
     through: tuple[_Card, ...] = ()
 
+    @property
+    def kind(self) -> str:
+        """That of its port."""
+        return self.port.kind
+
+    @property
+    def label(self) -> str:
+        """The name of its port."""
+        return self.port.name
+
+    @property
+    def unit(self) -> float:
+        """SI value of 1 V on the node that sums its output."""
+        return MICRO if self.kind in ("mechanical", "electrical") else 1.0
+
     def control(self, base: str) -> tuple[str, str]:
         """The nodes between which the port's input in SI is a voltage."""
         if self.kind == "electrical":
             return self.pins[0], self.pins[1]
-        moved = self.kind in ("mechanical", "rotational")
-        return (f"f{self.pins[0]}" if moved else self.pins[0]), base
+        return (f"f{self.pins[0]}" if self.kind in _MOVING else self.pins[0]), base
+
+    def driven(self, label: str, row: np.ndarray, base: str) -> _Card:
+        """The card of its input, whose weight stands in a ``row`` of inputs."""
+        return _Card(label, *self.control(base), float(row[self.column or 0]))
 
 
-UNRATED = "not known; keep field and stress within the limits of its materials"
+@dataclass(frozen=True)
+class _States:
+    """``z' = A z + B u``, ``y = C z + D u``: each state a voltage on its node; y in volts of the
+    ports' sum nodes."""
+
+    nodes: Sequence[str]
+    labels: Sequence[str]
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+
+    def cards(self, row: np.ndarray, base: str) -> tuple[_Card, ...]:
+        """The sum of states with the weights ``row``."""
+        return tuple(
+            _Card(label, node, base, float(value))
+            for label, node, value in zip(self.labels, self.nodes, row, strict=True)
+            if value
+        )
 
 
 def subcircuit(
@@ -126,27 +167,86 @@ def subcircuit(
         header = Header(rom.name, digest.hexdigest()[:16])
     if ports is not None:
         rom = rom.select(list(ports))
-    conservative = all(port.conservative for port in rom.ports)
-    if conservative and not dense and rom.symmetric and not rom.first_order:
-        try:
-            modal = resonators(rom)
-            mass = rom.facts.get("mass_kg")
-            return _resonators(modal, name, header, (title, rating), mass, watch)
-        except UsageError as error:
-            if error.where != "resonator form":
-                raise
-    return _blocks(rom, name, header, (title, rating), dense)
+    form = _form(rom, dense)
+    terminals = _terminals(rom, form.D, name)
+    pins, base = _pins(terminals)
+    moved = (t.pins[0].lower() for t in terminals if t.kind in _MOVING)
+    inner = "|".join([_INNER, *(f"[uf]{pin}" for pin in moved)])
+    distinct([pin.name for pin in pins], inner, where=name)
+    params: tuple[Param, ...] = ()
+    if isinstance(form, Resonators):
+        if np.any(form.damp > 0):
+            params = (Param("damping", 1.0, "-", "scale of the damping of all modes"),)
+        template, values = "kick.j2", _resonators(form, rom, terminals, base, watch)
+    else:
+        template, values = "rom.j2", _blocks(form, rom, terminals, base)
+        if base == "ref":
+            title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
+    certificate = rom.certificate
+    band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
+    text = render(
+        template,
+        header=part_header(
+            header,
+            f"{name}: {title}",
+            pins,
+            params,
+            rom=rom_line(rom.order, certificate) if certificate else "",
+            sign=OUTWARDS,
+            rating=rating,
+            validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
+            "built-in materials); no hysteresis, depolarisation or heating",
+        ),
+        name=checked_name(name),
+        pins=[pin.name for pin in pins],
+        base=base,
+        parameters=parameter_list(params),
+        leak=LEAK,
+        **values,
+    )
+    return Subcircuit(name, pins, params, text)
+
+
+def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
+    """The model as resonators where it is that, else as blocks, whose D has also what undamped
+    states without inertia yield at once."""
+    modal = None if dense else _modal(rom)
+    if modal is not None:
+        return modal
+    from kc2spice.rom.blocks import block_model  # loads what most models do not need
+
+    return block_model(rom, dense=dense)
+
+
+def _modal(rom: LinearModel) -> Resonators | None:
+    """The model as resonators, None where it is not, or where a port needs the rate of a state
+    that has no inertia, thus no velocity."""
+    if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
+        return None
+    try:
+        found = resonators(rom)
+    except UsageError as error:
+        if error.where != "resonator form":
+            raise
+        return None
+    rates = [
+        port.kind == "acceleration" or (port.kind == "electrical" and own <= 0)
+        for port, own in zip(rom.ports, np.diag(rom.D), strict=True)
+    ]
+    relaxing = np.abs(found.gain[found.inertia == 0.0][:, rates])
+    return None if (relaxing > CROSS * np.abs(found.gain).max(initial=0.0)).any() else found
 
 
 # ------------------------------------------------------------------------------- ports and pins
 
 
-def _terminals(ports: Sequence[Port], D: np.ndarray, where: str) -> list[_Terminal]:
-    several = sum(port.kind == "electrical" for port in ports) > 1
+def _terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[_Terminal]:
+    several = sum(port.kind == "electrical" for port in rom.ports) > 1
     found, column, row = [], 0, 0
-    for port in ports:
+    for port in rom.ports:
         pins = tuple(checked_name(pin) for pin in port.terminals)
-        if len(pins) != (2 if port.kind == "electrical" else 1):
+        electrical = port.kind == "electrical"
+        if len(pins) != (2 if electrical else 1):
             raise UsageError(
                 "wrong number of pins",
                 where=where,
@@ -157,32 +257,31 @@ def _terminals(ports: Sequence[Port], D: np.ndarray, where: str) -> list[_Termin
         out = None if port.kind == "input" else row
         column += into is not None
         row += out is not None
-        electrical = port.kind == "electrical"
         clamped = float(D[out, into]) if electrical else 0.0
         if clamped < 0:
             raise UsageError("negative capacitance", where=where, got=port.name)
         tag = f"_{checked_name(port.name)}" if electrical and several else ""
-        found.append(_Terminal(port.kind, checked_name(port.name), pins, tag, into, out, clamped))
+        found.append(_Terminal(port, pins, tag, into, out, clamped))
     return found
 
 
-def _pins(terminals: list[_Terminal], ports: Sequence[Port]) -> tuple[tuple[Pin, ...], str]:
+def _pins(terminals: list[_Terminal]) -> tuple[tuple[Pin, ...], str]:
     """Electrical pairs, other conservative pins and the base; signals as they come, before ref."""
 
-    def of(kinds: tuple[str, ...]) -> list[Pin]:
+    def of(*kinds: str) -> list[Pin]:
         return [
-            Pin(pin, port.across, "-" if kinds[0] == "input" else port.flow)
-            for port, terminal in zip(ports, terminals, strict=True)
-            if port.kind in kinds
-            for pin in terminal.pins
+            Pin(pin, t.port.across, t.port.flow if t.port.conservative else "-")
+            for t in terminals
+            if t.kind in kinds
+            for pin in t.pins
         ]
 
     # electrical ports against one cathode share its pin
-    electrical, signals = list(dict.fromkeys(of(("electrical",)))), of(("input", "output"))
-    moving = of(("mechanical", "rotational", "acceleration"))
+    electrical, signals = list(dict.fromkeys(of("electrical"))), of("input", "output")
+    moving = of(*_MOVING, "acceleration")
     if not electrical and not moving:
         return (*signals, Pin("ref", "V", "A")), "ref"
-    base = reference(ports)
+    base = reference([t.port for t in terminals])
     return (*electrical, *moving, *signals, Pin(base, "um", "N")), base
 
 
@@ -192,73 +291,74 @@ def reference(ports: Sequence[Port]) -> str:
     return "ground" if "base" in taken else "base"
 
 
-def _check_names(pins: tuple[Pin, ...], terminals: list[_Terminal], where: str) -> None:
-    moved = [t.pins[0].lower() for t in terminals if t.kind in ("mechanical", "rotational")]
-    inner = "|".join([_INNER, *(f"[uf]{pin}" for pin in moved)])
-    distinct([pin.name for pin in pins], inner, where=where)
+def _wired(
+    terminals: list[_Terminal], states: _States, D: np.ndarray, rom: LinearModel, base: str
+) -> list[_Terminal]:
+    """The terminals with the cards of their outputs.
 
+    Of y = C z + D u an electrical port without capacitance of its own needs the current
+    y' = C A z + C B u, an acceleration the force m a - y'', y'' = C A^2 z + C A B u, where
+    C B is zero, as of all that has inertia.
 
-def _unit(kind: str) -> float:
-    """SI value of 1 V on the node that sums a port's output."""
-    return MICRO if kind in ("mechanical", "electrical") else 1.0
+    Raises
+    ------
+    UsageError : an acceleration port that takes the rate of an input, an electrode without
+        capacitance of its own that shares charge.
+    """
 
+    def through(row: np.ndarray) -> tuple[_Card, ...]:
+        size = np.abs(row).max(initial=0.0)
+        return tuple(
+            t.driven(f"u{t.column + 1}", row, base)
+            for t in terminals
+            if t.column is not None and abs(row[t.column]) > CROSS * size
+        )
 
-def _through(
-    terminal: _Terminal, all_terminals: list[_Terminal], row: np.ndarray, base: str
-) -> tuple[_Card, ...]:
-    """Direct effect of every input on an output; ``row`` in units of the port's sum node."""
-    size = np.abs(row).max(initial=0.0)
-    return tuple(
-        _Card(f"u{other.column + 1}", *other.control(base), float(row[other.column]))
-        for other in all_terminals
-        if other.column is not None and abs(row[other.column]) > CROSS * size
-    )
+    def wired(t: _Terminal) -> _Terminal:
+        if t.row is None:
+            return t
+        row, direct = states.C[t.row], D[t.row] / t.unit
+        rate = t.unit * row @ states.A
+        if t.kind == "acceleration":
+            jump = np.abs(row @ states.B) > JUMP * (np.abs(row) @ np.abs(states.B))
+            at_once = np.abs(D[t.row] - rom.D[t.row]) > CROSS * np.abs(D).max()
+            if jump.any() or at_once.any():
+                raise UsageError(
+                    "an acceleration port drives states without inertia: its force needs the rates "
+                    "of what drives them, which no netlist of sources and capacitors has",
+                    where=t.label,
+                    got="C B not zero in its row",
+                    expected="C B = 0 in the row of an acceleration port",
+                    hint="inertia drives with M, so give those states zero rows of B and C there",
+                )
+            force = -(rate @ states.B)
+            mass = rom.facts.get("mass_kg")
+            force[t.column] = 0.0 if mass is None else mass + force[t.column]
+            return replace(t, sums=states.cards(-(rate @ states.A), base), through=through(force))
+        if t.kind == "electrical":  # the clamped capacitance is a capacitor
+            direct = np.where(np.abs(direct) > CROSS * np.abs(direct).max(), direct, 0.0)
+            direct[t.column] = 0.0
+            if direct.any() and not t.clamped:
+                raise UsageError(
+                    "an electrode without capacitance of its own shares charge with other ports",
+                    where=t.label,
+                    expected="a positive semi-definite D",
+                )
+            if not t.clamped:
+                jumps = through(t.unit * row @ states.B)
+                jumps = tuple(replace(card, label=f"t{card.label}") for card in jumps)
+                return replace(t, sums=states.cards(rate, base) + jumps)
+        return replace(t, sums=states.cards(row, base), through=through(direct))
 
-
-def _direct(
-    terminal: _Terminal, all_terminals: list[_Terminal], D: np.ndarray, base: str
-) -> tuple[_Card, ...]:
-    """Cards of a row of D, less the clamped capacitance, which is a capacitor."""
-    row = D[terminal.row] / _unit(terminal.kind)
-    if terminal.kind == "electrical":
-        largest = np.abs(row).max(initial=0.0)
-        row = np.where(np.arange(len(row)) == terminal.column, 0.0, row)
-        row = np.where(np.abs(row) > CROSS * largest, row, 0.0)
-        if row.any() and not terminal.clamped:
-            raise UsageError(
-                "an electrode without capacitance of its own shares charge with other ports",
-                where=terminal.label,
-                expected="a positive semi-definite D",
-            )
-    return _through(terminal, all_terminals, row, base)
+    return [wired(t) for t in terminals]
 
 
 # -------------------------------------------------------------------------------- resonators
 
 
-@dataclass(frozen=True)
-class _Mode:
-    """Card values of one resonator."""
-
-    index: int
-    hertz: float
-    ratio: float
-    farad: float
-    stiffness: float
-    damping: float
-    massless: bool
-    drives: list[_Card]
-    charges: list[_Card]
-
-
 def _resonators(
-    model: Resonators,
-    name: str,
-    header: Header,
-    told: tuple[str, str],
-    mass: float | None,
-    watch: Watch,
-) -> Subcircuit:
+    model: Resonators, rom: LinearModel, terminals: list[_Terminal], base: str, watch: Watch
+) -> dict[str, object]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
@@ -271,357 +371,174 @@ def _resonators(
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
     ``C = G d / w^2``.
     """
-    kept = _audible(model)
-    terminals = _terminals(model.ports, model.D, name)
-    pins, base = _pins(terminals, model.ports)
-    _check_names(pins, terminals, name)
+    kept = _observable(model)
     order = np.lexsort((kept.omega, kept.inertia == 0.0))
     omega, damp, gain = kept.omega[order], kept.damp[order], kept.gain[order]
-    heavy = kept.order - kept.massless
+    heavy = np.arange(kept.order) < kept.order - kept.massless
     mechanical = [t.kind == "mechanical" for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
-    scale = np.where(scale > 0, scale, 1.0)
-    farads = _farad(omega[:heavy], watch)
+    scale = np.where(scale > 0, scale, 1.0)[:, None]
+
+    numbers = range(1, kept.order + 1)
+    nothing = np.zeros((kept.order,) * 2)
+    turn = omega * heavy  # the others have no velocity, and no node for it
+    drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
+    states = _States(
+        [f"{node}{j}" for node in "qp" for j in numbers],
+        [f"{mark}{j}" for mark in ("", "d") for j in numbers],
+        np.block([[nothing, np.diag(turn)], [np.diag(-turn), np.diag(-damp * heavy)]]),
+        np.vstack([np.zeros_like(drive), drive]),
+        np.hstack(
+            [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
+        ),
+    )
+    slowest = omega[heavy].min(initial=np.inf)
+    farad = STATE * np.minimum(1.0, (omega / (watch.full * slowest)) ** watch.power)
+    siemens = np.where(heavy, farad * omega, SIEMENS)
+    drive = siemens[:, None] * scale * gain / (omega[:, None] ** 2 * MICRO)
     modes = [
-        _mode(j, omega[j], damp[j], gain[j], scale[j], float(farads[j]), terminals, base)
-        for j in range(heavy)
+        {
+            "index": j + 1,
+            "hertz": omega[j] / (2 * np.pi),
+            "ratio": damp[j] / (2 * omega[j]) if heavy[j] else damp[j] / omega[j] ** 2,
+            "farad": farad[j] if heavy[j] else SIEMENS * damp[j] / omega[j] ** 2,
+            "stiffness": siemens[j],
+            "damping": farad[j] * damp[j],
+            "massless": not heavy[j],
+            "drives": _drives(j + 1, drive[j], terminals, base),
+            "charges": [
+                _Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", f"charge{t.tag}", gain[j, k] / scale[j, 0])
+                for k, t in enumerate(terminals)
+                if t.clamped  # uC per um
+            ],
+        }
+        for j in range(kept.order)
     ]
-    modes += [
-        _relaxing(j, omega[j], damp[j], gain[j], scale[j], terminals, base)
-        for j in range(heavy, omega.size)
+    return {
+        "ports": [
+            replace(t, sums=()) if t.clamped else t
+            for t in _wired(terminals, states, rom.D, rom, base)
+        ],
+        "modes": modes,
+        "silent": model.order - kept.order,
+        "full": watch.full,
+        "power": watch.power,
+        "share": watch.share,
+    }
+
+
+def _drives(index: int, row: np.ndarray, terminals: list[_Terminal], base: str) -> list[_Card]:
+    """What ports drive a mode with: forces, voltages, accelerations."""
+
+    def label(t: _Terminal) -> str:
+        own = f"{index}{t.tag}" if t.kind == "electrical" else f"{t.pins[0]}_{index}"
+        return f"G{_DRIVES[t.kind]}{own}"
+
+    return [
+        t.driven(label(t), row, base)
+        for letter in "fvs"
+        for t in terminals
+        if _DRIVES[t.kind] == letter
     ]
-    wired = [
-        _wired(t, k, terminals, model.D, (omega, damp, gain, scale), mass, base)
-        for k, t in enumerate(terminals)
-    ]
-    scale_of_damping = Param("damping", 1.0, "-", "scale of the damping of all modes")
-    params = (scale_of_damping,) if np.any(model.damp > 0) else ()
-    text = render(
-        "kick.j2",
-        header=_head(header, name, told, pins, params, model.order, model.certificate),
-        name=checked_name(name),
-        pins=[pin.name for pin in pins],
-        base=base,
-        parameters=parameter_list(params),
-        ports=wired,
-        modes=modes,
-        silent=model.order - kept.order,
-        full=watch.full,
-        power=watch.power,
-        share=watch.share,
-        leak=LEAK,
-    )
-    return Subcircuit(name, pins, params, text)
 
 
-def _mode(
-    j: int,
-    omega: float,
-    damp: float,
-    gain: np.ndarray,
-    scale: float,
-    farad: float,
-    terminals: list[_Terminal],
-    base: str,
-) -> _Mode:
-    drive = farad * scale * gain / (omega * MICRO)  # A into p per newton or volt
-    return _Mode(
-        j + 1,
-        omega / (2 * np.pi),
-        damp / (2 * omega),
-        farad,
-        farad * omega,
-        farad * damp,
-        False,
-        *_coupled(j + 1, drive, gain / scale, terminals, base),
-    )
-
-
-def _relaxing(
-    j: int,
-    omega: float,
-    damp: float,
-    gain: np.ndarray,
-    scale: float,
-    terminals: list[_Terminal],
-    base: str,
-) -> _Mode:
-    drive = SIEMENS * scale * gain / (omega**2 * MICRO)  # A into q per newton or volt
-    return _Mode(
-        j + 1,
-        omega / (2 * np.pi),
-        damp / omega**2,
-        SIEMENS * damp / omega**2,
-        SIEMENS,
-        0.0,
-        True,
-        *_coupled(j + 1, drive, gain / scale, terminals, base),
-    )
-
-
-def _coupled(
-    index: int, drive: np.ndarray, share: np.ndarray, terminals: list[_Terminal], base: str
-) -> tuple[list[_Card], list[_Card]]:
-    """What ports drive a state with, and the charge that it moves."""
-    drives, charges = [], []
-    for kind in ("motion", "electrical", "acceleration"):
-        for k, t in enumerate(terminals):
-            if t.kind != kind and not (kind == "motion" and t.control("")[0] != t.pins[0]):
-                continue
-            label = {"electrical": f"Gv{index}{t.tag}", "acceleration": f"Gs{t.pins[0]}_{index}"}
-            card = label.get(kind, f"Gf{t.pins[0]}_{index}")
-            drives.append(_Card(card, *t.control(base), drive[k]))
-            if kind == "electrical" and t.clamped:  # uC per um
-                node = f"charge{t.tag}"
-                charges.append(_Card(f"Gc{index}{t.tag}", f"q{index}", node, share[k]))
-    return drives, charges
-
-
-def _wired(
-    t: _Terminal,
-    k: int,
-    terminals: list[_Terminal],
-    D: np.ndarray,
-    modal: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    mass: float | None,
-    base: str,
-) -> _Terminal:
-    """The terminal with its cards; z_j is ``q_j MICRO / s_j``."""
-    omega, damp, gain, scale = modal
-    through = _direct(t, terminals, D, base) if t.kind != "acceleration" else ()
-    if t.kind == "mechanical":
-        return replace(t, sums=_states("q", gain[:, k] / scale, base), through=through)
-    amplitude = gain[:, k] * MICRO / scale
-    if t.kind == "rotational":
-        return replace(t, sums=_states("q", amplitude, base), through=through)
-    if t.kind == "electrical":
-        sums = () if t.clamped else _states("p", amplitude * omega, base)
-        return replace(t, sums=sums, through=through)
-    # Reaction force m a - y'' with y'' = sum_j g_j z_j'' from the modes' own equations.
-    row = -(gain[:, k] @ gain)
-    row[k] += mass if mass is not None else gain[:, k] @ gain[:, k]
-    sums = _states("q", amplitude * omega**2, base)
-    sums += _states("p", amplitude * omega * damp, base, "d")
-    return replace(t, sums=sums, through=_through(t, terminals, row, base))
-
-
-def _states(node: str, values: np.ndarray, base: str, mark: str = "") -> tuple[_Card, ...]:
-    return tuple(
-        _Card(f"{mark}{j}", f"{node}{j}", base, float(value))
-        for j, value in enumerate(values, 1)
-        if value
-    )
-
-
-def _audible(model: Resonators) -> Resonators:
+def _observable(model: Resonators) -> Resonators:
     """``model`` without modes that no port moves or observes: rounding makes them."""
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
     kept = share.max(axis=1, initial=0.0) > SILENT
     if kept.all() or not kept.any():
         return model
-    massless = int(np.count_nonzero(kept & (model.inertia == 0.0)))
     return replace(
         model,
         omega=model.omega[kept],
         damp=model.damp[kept],
         gain=model.gain[kept],
-        massless=massless,
-    )
-
-
-def _farad(omega: np.ndarray, watch: Watch) -> np.ndarray:
-    """Capacitance of every mode's two states."""
-    return STATE * np.minimum(1.0, (omega / (watch.full * omega.min())) ** watch.power)
-
-
-def _head(
-    header: Header,
-    name: str,
-    told: tuple[str, str],
-    pins: tuple[Pin, ...],
-    params: tuple[Param, ...],
-    order: int,
-    certificate: object,
-) -> str:
-    title, rating = told
-    band, rom = "", ""
-    if certificate is not None:
-        band = f" up to {certificate.band_hz[1]:g} Hz"  # type: ignore[attr-defined]
-        rom = rom_line(order, certificate)  # type: ignore[arg-type]
-    return part_header(
-        header,
-        f"{name}: {title}",
-        pins,
-        params,
-        rom=rom,
-        sign=OUTWARDS,
-        rating=rating,
-        validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
-        "built-in materials); no hysteresis, depolarisation or heating",
+        massless=int(np.count_nonzero(kept & (model.inertia == 0.0))),
     )
 
 
 # ------------------------------------------------------------------------------------- blocks
 
 
-@dataclass(frozen=True)
-class _State:
-    index: int
-    cards: list[_Card]
-    drives: list[_Card]
-    held: bool
-
-
-@dataclass(frozen=True)
-class _Block:
-    states: list[_State]
-    what: str
-
-    @property
-    def first(self) -> int:
-        return self.states[0].index
-
-    @property
-    def last(self) -> int:
-        return self.states[-1].index
-
-
 def _blocks(
-    rom: LinearModel, name: str, header: Header, told: tuple[str, str], dense: bool
-) -> Subcircuit:
+    model: BlockModel, rom: LinearModel, terminals: list[_Terminal], base: str
+) -> dict[str, object]:
     """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
     A block is scaled to about 1 V for a constant input of 1 V.
     """
-    terminals = _terminals(rom.ports, rom.D, name)
-    pins, base = _pins(terminals, rom.ports)
-    _check_names(pins, terminals, name)
+    from scipy.linalg import block_diag  # loads what most models do not need
+
     band = rom.certificate.band_hz if rom.certificate else rom.band
     farad = 1 / (2 * np.pi * (band[1] if band else 1.0))
-    from kc2spice.rom.blocks import block_model  # loads what most models do not need
-
-    model = _balanced(block_model(rom, dense=dense), 1 / farad)
-    mass = rom.facts.get("mass_kg")
-    wired = [_block_port(t, terminals, model, base, mass) for t in terminals]
-    if base == "ref":
-        told = (
-            f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs",
-            told[1],
-        )
-    text = render(
-        "rom.j2",
-        header=_head(header, name, told, pins, (), rom.order, rom.certificate),
-        name=checked_name(name),
-        pins=[pin.name for pin in pins],
-        base=base,
-        inputs=[t.pins[0] for t in terminals if t.kind == "input"],
-        ports=[t for t in wired if t.kind not in ("input", "output")],
-        outputs=[t for t in wired if t.kind == "output"],
-        blocks=_block_cards(model, farad, terminals, base),
-        farad=farad,
-        share=FOLLOWED.share,
-        leak=LEAK,
-    )
-    return Subcircuit(name, pins, (), text)
-
-
-def _block_port(
-    t: _Terminal, terminals: list[_Terminal], model: BlockModel, base: str, mass: float | None
-) -> _Terminal:
-    if t.row is None:
-        return t
-    row = model.C[t.row]
-    if t.kind == "acceleration" or (t.kind == "electrical" and not t.clamped):
-        A = np.zeros((model.states,) * 2)
-        start = 0
-        for block in model.blocks:
-            A[start : start + len(block), start : start + len(block)] = block
-            start += len(block)
-        rate, direct = row @ A, row @ model.B  # y' = C A z + C B u
-        if t.kind == "electrical":
-            cards = _through(t, terminals, direct, base) if np.abs(direct).max() > 0 else ()
-            sums = _nonzero(rate, base) + tuple(replace(c, label=f"t{c.label}") for c in cards)
-            return replace(t, sums=sums)
-        through = -(rate @ model.B)  # F = m a - y'', y'' = C A^2 z + C A B u
-        through[t.column] = 0.0 if mass is None else mass + through[t.column]
-        return replace(
-            t, sums=_nonzero(-(rate @ A), base), through=_through(t, terminals, through, base)
-        )
-    return replace(
-        t, sums=_nonzero(row / _unit(t.kind), base), through=_direct(t, terminals, model.D, base)
-    )
-
-
-def _nonzero(row: np.ndarray, base: str, shift: int = 0) -> tuple[_Card, ...]:
-    return tuple(
-        _Card(f"{shift + k + 1}", f"z{shift + k + 1}", base, float(value))
-        for k, value in enumerate(row)
-        if value != 0
-    )
-
-
-def _balanced(model: BlockModel, omega: float) -> BlockModel:
-    """Complex pairs as ``[[a, w], [-w, a]]``, each block about 1 for a constant input of 1."""
-    blocks, B, C = [], model.B.copy(), model.C.copy()
-    start = 0
+    B, C = model.B.copy(), model.C.copy()
+    scaled, held, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
         start += len(block)
-        scale = np.ones(len(block))
-        if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
-            scale[1] = np.sqrt(-block[1, 0] / block[0, 1])
-        block = block * scale / scale[:, None]
-        drive = B[rows] / scale[:, None]
-        answer = drive / omega if _free(block, omega) else np.linalg.solve(block, drive)
-        scale = scale * (np.abs(answer).max(initial=0.0) or 1.0)
+        block, free, scale = _balanced(block, B[rows], 1 / farad)
         B[rows] /= scale[:, None]
         C[:, rows] *= scale
-        blocks.append(block)
-    return replace(model, blocks=tuple(blocks), B=B, C=C)
-
-
-def _free(block: np.ndarray, omega: float) -> bool:
-    return bool(np.linalg.svd(block, compute_uv=False)[-1] < FREE * omega)
-
-
-def _block_cards(
-    model: BlockModel, farad: float, terminals: list[_Terminal], base: str
-) -> list[_Block]:
-    inputs = [(t.column, t) for t in terminals if t.column is not None]
-
-    def drives(state: int) -> list[_Card]:
-        row = farad * model.B[state]
-        return [
-            _Card(f"{column + 1}", *t.control(base), float(row[column]))
-            for column, t in inputs
-            if row[column] != 0
+        scaled.append(block)
+        held.append(free)
+    numbers = [f"{k}" for k in range(1, start + 1)]
+    units = [[t.unit] for t in terminals if t.row is not None]
+    states = _States(
+        [f"z{k}" for k in numbers], numbers, block_diag(*scaled), B, C / np.array(units)
+    )
+    blocks, at = [], 0
+    for block, free in zip(scaled, held, strict=True):
+        first, at = at, at + len(block)
+        found = [
+            {
+                "index": k + 1,
+                "cards": states.cards(farad * states.A[k], base),
+                "drives": [
+                    t.driven(f"{t.column + 1}", farad * B[k], base)
+                    for t in terminals
+                    if t.column is not None and B[k, t.column]
+                ],
+                "held": free,
+            }
+            for k in range(first, at)
         ]
+        told = {"first": first + 1, "last": at, "what": _description(block)}
+        blocks.append(told | {"states": found})
+    wired = _wired(terminals, states, model.D, rom, base)
+    return {
+        "inputs": [t.pins[0] for t in terminals if t.kind == "input"],
+        "ports": [t for t in wired if t.port.conservative],
+        "outputs": [t for t in wired if t.kind == "output"],
+        "blocks": blocks,
+        "farad": farad,
+        "share": FOLLOWED.share,
+    }
 
-    blocks: list[_Block] = []
-    start = 0
-    for block in model.blocks:
-        free = _free(block, 1 / farad)
-        states = [
-            _State(start + i + 1, list(_nonzero(farad * row, base, start)), drives(start + i), free)
-            for i, row in enumerate(block)
-        ]
-        blocks.append(_Block(states, _description(block)))
-        start += len(block)
-    return blocks
+
+def _balanced(
+    block: np.ndarray, drive: np.ndarray, omega: float
+) -> tuple[np.ndarray, bool, np.ndarray]:
+    """A block, a complex pair as ``[[a, w], [-w, a]]``; whether it integrates constant inputs; the
+    scale of its states, about 1 for a constant input of 1."""
+    scale = np.ones(len(block))
+    if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
+        scale[1] = np.sqrt(-block[1, 0] / block[0, 1])
+    block, drive = block * scale / scale[:, None], drive / scale[:, None]
+    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < FREE * omega)
+    answer = drive / omega if free else np.linalg.solve(block, drive)
+    return block, free, scale * (np.abs(answer).max(initial=0.0) or 1.0)
 
 
 def _description(block: np.ndarray) -> str:
     """Poles of a block in a word for the reader."""
     found = np.linalg.eigvals(block)
-    found = found[found.imag >= 0]
-    texts = []
-    for pole in found:
-        if pole.imag > 0:
-            ratio = 0.0 - pole.real / abs(pole)  # never -0
-            texts.append(f"{abs(pole) / (2 * np.pi):.6g} Hz, damping ratio {ratio:.6g}")
-        else:
-            texts.append(f"pole {pole.real:.6g} 1/s")
-    shown = "; ".join(texts[:3])
-    return shown if len(texts) <= 3 else f"{shown}; and {len(texts) - 3} more"
+    texts = [
+        f"{abs(pole) / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / abs(pole):.6g}"
+        if pole.imag > 0
+        else f"pole {pole.real:.6g} 1/s"
+        for pole in found[found.imag >= 0]
+    ]
+    more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
+    return "; ".join(texts[:3]) + more

@@ -1,6 +1,6 @@
 """The error of every metric, from runs of the same scene with its numerical settings refined.
 
-A refined run moves all axes of the scene (:mod:`kc2spice.scene.axes`) by a notch; what a metric
+A refined run moves all axes of the scene (:mod:`kc2spice.scene.plan`) by a notch; what a metric
 changes by is its estimated error, times :data:`REMAINDER`. A scene with an ``error_budget`` goes
 along the axis with the largest share, which is what moving it alone changes, until the estimate
 holds for every metric, or says what it tried.
@@ -9,26 +9,19 @@ holds for every metric, or says what it tried.
 from __future__ import annotations
 
 import math
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.scene.axes import Axis, axes, keys_at
 from kc2spice.scene.judge import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.scene.plan import Axis, axes, keys_at
 from kc2spice.scene.settings import Action
 from kc2spice.sim.retries import Outcome
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.simulate import simulate
+from kc2spice.workflow.refine import Run, changes, evaluate, measured
 
 MOST = 16  # runs besides the scene's own
 LIMIT = 1e-2  # error_budget where checks.reduction asks without one
@@ -47,8 +40,7 @@ class Tried:
 
     notches: Mapping[str, int]
     settings: Mapping[str, Any]
-    build: Build
-    outcome: Outcome
+    run: Run
     errors: Mapping[str, float] = field(default_factory=dict)
     unmoved: tuple[str, ...] = ()
 
@@ -66,8 +58,8 @@ class Tried:
         """Its row of ``result.json``."""
         return {
             "settings": dict(self.settings),
-            "errors": {name: _plain(error) for name, error in self.errors.items()},
-            "unmoved": list(self.unmoved),
+            "errors": dict(self.errors),
+            "unmoved": self.unmoved,
         }
 
 
@@ -86,15 +78,11 @@ class Converged:
         return {
             "budget": self.check.limit,
             "held": self.check.passed,
-            "errors": {name: _plain(error) for name, error in self.taken.errors.items()},
-            "shares": {name: _plain(error) for name, error in self.shares.items()},
-            "unmoved": list(self.taken.unmoved),
+            "errors": dict(self.taken.errors),
+            "shares": dict(self.shares),
+            "unmoved": self.taken.unmoved,
             "tried": [each.record() for each in self.tried],
         }
-
-
-def _plain(error: float) -> float | None:
-    return error if math.isfinite(error) else None
 
 
 def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
@@ -109,7 +97,7 @@ def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
     limit = budget or LIMIT
     found = axes(scene, build)
     runs = _Runs(build, found, clock)
-    now = Tried({}, {}, build, outcome)
+    now = Tried({}, {}, measured(build, outcome))
     tried: list[Tried] = []
     shares: dict[str, float] = {}
     why, last, stalls = "", math.inf, 0
@@ -197,46 +185,13 @@ class _Runs:
         own = self.build
         try:
             scene = load_scene(own.scene, settings)
-            build = build_models(scene, self.clock, trust=own.trust, functions=own.functions)
-            with (
-                self.clock.stage("refined run", names),
-                tempfile.TemporaryDirectory() as folder,
-            ):
-                outcome = simulate(build, make_deck(build), Path(folder))
+            found = evaluate(scene, self.clock, names, trust=own.trust, functions=own.functions)
         except (SimulationError, UsageError):
             return None
-        return Tried(notches, settings, build, outcome)
+        return Tried(notches, settings, found)
 
 
 def _differences(one: Tried, other: Tried) -> dict[str, float]:
-    """Estimated relative error of each metric of ``one``; a curve's is of its largest value, that
-    of a small number of :data:`NEAR_ZERO` of the largest in its unit. A curve over other points of
-    an analysis is interpolated to those of ``one``."""
-    ours, theirs = (dict(_numbers(metrics(t.outcome.waves, t.build))) for t in (one, other))
-    scales = [next(iter(t.outcome.waves.data.values())).real for t in (one, other)]
-    largest: dict[str, float] = {}
-    for name, value in theirs.items():
-        unit = name.rpartition("_")[2]
-        largest[unit] = max(largest.get(unit, 0.0), float(np.abs(value).max(initial=0.0)))
-    found = {}
-    for name, value in theirs.items():
-        mine = ours.get(name)
-        if mine is not None and value.shape == scales[1].shape and mine.shape == scales[0].shape:
-            value = np.interp(scales[0], scales[1], value)
-        if mine is None or mine.shape != value.shape or not np.isfinite(mine).all():
-            found[name] = math.inf
-            continue
-        scale = max(float(np.abs(value).max()), NEAR_ZERO * largest[name.rpartition("_")[2]])
-        apart = float(np.abs(mine - value).max())
-        found[name] = REMAINDER * apart / scale if scale else 0.0
-    return found
-
-
-def _numbers(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _numbers(value, f"{prefix}{key}.")
-        elif isinstance(value, (bool, int, float, list, np.ndarray, np.number)):
-            array = np.asarray(value)
-            if array.dtype.kind in "bif" and array.size and np.isfinite(array.astype(float)).all():
-                yield f"{prefix}{key}", array.astype(float)
+    """Estimated relative error of each metric of ``one``."""
+    found = changes(one.run, other.run, NEAR_ZERO)
+    return {name: REMAINDER * change for name, change in found.items()}

@@ -9,13 +9,11 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
-from kc2spice.netlist.array import array_deck
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.dialect import DECKS, DIALECTS, dialect_files
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.plotscript import plot_script
 from kc2spice.netlist.statements import statements
-from kc2spice.netlist.symbol import symbol_files
+from kc2spice.netlist.transforms import array_deck
+from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, plot_script, symbol_files
 from kc2spice.scene.compose import composed
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
@@ -53,7 +51,7 @@ def export(
         )
     clock = Clock(progress)
     with staged(out) as work:
-        build = build_models(composed(replace(scene, exported=True)), clock, trust=trust)
+        build = build_models(composed(replace(scene, ports="declared")), clock, trust=trust)
         with clock.stage("export", "netlists and symbols"):
             deck = _linted(build)
             if count is not None:

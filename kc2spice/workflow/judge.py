@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,11 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     scene = build.scene
     parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
     checks = [check for part in parts for check in part.type.checks(part, build, waves)]
-    checks += step_checks(build, waves)
-    balances: dict[str, Balance] = {}
-    if scene.checks.energy != "off":
-        for part in parts:
-            balances |= part.type.energy(part, build, waves)
+    drawn = {part.name: part.type.energy(part, build, waves) for part in parts}
+    balances = {name: found for name, found in drawn.items() if found is not None}
+    checks += step_checks(build, waves, balances)
+    if scene.checks.energy == "off":
+        balances = {}
     checks += _balanced(balances, build)
     return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()))
 
@@ -64,6 +65,15 @@ def metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     return own | {name: take(probe, waves, name) for name, probe in scene.probes.items()}
 
 
+def probed(name: str, probe: Probe, waves: Waveforms) -> dict[str, float | None]:
+    """What a probe takes by its name, nothing where these waves do not have its vector or end
+    before its place."""
+    scale = next(iter(waves.data.values()))
+    if probe.of not in waves or (probe.at is not None and abs(probe.at) > abs(scale[-1])):
+        return {}
+    return {name: take(probe, waves, name)}
+
+
 def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
     """What a probe takes of its vector; None for crossings or cycles that do not happen.
 
@@ -83,23 +93,10 @@ def take(probe: Probe, waves: Waveforms, name: str) -> float | None:
         values = waves[probe.of]
     if probe.at is not None:
         return _value(scale.real, waves[probe.of], probe.at, name)
-    if probe.take == "argmax":
-        return float(scale[values.argmax()].real)
-    if probe.take == "max":
-        return float(values.max())
-    if probe.take == "min":
-        return float(values.min())
-    if probe.take == "final":
-        return float(values[-1])
-    if probe.take == "peak_to_peak":
-        return float(np.ptp(values))
-    if probe.take == "mean":
-        return float(np.trapezoid(values, scale) / np.ptp(scale))
-    if probe.take == "rms":
-        return float(np.sqrt(np.trapezoid(values**2, scale) / np.ptp(scale)))
-    if probe.take == "frequency":
-        return frequency(scale, values)
-    return crossing(scale, values, float(probe.level or 0.0))
+    if probe.take == "crossing":
+        return crossing(scale, values, float(probe.level or 0.0))
+    found = _TAKEN[probe.take](scale, values)
+    return None if found is None else float(found)
 
 
 def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
@@ -115,6 +112,23 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
         return None
     places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
     return float((k.size - 1) / (places[-1] - places[0]))
+
+
+def _mean(scale: np.ndarray, values: np.ndarray) -> float:
+    return float(np.trapezoid(values, scale) / np.ptp(scale))
+
+
+# Of the scale (n,) and the values (n,): what a probe takes under that name.
+_TAKEN: dict[str, Callable[[np.ndarray, np.ndarray], float | None]] = {
+    "argmax": lambda scale, values: scale[values.argmax()].real,
+    "max": lambda scale, values: values.max(),
+    "min": lambda scale, values: values.min(),
+    "final": lambda scale, values: values[-1],
+    "peak_to_peak": lambda scale, values: np.ptp(values),
+    "mean": _mean,
+    "rms": lambda scale, values: math.sqrt(_mean(scale, values**2)),
+    "frequency": frequency,
+}
 
 
 def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:

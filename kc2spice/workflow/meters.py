@@ -1,4 +1,5 @@
-"""Currents and powers that probes ask for, of every part with electrical pins."""
+"""What is read of a deck and what moves it: vectors of the parts, currents and powers that probes
+ask for, the source of a dc sweep."""
 
 from __future__ import annotations
 
@@ -7,15 +8,40 @@ from dataclasses import replace
 
 import numpy as np
 
+from kc2spice.core.errors import UsageError
+from kc2spice.core.units import quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.compose import electrical, metered
-from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import Build, Vector
+from kc2spice.scene.keys import model_keys
+from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.parttype import Build, Swept, Vector
 
 Pairs = tuple[tuple[str, str], ...]  # names of a voltage and of the current that belongs to it
 
 
-def meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
+def replaced(scene: Scene) -> set[str]:
+    """Parts without cards of their own, as those of others have copies of them."""
+    return {name for part in scene.parts.values() for name in part.type.replaces(part, scene)}
+
+
+def result_vectors(build: Build) -> dict[str, Vector]:
+    """Results of all parts that have an instance of their own.
+
+    Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
+    which is no response: they are no results there.
+    """
+    copied = replaced(build.scene)
+    found: dict[str, Vector] = {}
+    for part in build.scene.parts.values():
+        if part.name not in copied:
+            found |= part.type.vectors(part, build)
+    found |= _meter_vectors(build, found)
+    if build.scene.analysis.type == "ac":
+        return {name: each for name, each in found.items() if "@" not in each.expression}
+    return found
+
+
+def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
     """Results ``PART.PIN.current`` [A], into the part, and ``PART.PIN.potential`` [V] of pins with
     a meter, and ``PART.current``, that of the first pin."""
     found: dict[str, Vector] = {}
@@ -68,3 +94,32 @@ def _asked(build: Build, what: str) -> list[Part]:
         if p.of.partition(".")[2] == what
     )
     return [build.scene.parts[name] for name in names if name in build.scene.parts]
+
+
+def swept(build: Build) -> tuple[Part, str, Swept]:
+    """Part and key that a dc analysis moves, with source and range.
+
+    Raises
+    ------
+    UsageError : no source has that key.
+    """
+    scene = build.scene
+    name, _, key = str(scene.analysis.sweep).partition(".")
+    part = scene.part(name, "analysis.sweep")
+    found = part.type.settable(part, build).get(key)
+    if not isinstance(found, Swept):
+        raise UsageError(
+            "cannot be swept by dc",
+            where="analysis.sweep",
+            got=str(scene.analysis.sweep),
+            expected="the dc value of a source, such as push.dc",
+            hint="kc2spice sweep varies any key, one run each",
+        )
+    return part, key, replace(found, range=found.range or _range(part, key, scene.analysis))
+
+
+def _range(part: Part, key: str, chosen: object) -> tuple[float, float]:
+    units = {each.name: each.unit for each in model_keys(type(part.keys))}
+    unit = getattr(part.keys, "unit", None) or units.get(key) or ""
+    first, last = (quantity(getattr(chosen, name), unit) for name in ("from_", "to"))
+    return first, last

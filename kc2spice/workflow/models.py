@@ -37,7 +37,7 @@ def build_models(
 def model_facts(build: Build) -> dict[str, dict[str, float]]:
     """``model`` of ``result.json``: the numbers by which an engineer knows the parts."""
     parts = build.scene.parts.values()
-    facts = {part.name: dict(part.type.facts(part, build)) for part in parts}
+    facts = {part.name: dict(build.facts(part)) for part in parts}
     return {name: found for name, found in facts.items() if found}
 
 
@@ -49,10 +49,17 @@ def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
 
 def rom_facts(build: Build) -> dict[str, Any]:
     """``rom`` of ``result.json``, that of the first part with a reduced model; ``roms`` of all."""
-    parts = build.scene.parts.values()
-    found = {part.name: part.type.rom(part, build) for part in parts}
-    reduced = {name: rom for name, rom in found.items() if rom is not None}
+    reduced = {n: _rom(m) for n, m in build.models.items() if isinstance(m, LinearModel)}
     if not reduced:
         return {}
     first = {"rom": next(iter(reduced.values()))}
     return first | {"roms": reduced} if len(reduced) > 1 else first
+
+
+def _rom(model: LinearModel) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "order": model.order,
+        "ports": [port.name for port in model.ports],
+        "massless": 0 if model.M is None else int((model.M.diagonal() == 0).sum()),
+    }
+    return found if model.certificate is None else found | model.certificate.record()

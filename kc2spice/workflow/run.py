@@ -8,18 +8,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.version import __version__
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.plotscript import plot_script
+from kc2spice.netlist.translate import plot_script
 from kc2spice.report.figures import draw_all, require_matplotlib
-from kc2spice.report.probe_figures import probe_figures
-from kc2spice.report.run_page import write_run
+from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -28,11 +24,12 @@ from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
 from kc2spice.workflow.converge import Converged, converge
-from kc2spice.workflow.decks import edited_deck, edits, make_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.edited import edited_deck
 from kc2spice.workflow.judge import metrics, probe_units
 from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
 from kc2spice.workflow.results import plain, write_record, write_waveforms
-from kc2spice.workflow.simulate import forget_failure, kept_on_failure, simulate, warn_of
+from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
 
 @dataclass(frozen=True)
@@ -47,10 +44,12 @@ class Completed:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """What the parts show of it."""
-        waves = self.outcome.waves
-        probed = probe_figures(self.build.scene.probes, waves, self.outcome.deck.units)
-        return (*probed, *run_figures(self.build, waves))
+        """What its probes and parts show of it."""
+        build, waves = self.build, self.outcome.waves
+        found = [*probe_figures(build.scene.probes, waves, self.outcome.deck.units)]
+        for part in build.scene.parts.values():
+            found += part.type.figures(part, build, waves)
+        return tuple(found)
 
 
 def run(
@@ -81,9 +80,7 @@ def run(
     with staged(out) as work:
         with kept_on_failure(work, out, scene.name):
             done = complete(scene, work, progress, trust=trust, deck=deck)
-        record = write_run_files(done, work, keep=keep, png=png)
-    forget_failure(out)
-    return record
+        return write_run_files(done, work, keep=keep, png=png)
 
 
 def complete(
@@ -109,9 +106,10 @@ def complete(
     while True:
         build = build_models(scene, clock, trust=trust, functions=functions)
         with clock.stage("export", "netlists"):
-            chosen = make_deck(build) if deck is None else edited_deck(build, deck)
-            if deck is not None:
-                build = replace(build, unjudged=build.unjudged | edits(build, chosen))
+            if deck is None:
+                chosen = make_deck(build)
+            else:
+                chosen, build = edited_deck(build, deck)
             lint(chosen)  # wrong wiring is named with file and line before a simulator sees it
             write_files(chosen.files, work)
         try:
@@ -145,10 +143,11 @@ def _judged(
             f"error_budget {found.check.limit:g}: finer {told}; the deck and models are those",
             stacklevel=2,
         )
-        write_files(taken.outcome.deck.files, work)
+        write_files(taken.run.outcome.deck.files, work)
     require((found.check,), build.scene.name)
-    verdict = replace(taken.outcome.verdict, checks=(*taken.outcome.verdict.checks, found.check))
-    return taken.build, replace(taken.outcome, verdict=verdict), found
+    build, outcome = taken.run.build, taken.run.outcome
+    verdict = replace(outcome.verdict, checks=(*outcome.verdict.checks, found.check))
+    return build, replace(outcome, verdict=verdict), found
 
 
 def write_run_files(
@@ -162,7 +161,8 @@ def write_run_files(
         script = plot_script(deck)
         write_files(script, work)
         files = [*sorted(deck.files | script), *write_waveforms(waves, deck.units, work)]
-        files += [*_arrays(done.build, work), *_own_files(done.build, waves, work)]
+        for part in scene.parts.values():
+            files += part.type.write(part, done.build, waves, work)
         files += draw_all(work, shown) if png else []
     record["wall_s"] = done.clock.wall_s
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
@@ -175,33 +175,12 @@ def write_run_files(
     return cast(dict[str, Any], plain(record))
 
 
-def run_figures(build: Build, waves: Waveforms) -> tuple[Figure, ...]:
-    """What the parts of a scene show of a run."""
-    parts = build.scene.parts.values()
-    return tuple(figure for part in parts for figure in part.type.figures(part, build, waves))
-
-
-def _arrays(build: Build, directory: Path) -> list[str]:
-    """Write the parts' tables, and return the names of the files."""
-    names = []
-    for part in build.scene.parts.values():
-        for name, arrays in part.type.arrays(part, build).items():
-            np.savez_compressed(directory / name, **arrays)
-            names.append(name)
-    return names
-
-
-def _own_files(build: Build, waves: Waveforms, directory: Path) -> list[str]:
-    """What the parts write themselves, as fields of bodies."""
-    parts = build.scene.parts.values()
-    return [name for part in parts for name in part.type.write(part, build, waves, directory)]
-
-
 def run_record(done: Completed) -> dict[str, Any]:
     """``result.json`` without the names of files."""
-    build, simulator, outcome = done.build, done.simulator, done.outcome
+    build, simulator, outcome, step = done.build, done.simulator, done.outcome, done.build.largest
     waves, attempts, found = outcome.waves, outcome.attempts, outcome.verdict
-    record: dict[str, Any] = {
+    converged = {} if done.converged is None else {"convergence": done.converged.record()}
+    return {
         "scene": build.scene.name,
         "version": __version__,
         "netlist": outcome.deck.main,
@@ -213,16 +192,12 @@ def run_record(done: Completed) -> dict[str, Any]:
             "attempts": [attempt.record() for attempt in attempts],
         },
         "model": model_facts(build),
-    }
-    record |= rom_facts(build) | {"modes": mode_tables(build)}
-    if done.converged is not None:
-        record["convergence"] = done.converged.record()
-    record |= {
+        **rom_facts(build),
+        "modes": mode_tables(build),
+        **converged,
         # a sweep or an operating point has no time points
         "steps": {name: int(waves.stats.get(name, 0)) for name in ("accepted", "rejected")},
-        "largest_step": None
-        if build.largest is None
-        else {"s": build.largest.step, "why": build.largest.why},
+        "largest_step": None if step is None else {"s": step.step, "why": step.why},
         "simulator_cpu_s": waves.stats.get("cpu_s"),
         "metrics": metrics(waves, build),
         "metric_units": probe_units(build.scene.probes, waves, outcome.deck.units),
@@ -231,4 +206,3 @@ def run_record(done: Completed) -> dict[str, Any]:
         "plan": asdict(plan(build.scene, build)),
         "wall_s": done.clock.wall_s,
     }
-    return record

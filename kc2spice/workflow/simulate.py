@@ -15,11 +15,10 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.judge import Check, Verdict
-from kc2spice.scene.parttype import Build
+from kc2spice.scene.parttype import Build, Sampled
 from kc2spice.sim.retries import Outcome, RetriesFailedError, run_with_retries
-from kc2spice.workflow.decks import result_vectors
 from kc2spice.workflow.judge import verdict
-from kc2spice.workflow.meters import powers, with_powers
+from kc2spice.workflow.meters import powers, result_vectors, with_powers
 from kc2spice.workflow.results import save_arrays, write_record
 
 PARTIAL = "waveforms.partial.npz"
@@ -35,9 +34,8 @@ def simulate(
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Outcome:
-    """Run ``deck`` with the scene's retries, its result judged by the scene's parts.
-
-    Where a deck edited by hand is not wired as the scene, that is a warning.
+    """Run ``deck`` with the scene's retries, its result judged by the scene's parts; where a deck
+    edited by hand is not wired as the scene, that is a warning.
 
     Raises as :func:`run_with_retries` does.
     """
@@ -49,28 +47,41 @@ def simulate(
         checks = (replace(c, action="warn") if c.wiring else c for c in found.checks)
         return Verdict(tuple(checks), found.balances)
 
-    sampled = [
-        function
-        for part in build.scene.parts.values()
-        if (function := part.type.sampled(part, build)) is not None
-    ]
-
-    def shared(tried: Deck) -> Waveforms:
-        from kc2spice.sim.loop import run_shared
-
-        return run_shared(tried, sampled, progress)
-
     found = run_with_retries(
         deck,
         directory,
         retries=build.scene.solver.retries if retries is None else retries,
         judge=judge,
-        engine=shared if sampled else None,
+        engine=shared_engine(build, progress),
         progress=progress,
         timeout=timeout,
     )
     pairs = powers(build, result_vectors(build))
     return replace(found, waves=with_powers(found.waves, pairs))
+
+
+def shared_engine(
+    build: Build, progress: Callable[[float], None] | None = None
+) -> Callable[[Deck], Waveforms] | None:
+    """The simulator's library, where functions set sources of the scene while it runs.
+
+    Raises
+    ------
+    UsageError : a function stands in a file that is not trusted.
+    """
+    sampled = [
+        each
+        for part in build.scene.parts.values()
+        for each in part.type.settable(part, build).values()
+        if isinstance(each, Sampled)
+    ]
+
+    def shared(deck: Deck) -> Waveforms:
+        from kc2spice.sim.shared import run_shared
+
+        return run_shared(deck, sampled, progress)
+
+    return shared if sampled else None
 
 
 def warn_of(checks: Iterable[Check]) -> None:
@@ -85,25 +96,18 @@ def warn_of(checks: Iterable[Check]) -> None:
 
 @contextmanager
 def kept_on_failure(work: Path, out: Path, scene: str) -> Iterator[None]:
-    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
-
-    No result is looked for there; ``failure.json`` says what the files are.
-    """
+    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
+    succeeds. No result is looked for there; ``failure.json`` says what the files are."""
+    kept = _kept(Path(out).absolute())
     try:
         yield
     except SimulationError as error:
-        kept = _kept(Path(out).absolute())
         with contextlib.suppress(OSError):  # a full disk must not hide the first error
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(work, kept)
             _write_failure(error, kept, scene)
             error.where = error.where and error.where.replace(str(work), str(kept))
         raise
-
-
-def forget_failure(out: Path) -> None:
-    """Remove what :func:`kept_on_failure` kept of a run into ``out``: a later one succeeded."""
-    kept = _kept(Path(out).absolute())
     if (kept / FAILURE).is_file():
         shutil.rmtree(kept, ignore_errors=True)
 

@@ -10,17 +10,19 @@ in closed form, and so does the largest step that keeps it within :data:`AMPLITU
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.judge import Check
+from kc2spice.report.words import quantity
+from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.parttype import Build, StepLimit, Vector, time_scales
+from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
     from kc2spice.reference.linear import Motion
@@ -58,38 +60,35 @@ def largest_step(build: Build) -> StepLimit:
         [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *found],
         key=lambda limit: limit.step,
     )
-    motions, whole = _motions(build)
+    parts, missing = _circuits(build)
+    motions = [_motion(part, scene.stop) for part in parts]
+    whole = not missing and all(motion is not None and motion.linear.exact for motion in motions)
     if not whole and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
     rule = RULES[scene.solver.method]
-    limits = [follows(motion, start, rule) for motion in motions]
+    limits = [follows(motion, start, rule) for motion in motions if motion is not None]
     return min([start, *limits], key=lambda limit: limit.step)
 
 
-def _motions(build: Build) -> tuple[list[Motion], bool]:
-    """The motions of the linear circuits, others linearised at rest; and whether that is all."""
-    from kc2spice.workflow.verify.circuit import circuits, without_law
+def _circuits(build: Build) -> tuple[list[Circuit], tuple[str, ...]]:
+    """The circuits that are more than sources, and the parts that are in none."""
+    from kc2spice.workflow.verify.circuit import circuits, without_law  # which load scipy
 
-    found, whole = [], not without_law(build)
     try:
-        parts = circuits(build)
+        found = circuits(build)
     except UsageError:
-        return [], False
-    for circuit in parts:
-        if all(isinstance(law, L.Source) for law in circuit.laws):
-            continue
-        motion = _motion(circuit, build.scene.stop)
-        whole = whole and motion is not None and motion.linear.exact
-        found += [motion] if motion is not None else []
-    return found, whole
+        return [], tuple(build.scene.parts)
+    more = [c for c in found if not all(isinstance(law, L.Source) for law in c.laws)]
+    return more, without_law(build)
 
 
 def _motion(circuit: Circuit, stop: float) -> Motion | None:
+    """Its motion, linearised at rest; None where that has none, or is too large."""
     from kc2spice.reference.linear import Linear
 
     try:
         system = circuit.system()
-        if len(system.M) > SIZE:
+        if system.size > SIZE:
             return None
         linear = Linear(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
@@ -100,26 +99,21 @@ def _motion(circuit: Circuit, stop: float) -> Motion | None:
 # --- rules of integration -------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Rule:
+class Rule(NamedTuple):
     """What a rule makes of ``e^(r t)`` and of a drive ``e^(j w t)`` in equal steps ``h``."""
 
     rates: Callable[[np.ndarray, float], np.ndarray]
     axis: Callable[[np.ndarray, float], np.ndarray]
 
 
-def _trapezoidal(r: np.ndarray, h: float) -> np.ndarray:
-    return np.asarray(np.log((1 + r * h / 2) / (1 - r * h / 2)) / h)
-
-
-def _gear(r: np.ndarray, h: float) -> np.ndarray:
-    return np.asarray(np.log((2 + np.sqrt(1 + 2 * r * h)) / (3 - 2 * r * h)) / h)
-
-
 RULES = {
-    "trap": Rule(_trapezoidal, lambda jw, h: np.asarray(2 / h * np.tanh(jw * h / 2))),
+    "trap": Rule(
+        lambda r, h: np.log((1 + r * h / 2) / (1 - r * h / 2)) / h,
+        lambda jw, h: 2 / h * np.tanh(jw * h / 2),
+    ),
     "gear": Rule(
-        _gear, lambda jw, h: np.asarray((1.5 - 2 * np.exp(-jw * h) + 0.5 * np.exp(-2 * jw * h)) / h)
+        lambda r, h: np.log((2 + np.sqrt(1 + 2 * r * h)) / (3 - 2 * r * h)) / h,
+        lambda jw, h: (1.5 - 2 * np.exp(-jw * h) + 0.5 * np.exp(-2 * jw * h)) / h,
     ),
 }
 
@@ -138,15 +132,12 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
         return start
     resonant = modes.quality > RESONANT
 
-    def errors(h: float) -> tuple[float, float]:
+    def good(h: float) -> bool:
         def rates(own: np.ndarray) -> np.ndarray:
             return np.where(resonant, rule.rates(own, h), own)
 
         tried = motion.at(t, outputs, rates, lambda jw: rule.axis(jw, h))
-        return deviation(t, tried, exact)
-
-    def good(h: float) -> bool:
-        amplitude, shape = errors(h)
+        amplitude, shape = deviation(t, tried, exact)
         points = motion.stop / h
         return (amplitude <= AMPLITUDE or points >= MOST) and (shape <= SHAPE or points >= MANY)
 
@@ -162,18 +153,11 @@ def follows(motion: Motion, start: StepLimit, rule: Rule) -> StepLimit:
     lasting = np.minimum(-1 / np.minimum(modes.rates.real, -1e-30), motion.stop)
     worst = int(np.argmax(np.where(resonant, heard.max(axis=1) * delay * lasting, -1.0)))
     quality = modes.quality[worst]
-    text = f"a motion at {_hertz(abs(modes.rates[worst]) / (2 * math.pi))}, " + (
-        f"Q {quality:.3g}" if quality < 1e6 else "undamped"
-    )
-    driven = [f"sine at {_hertz(wave.frequency)}" for _, wave in motion.sines]
+    frequency = quantity(abs(modes.rates[worst]) / (2 * math.pi), "Hz", 4)
+    damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
+    text = f"a motion at {frequency}, {damped}"
+    driven = [f"sine at {quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join([text, *dict.fromkeys(driven)]))
-
-
-def _hertz(f: float) -> str:
-    for unit, size in (("MHz", 1e6), ("kHz", 1e3)):
-        if f >= size:
-            return f"{f / size:.4g} {unit}"
-    return f"{f:.4g} Hz"
 
 
 def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
@@ -195,7 +179,7 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
 # --- what a run did -------------------------------------------------------------------------------
 
 
-def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
+def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance]) -> Iterator[Check]:
     """What the steps of a run did to its waves.
 
     Waves of a linear circuit are held against its exact motion, unless a contact decides on the
@@ -211,27 +195,20 @@ def step_checks(build: Build, waves: Waveforms) -> Iterator[Check]:
     worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
         yield _check("steps against the exact motion", worst)
-    for part in scene.parts.values():
-        if part.name in exact or part.name in build.unjudged:
+    for part, balance in balances.items():
+        if part in exact:
             continue
-        found = part.type.exact_outputs(part, build, waves)
-        pairs = [(ours, true, name) for name, (ours, true) in found.items() if true.any()]
+        pairs = [(*both, name) for name, both in balance.exact.items() if both[1].any()]
         own = [(*deviation(waves["time"], a[:, None], b[:, None]), name) for a, b, name in pairs]
         if own:
-            check = _check(f"steps of {part.name} against its exact answer", max(own))
+            check = _check(f"steps of {part} against its exact answer", max(own))
             yield replace(check, action="warn") if decided else check
 
 
 def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
     """The largest deviation of any wave of a linear circuit, and the parts of these circuits."""
-    from kc2spice.workflow.decks import result_vectors
-    from kc2spice.workflow.verify.circuit import circuits, without_law
-
-    missing, exact, worst = set(without_law(build)), set[str](), (0.0, 0.0, "")
-    try:
-        parts = circuits(build)
-    except UsageError:
-        parts = ()
+    exact, worst = set[str](), (0.0, 0.0, "")
+    parts, missing = _circuits(build)
     for circuit in parts:
         if _meets(build, circuit, missing):
             continue
@@ -248,7 +225,7 @@ def _check(name: str, found: tuple[float, float, str]) -> Check:
     return Check(name, amplitude, FAIL, f"of the rms of {wave}", told, coarse=True, wiring=True)
 
 
-def _meets(build: Build, circuit: Circuit, missing: set[str]) -> bool:
+def _meets(build: Build, circuit: Circuit, missing: Sequence[str]) -> bool:
     """Whether a part without law is joined to this circuit."""
     own = {law.name.partition(".")[0] for law in circuit.laws}
     scene = build.scene
@@ -264,6 +241,8 @@ def _worst(
     circuit: Circuit, motion: Motion, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
     """Of every wave but those that are rounding beside others of their unit, or by themselves."""
+    from kc2spice.workflow.verify.circuit import read
+
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
     # where currents jump, and a point may lie on either side; an edge may begin at the end
@@ -271,19 +250,14 @@ def _worst(
     near = np.searchsorted(corners, time[pick])
     gap = [np.abs(time[pick] - corners[np.clip(near + k, 0, corners.size - 1)]) for k in (-1, 0)]
     pick = pick[np.minimum(*gap) > ASIDE * motion.stop]
-    names = motion.linear.names
-    place = {name: k for k, name in enumerate(names)}
-    exact = motion.at(time[pick], np.arange(len(names)))
-    parts = motion.peaks().sum(axis=0)
+    at, names = time[pick], motion.linear.names
+    exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
+    parts = dict(zip(names, motion.peaks().sum(axis=0), strict=True))
     found: dict[str, tuple[np.ndarray, str]] = {}
-    for name, reading in circuit.readings.items():
-        if name not in waves or any(wave not in place for _, wave in reading.terms):
-            continue
-        terms = [(factor, place[wave]) for factor, wave in reading.terms]
-        true = np.asarray(sum(factor * exact[:, k] for factor, k in terms) + reading.constant)
-        size = sum(abs(factor) * parts[k] for factor, k in terms)
+    for name, true in read(circuit, exact, at).items():
+        size = sum(abs(factor) * parts[wave] for factor, wave in circuit.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
-        if np.abs(true).max() > max(TINY * size, LEAST.get(unit, 0.0)):
+        if name in waves and np.abs(true).max() > max(TINY * size, LEAST.get(unit, 0.0)):
             found[name] = true, unit
     largest: dict[str, float] = {}
     for true, unit in found.values():
@@ -291,6 +265,6 @@ def _worst(
     worst = (0.0, 0.0, "")
     for name, (true, unit) in found.items():
         if np.abs(true).max() > BESIDE * largest[unit]:
-            off = deviation(time[pick], waves[name][pick][:, None], true[:, None])
+            off = deviation(at, waves[name][pick][:, None], true[:, None])
             worst = max(worst, (*off, name))
     return worst

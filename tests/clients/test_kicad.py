@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.netlist.symbol import symbol_files
+from kc2spice.netlist.translate import symbol_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.netlist.dialect import dialect_files
+from kc2spice.netlist.translate import dialect_files
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.rawfile import read_raw

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.netlist.dialect import translate
+from kc2spice.netlist.translate import translate
 from kc2spice.sim.ngspice import run_deck, write_deck
 from kc2spice.sim.rawfile import read_raw
 

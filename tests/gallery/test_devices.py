@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.plan import axes
 from kc2spice.workflow.run import run
 from kc2spice.workflow.verify.verify import verify
 
@@ -62,6 +62,22 @@ def within(name, quantity, value):
     entry = PUBLISHED[name][quantity]
     inside = abs(value / entry["value"] - 1) <= entry["tolerance"]
     return inside != (quantity in PUBLISHED[name].get("misses", {}))
+
+
+CASES = [n for n, entry in PUBLISHED.items() if "scene" in entry]
+SOLID = pytest.mark.slow  # three-dimensional
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[SOLID] if n.startswith("piezo") else []) for n in CASES]
+)
+def test_cases_with_complete_inputs_meet_their_targets(name, results):
+    entry = PUBLISHED[name]
+    scene = ROOT / "docs" / "published" / entry["scene"]
+    metrics = results(str(scene), *entry.get("set", []))[0]["metrics"]
+    compared = [key for key, value in entry.items() if key in metrics and "value" in value]
+    assert compared
+    assert all(within(name, quantity, metrics[quantity]) for quantity in compared)
 
 
 def test_new_buzzer_is_a_short_file_and_shows_what_an_analyser_shows(tmp_path, results):

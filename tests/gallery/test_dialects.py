@@ -5,7 +5,7 @@ import re
 import pytest
 
 import kc2spice as kc
-from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate
+from kc2spice.netlist.translate import DIALECTS, dialect_files, translate
 from kc2spice.scene.load import gallery
 
 QUICK = ("buzzer_square", "em_force", "harvester", "impact", "newtons_cradle", "pwm_coil")

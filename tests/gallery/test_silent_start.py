@@ -19,10 +19,10 @@ SHORT = 1e-6  # s: long enough for the operating point and the first steps
 
 def committed(name: str) -> Deck:
     """The scene's committed deck, its transient cut to a microsecond."""
-    folder = NETLISTS / name
-    files = {path.name: path.read_text() for path in folder.glob("*.lib")}
-    main = (folder / f"{name}.cir").read_text()
-    main, found = re.subn(r"(?m)^\.tran \S+ \S+ 0 \S+", f".tran 1e-7 {SHORT} 0 1e-7", main)
+    (path,) = NETLISTS.glob(f"*/{name}.cir")
+    files = {library.name: library.read_text() for library in path.parent.glob("*.lib")}
+    cut = f".tran 1e-7 {SHORT} 0 1e-7"
+    main, found = re.subn(r"(?m)^\.tran \S+ \S+ 0 \S+", cut, path.read_text())
     return Deck(name=name, text=main, more=files, stop=SHORT if found else None)
 
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
 from kc2spice.bodies import disc, langevin
-from kc2spice.bodies.axisymmetric import Block, Electrode, Face, turned
+from kc2spice.bodies.axisymmetric import Block, Face, turned
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
@@ -50,7 +50,7 @@ def static(K, load, rigid=0):
 
 def ceramic(radius, thickness, refine=1, size=None, electrode=None):
     faces = [Face((0, electrode or radius), z) for z in (0, thickness)]
-    electrodes = (Electrode("cathode", faces[:1], "ground"), Electrode("anode", faces[1:]))
+    electrodes = {"cathode": faces[:1], "anode": faces[1:]}
     block = Block((0, radius), (0, thickness), PZT)
     size = size or radius / 10
     return turned([block], electrodes, size=size, refine=refine, damping=UNDAMPED)
@@ -59,9 +59,9 @@ def ceramic(radius, thickness, refine=1, size=None, electrode=None):
 def free(blocks, size):
     """Matrices over all nodes, and their r, z: no support, not even the axis."""
     ports = {"any": Face(blocks[0].r, blocks[0].z[0])}
-    electrodes = ()
+    electrodes = {}
     if blocks[0].material.piezoelectric:
-        electrodes = (Electrode("cathode", (Face(blocks[0].r, blocks[0].z[0]),), "ground"),)
+        electrodes = {"cathode": [Face(blocks[0].r, blocks[0].z[0])]}
     solid = turned(blocks, electrodes, (), ports, size=size, damping=UNDAMPED).solid
     return assemble(solid), solid.basis(1).doflocs
 

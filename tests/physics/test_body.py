@@ -10,7 +10,7 @@ from scipy.sparse.linalg import eigsh
 
 from kc2spice.bodies.bimorph import Bimorph
 from kc2spice.bodies.bimorph import device as bimorph_device
-from kc2spice.bodies.body import Body, device
+from kc2spice.bodies.body import Body, device, ports
 from kc2spice.bodies.disc import Disc
 from kc2spice.bodies.disc import device as disc_device
 from kc2spice.core.errors import UsageError
@@ -108,7 +108,7 @@ def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
             "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0},
             "layers": [{"material": "steel", "thickness": "0.4 mm"},
                        {"material": "PZT-5A", "thickness": "0.3 mm"}],
-        }), beam, refine=2,
+        }), refine=2,
     ).model  # fmt: skip
     found = device(keys(), beam).model
     assert [p.name for p in found.ports] == [p.name for p in parametric.ports]
@@ -276,3 +276,10 @@ def test_pick_that_misses_names_its_point(tmp_path):
 def test_bad_tables(changes, message):
     with pytest.raises(ValidationError, match=message):
         keys(**changes)
+
+
+def test_the_electrode_called_ground_is_the_return_of_all_others():
+    keys = Body(
+        mesh="x.msh", materials={"a": "PZT-5A"}, electrodes={"ground": "low", "anode": "top"}
+    )
+    assert [port.pins for port in ports(keys)] == [("anode", "ground")]

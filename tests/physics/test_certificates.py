@@ -123,6 +123,7 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
     exact, found = (oracle.direct(each, frequency) for each in (plate, oracle.system_of(rom)))
     error = (np.abs(found - exact) / np.abs(exact)).max()
     assert 1e-9 < error <= rom.certificate.error_estimate <= 1e-6
+    assert np.linalg.eigvalsh(rom.K)[0] > 0  # its electrode does not move the whole plate
 
 
 def test_cantilever_of_300_hermite_elements_says_how_good_it_is_itself():

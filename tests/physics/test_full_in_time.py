@@ -66,7 +66,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
         system = assemble(parts, joins)
-        point, waves = operating_point(system).values, ac(system, np.array([1e3, 2.9e4]))
+        point, waves = operating_point(system), ac(system, np.array([1e3, 2.9e4]))
         found.append((point["x.tip"], point["x.anode"], *waves["x.tip"], *waves["x.anode"]))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
     # by hand: 3 nF share the charge 0.3 u; 30 mN lift

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 from scipy.sparse import block_array
 from scipy.sparse.linalg import eigsh, spsolve
 
-from kc2spice.bodies.piezo_stack import ring_shapes, stack_device, stack_setup
+from kc2spice.bodies.piezo_stack import stack_device, stack_setup
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.piezo.keys import Ceramic, Chip
 from kc2spice.fem.piezo.mesh import kick_mesh, level_spans
@@ -160,19 +160,6 @@ def test_several_layers_in_an_element_move_resonances_and_compliance_by_little()
     assert soft[5] == pytest.approx(soft[1], rel=2e-3)
 
 
-def test_permittivity_at_strain_is_taken_as_it_is():
-    kick = Chip(material={"permittivity_at": "strain"}, layers=3, mesh=SMALL)
-    assert 4 * quarter(kick).c_VV == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
-
-
-def test_a_chip_without_coupling_is_a_capacitor_that_nothing_drives():
-    facts = stack_device(Chip(layers=3, mesh=SMALL, material={"coupling": (0, 0, 0)})).model.facts
-    for name in ("capacitance_free_f", "capacitance_clamped_f"):
-        assert facts[name] == pytest.approx(3300 * epsilon_0 * 9e-6 * 9 / 2e-3)
-    assert facts["free_stroke_ring0_m_per_100v"] == 0
-    assert "resonance_short_hz" not in facts
-
-
 def test_slender_stack_rings_at_the_bar_frequency():
     """Clamped-free bar, anode shorted: f = sqrt(1 / (s33 rho)) / (4 h), up to lateral inertia."""
     kick = Chip(
@@ -196,19 +183,6 @@ def test_quadratic_and_refined_meshes_approach_one_resonance():
     coarse, fine, quadratic = first(), first(refine=2), first(order=2)
     assert coarse > fine > quadratic  # Galerkin: from above
     assert (fine - quadratic) < 0.4 * (coarse - quadratic)  # second order
-
-
-def test_ring_shapes_average_and_share_equally():
-    mesh = kick_mesh(Chip())
-    shapes = np.column_stack([shape.weights for shape in ring_shapes(mesh)])
-    np.testing.assert_allclose(shapes.sum(axis=0), 1, rtol=1e-14)
-    x, y, _ = nodes(mesh).T
-    radius = np.zeros(3 * len(x))
-    radius[2::3] = np.hypot(x, y)
-    np.testing.assert_allclose(shapes.T @ radius, 50e-6 * np.arange(6), atol=1e-18)
-    half = np.zeros(3 * len(x))
-    half[2::3] = np.where(x > y + 1e-12, 1.0, np.where(x < y - 1e-12, 0.0, 0.5))
-    np.testing.assert_allclose(shapes.T @ half, 0.5, rtol=1e-12)  # both octants alike
 
 
 def test_impossible_material_is_refused():

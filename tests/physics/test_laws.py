@@ -23,7 +23,7 @@ def balanced(result: Result, share: float) -> bool:
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble(
-        [L.Source("v", "voltage", L.Line.pulse(1.0, 1.0, edge)), L.TwoTerminal("r", 0, 1 / r),
+        [L.Source("v", "voltage", L.Line(((0, 0), (edge, 1)))), L.TwoTerminal("r", 0, 1 / r),
          L.TwoTerminal("l", -1, 1 / ind), L.TwoTerminal("c", 1, c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
@@ -41,8 +41,7 @@ def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     assert np.abs(result.waves["v.out.through"] + np.array(exact)[:, 1]).max() < 1e-7
     assert balanced(result, 1e-9)
     # Half of what the source gives is lost in the end, whatever the resistance (nearly a step).
-    shares = result.energy.shares
-    assert shares["c"].after == pytest.approx(0.5 * c, rel=1e-4)
+    assert result.energy.after["c"] == pytest.approx(0.5 * c, rel=1e-4)
 
 
 def test_sphere_bounces_on_a_spring_without_loss() -> None:
@@ -79,7 +78,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
         [
             piezo("p"),
             L.TwoTerminal("load", 0, 1 / 1e4),
-            L.Source("push", "force", L.Line.pulse(1, 1, 1e-4)),
+            L.Source("push", "force", L.Line(((0, 0), (1e-4, 1)))),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
@@ -107,3 +106,27 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
 def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
     with pytest.raises(SimulationError, match="equilibrium"):
         operating_point(assemble([L.Mass("m", 1.0, gravity=9.81)], {}))
+
+
+def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
+    size, f, mass = 1e-6, 1e3, 1e-3
+    parts = [L.Source("table", "displacement", L.Sine(size, f)), L.Mass("block", mass)]
+    system = assemble(parts, {"x": ["table.out", "block.a"]})
+    times = np.linspace(0.0, 2e-3, 41)
+    result = transient(system, 2e-3, 1e-9, times)
+    w = 2 * np.pi * f
+    exact = mass * size * w**2 * np.sin(w * times)
+    assert np.abs(result.waves["table.out.through"] - exact).max() < 1e-9 * exact.max()
+
+
+def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
+    """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
+    system = assemble(
+        [L.Source("v", "voltage", L.Line(((0, 0), (1e-3, 1)))), L.TwoTerminal("one", -1, 1e3),
+         L.TwoTerminal("two", -1, 0.5e3)],
+        {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
+    )  # fmt: skip
+    times = np.linspace(0.0, 1e-3, 11)
+    waves = transient(system, 1e-3, 1e-9, times).waves
+    np.testing.assert_allclose(waves["two.a"], 2 / 3 * times / 1e-3, atol=1e-9)
+    np.testing.assert_allclose(waves["one.a.through"], times**2 / 2e-3 / 3e-3, atol=1e-9)

@@ -14,7 +14,7 @@ import pytest
 from scipy.special import j0
 
 from kc2spice.bodies.pressure import (
-    Hats,
+    PressureBasis,
     dented,
     dents,
     hats,
@@ -30,7 +30,7 @@ from kc2spice.scene.parttype import Build
 from laboratory.usual.contact import sphere_gap
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
-EVEN = Hats(np.append(SPACING * np.arange(COUNT + 1), [140e-6, 170e-6, 210e-6, PATCH]))
+EVEN = PressureBasis(np.append(SPACING * np.arange(COUNT + 1), [140e-6, 170e-6, 210e-6, PATCH]))
 STEEL = 211.9e9 / (1 - 0.291**2)
 
 
@@ -99,7 +99,7 @@ def test_rings_of_pressure_dent_as_on_a_half_space(material):
 
 @cache
 def graded(spacing):
-    """Hats, what they give beyond a half-space of the same body, and their gaps under a sphere."""
+    """Hats, what they give beyond a half-space of the same body, and their gaps."""
     shape = hats(spacing, PATCH)
     S = dents(Chip(material=steel()), shape)
     whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL))[5, 11]  # the same for all hats

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import j0, spherical_jn
 
-from kc2spice.bodies.pressure import Hats, dented, hats
+from kc2spice.bodies.pressure import PressureBasis, dented, hats
 from kc2spice.bodies.sphere import Sphere, compliance, sphere
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
@@ -130,7 +130,7 @@ def test_the_sphere_swings_as_lamb_says():
         lambda f, n=n: lamb(n, f), 0.5e6, 2.65e6)])  # fmt: skip
     # the oblate mode of nu = 0.291: 0.842 c / 2R (Love 1944, article 196: 0.840 of nu = 1/4)
     assert expected[0] * 2 * R / np.sqrt(MU / DENSITY) == pytest.approx(0.842, abs=2e-3)
-    wide = Hats(np.array([0.0, 60e-6, 120e-6]))
+    wide = PressureBasis(np.array([0.0, 60e-6, 120e-6]))
     model = sphere(BODY, np.array([0.4, 0.6]), wide)
     assert model.facts["mass_kg"] == pytest.approx(4 / 3 * np.pi * R**3 * DENSITY, rel=2e-5)
     small = reduce(model, tolerance=1e-3, band=(0.0, 3e6))

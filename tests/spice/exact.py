@@ -24,48 +24,6 @@ def plain(scene, model):
     )  # fmt: skip
 
 
-def impact(scene, model):
-    """Times, heights of the lowest point and speeds of a thrown sphere, anode open or short."""
-    case, n = plain(scene, model), model.order
-    throw, is_open = scene.parts["impact"].keys, scene.parts["kick"].keys.electrical == "open"
-    charge, C0 = model.gain[:, -1], model.D[-1, -1]
-
-    def rhs(t, x):
-        z, rate, p, v = x[:n], x[n : 2 * n], x[-2], x[-1]
-        force = case.forces(z, rate, p, v)
-        volts = -(charge @ z) / C0 if is_open else 0.0  # no charge leaves an open anode
-        bend = -case.damp * rate - case.omega**2 * z + charge * volts - case.rings @ force
-        return np.concatenate((rate, bend, (v, force.sum() / case.mass - case.gravity)))
-
-    start = np.zeros(2 * n + 2)
-    start[-2:] = throw.gap, throw.velocity
-    scale = np.abs(case.rings).max(axis=1)
-    atol = 1e-10 * np.concatenate((1e-6 / scale, 1e-6 / scale * case.omega, (1e-6, 1.0)))
-    done = solve_ivp(rhs, (0.0, scene.stop), start, method="DOP853", rtol=1e-10, atol=atol)
-    assert done.success
-    return done.t, done.y[-2], done.y[-1]
-
-
-def imprint(scene, model, depths):
-    """Static force at each depth: of all sets of closed rings, the one that presses and clears."""
-    case = plain(scene, model)
-    stiff = np.diag(case.omega**2)
-    if scene.parts["kick"].keys.electrical == "open":
-        stiff = stiff + np.outer(model.gain[:, -1], model.gain[:, -1]) / model.D[-1, -1]
-    give = case.rings.T @ np.linalg.solve(stiff, case.rings)
-    found = []
-    for depth in depths:
-        for code in range(64):
-            closed = np.array([bool(code >> ring & 1) for ring in range(6)])
-            matrix = give[np.ix_(closed, closed)] + np.eye(closed.sum()) / case.stiffness
-            force = np.linalg.solve(matrix, (depth - case.gaps)[closed])
-            rest = depth - case.gaps - give[:, closed] @ force
-            if (force > 0).all() and (rest[~closed] <= 0).all():
-                found.append(force.sum())
-                break
-    return np.array(found)
-
-
 def loop(scene, model, table):
     """Times, heights of the centre, speeds and the launch velocity of kick and catch."""
     case, n = plain(scene, model), model.order

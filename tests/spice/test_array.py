@@ -5,7 +5,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.array import array_deck
+from kc2spice.netlist.transforms import array_deck
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 

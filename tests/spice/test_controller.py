@@ -8,8 +8,9 @@ from device import built
 
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.loop import run_shared
+from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.verify.verify import verify
 
 PERIOD, DELAY = 10e-6, 4e-6  # s
 
@@ -33,7 +34,7 @@ def scene(analysis=None, **digits):
 def ran(loaded, function):
     build = replace(built(loaded), functions={"digits": function})
     part = loaded.part("digits")
-    return run_shared(make_deck(build), [part.type.sampled(part, build)])
+    return run_shared(make_deck(build), [part.type.settable(part, build)["out"]])
 
 
 @pytest.mark.parametrize(("output", "factor"), [("voltage", 1.0), ("current", 2e3)])
@@ -60,9 +61,12 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     loaded = replace(scene(file="law.py"), home=tmp_path)
     part = loaded.part("digits")
     with pytest.raises(UsageError, match="runs a Python file") as caught:
-        part.type.sampled(part, built(loaded))
+        part.type.settable(part, built(loaded))
     assert "--trust" in caught.value.hint
-    call = part.type.sampled(part, replace(built(loaded), trust=True)).call
+    with pytest.raises(UsageError, match="runs a Python file"):
+        verify([loaded], tmp_path / "out")
+    assert verify([loaded], tmp_path / "out", trust=True)["controlled"]["passed"]
+    call = part.type.settable(part, replace(built(loaded), trust=True))["out"].call
     node = loaded.net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0
 
@@ -73,7 +77,7 @@ def test_files_that_are_no_function_are_refused(tmp_path):
         loaded = replace(scene(file="law.py"), home=tmp_path)
         part = loaded.part("digits")
         with pytest.raises(UsageError, match=words):
-            part.type.sampled(part, replace(built(loaded), trust=True))
+            part.type.settable(part, replace(built(loaded), trust=True))
 
 
 def test_impossible_controllers_are_refused():

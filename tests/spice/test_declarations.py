@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.core.toml import parse_toml
-from kc2spice.netlist.dialect import dialect_files
+from kc2spice.core.foreign import parse_toml
 from kc2spice.netlist.expression import Number
+from kc2spice.netlist.translate import dialect_files
 from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import cards, law
 from kc2spice.physics.part import DeclaredPart

@@ -46,20 +46,6 @@ def test_a_plate_closes_a_third_of_its_gap_and_snaps_in():
     assert beyond[-2] < GAP / 2 < 1.5e-6 < beyond[-1]
 
 
-def test_a_comb_moves_by_the_square_of_its_voltage():
-    scene = {
-        "name": "comb",
-        "comb": {"part": "comb_drive", "fingers": 100, "thickness": 20e-6, "gap": 2e-6,
-                 "overlap": 10e-6, "travel": 8e-6, "pins": {"plus": "drive.out", "a": "spring.a"}},
-        "spring": {"part": "spring", "stiffness": 1.0},
-        "drive": {"part": "source", "dc": 0.0},
-        "analysis": {"type": "dc", "sweep": "drive.dc", "from": 0.0, "to": 25.0, "points": 26},
-    }  # fmt: skip
-    volts, *found = both(scene, "comb.x")
-    for x in found:
-        np.testing.assert_allclose(x, 100 * EPS * 20e-6 * volts**2 / 2e-6, rtol=1e-6, atol=1e-15)
-
-
 def test_a_charge_behind_ideal_sources_flows_as_it_changes():
     """``i = C' v + C v'`` of a comb whose motion and voltage are both prescribed: the integrator
     has nothing left to solve for, and the current is a derivative of what it is given."""
@@ -88,7 +74,7 @@ def test_a_coil_in_motion_takes_few_steps():
     """The flux depends on the stroke: an error estimate by its slope at an earlier step sees an
     error that no shorter step makes smaller, and needs tens of thousands of them for this."""
     (circuit,) = circuits(Build(load_scene("loudspeaker"), {}))
-    assert transient(circuit.system(), 5e-3, 1e-9).steps < 2000
+    assert transient(circuit.system(), 5e-3, 1e-9).time.size < 2000
 
 
 COIL = {"part": "voice_coil", "resistance": 6.0, "inductance": 5e-4, "bl": 5.0, "cms": 1e-3,
@@ -109,23 +95,6 @@ def test_a_voice_coil_at_small_signals():
     impedance = 6.0 + s * 5e-4 + s * 25.0 / (0.01 * s**2 + 0.5 * s + 1e3)
     for i in found:
         np.testing.assert_allclose(1 / i, impedance, rtol=1e-8)
-
-
-def test_a_voice_coil_at_rest_with_a_current_through_it():
-    """``F = x / Cms(x) - Bl(x) i`` along the stroke."""
-    shape = {"bl1": -100.0, "bl2": -5e4, "cms1": 0.02, "cms2": -10.0}
-    scene = {
-        "name": "stroke",
-        "coil": {**COIL, **shape, "pins": {"plus": "drive.out", "a": "push.out"}},
-        "drive": {"part": "source", "kind": "current", "dc": 0.2},
-        "push": {"part": "source", "kind": "displacement", "dc": 0.0},
-        "analysis": {"type": "dc", "sweep": "push.dc", "from": -4e-3, "to": 4e-3, "points": 17},
-    }
-    _, *found = both(scene, "coil.force")
-    x = np.linspace(-4e-3, 4e-3, 17)
-    bl, cms = 5.0 - 100.0 * x - 5e4 * x**2, 1e-3 + 0.02 * x - 10.0 * x**2
-    for force in found:
-        np.testing.assert_allclose(force, x / cms - 0.2 * bl, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.parametrize("amplitude", [1e-5, 1e-4, 3e-4])
@@ -155,9 +124,9 @@ def test_a_force_that_is_off_is_in_the_balance():
     scene = load_scene("plate_pull_in", {"solver.stop": "6 ms"})
     waves = kc.run(scene).waves
     part, build = scene.parts["plate"], Build(scene, {})
-    good = part.type.energy(part, build, Waveforms(dict(waves), {}))["plate"]
+    good = part.type.energy(part, build, Waveforms(dict(waves), {}))
     wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
-    bad = part.type.energy(part, build, Waveforms(wrong, {}))["plate"]
+    bad = part.type.energy(part, build, Waveforms(wrong, {}))
     assert good.share < good.limit < bad.share
 
 

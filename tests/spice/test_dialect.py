@@ -12,7 +12,7 @@ from device import deck_of
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.dialect import DIALECTS, dialect_files, translate, translate_text
+from kc2spice.netlist.translate import DIALECTS, dialect_files, translate, translate_text
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header

@@ -1,20 +1,17 @@
 """Drivers against closed forms, and all parts for passivity, in decks that include libraries."""
 
-import re
-
 import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.parts._drivers import Load
+from kc2spice.parts._drivers import Load, parameters
 from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.charge_drive import ChargeKeys, charge_drive_subcircuit
-from kc2spice.parts.half_bridge import HalfBridgeKeys, half_bridge_subcircuit
-from kc2spice.parts.linear_drive import LinearKeys, linear_subcircuit
-from kc2spice.parts.pwm_drive import PwmKeys, pwm_subcircuit
+from kc2spice.parts.half_bridge import HalfBridge, HalfBridgeKeys
+from kc2spice.parts.linear_drive import LinearDrive, LinearKeys
+from kc2spice.parts.pwm_drive import PwmDrive, PwmKeys
 from kc2spice.sim.ngspice import run_deck
 
-LOAD = Load(73e-3, 3192.0)
+LOAD = Load(73e-3, 3192.0, 0.1)
 
 
 # ------------------------------------------------------------------------------------ op-amps
@@ -77,7 +74,7 @@ Cchip out 0 1e-07
 
 
 def test_half_bridge_limits_current_and_charge(header, tmp_path):
-    part = half_bridge_subcircuit(header, HalfBridgeKeys())
+    part = HalfBridge().subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
     waves = charging(header, [part], "half_bridge",
                      "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
                      tmp_path)  # fmt: skip
@@ -85,21 +82,6 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
     # 100 nF of reservoir at 100 V shared with 100 nF of load
     end = np.interp(10e-6, waves["time"], waves["out"])
     assert end == pytest.approx(50.0, rel=0.01)
-
-
-def test_charge_drive_sets_the_charge_whatever_the_capacitance(header, tmp_path):
-    parts = [opamp_subcircuit(header, "slew"), charge_drive_subcircuit(header, ChargeKeys())]
-    for farad in (50e-9, 150e-9):
-        cards = f"""Vcommand command 0 PULSE(0 50 1e-06 1e-06 1e-06 1)
-Xdriver command anode cathode 0 charge
-Cchip anode cathode {farad}
-.options reltol=1e-5 trtol=1
-.tran 1e-08 6e-05 0 1e-07"""
-        vectors = {"a": ("v(anode)", 1.0), "c": ("v(cathode)", 1.0)}
-        waves = run_deck(bench(parts, cards, vectors, 6e-5), tmp_path / str(farad))
-        charge = farad * (waves["a"] - waves["c"])[-1]
-        # 150 nF times 50 V; the leaks of a second cost 60 us of it where the loads are unequal
-        assert charge == pytest.approx(150e-9 * 50, rel=2e-3)
 
 
 # ------------------------------------------------------------------------ drivers of the coils
@@ -117,41 +99,11 @@ Lcoils middle ret {LOAD.inductance}
     return run_deck(bench(parts, text, vectors, stop), tmp_path)
 
 
-def test_linear_drive_has_the_bandwidth_asked_for(header, tmp_path):
-    """Coil current per command against the network's nodal equations in numpy."""
-    drive = LinearKeys(bandwidth=20e3)
-    part = linear_subcircuit(header, drive, LOAD, 0.1)
-    cards = f"""Vwanted wanted 0 AC 1
-Xdriver wanted drive ret 0 linear
-Rcoils drive middle {LOAD.resistance}
-Lcoils middle ret {LOAD.inductance}
-.ac dec 10 10 1e6"""
-    deck = bench([opamp_subcircuit(header, "slew"), part], cards, {"i": ("i(lcoils)", 1.0)})
-    waves = run_deck(deck, tmp_path)
-    values = re.search(r"^R2 n z (\S+)\nC1 z drive (\S+)\n.*gbw=(\S+)", part.text, re.M)
-    r2, c1, gbw = (float(value) for value in values.groups())
-    for f, current in zip(waves["frequency"], waves["i"], strict=True):
-        s = 2j * np.pi * f
-        coils, network = 1 / (LOAD.resistance + s * LOAD.inductance), 1 / (r2 + 1 / (s * c1))
-        gain = 1e7 / (1 + s * 1e7 / (2 * np.pi * gbw))
-        # unknowns: ret, n, drive; the amplifier drives through 0.1 and 1 Ohm
-        matrix = np.array([
-            [1 / 100 + 1 / 1e3 + coils, -1 / 1e3, -coils],
-            [-1 / 1e3, 1 / 1e3 + network, -network],
-            [-coils, -network + gain / 1.1, 1 / 1.1 + coils + network],
-        ])  # fmt: skip
-        ret, _, out = np.linalg.solve(matrix, [0, 0, gain / 1.1])
-        assert current == pytest.approx((out - ret) * coils, rel=1e-6)
-    low = np.abs(waves["i"] * 100)
-    assert low[0] == pytest.approx(1.0, rel=1e-3)
-    edge = np.interp(-np.sqrt(0.5), -low[::1], waves["frequency"])
-    assert 20e3 < edge < 40e3  # the amplifier's own pole lifts it
-
-
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
     drive = LinearKeys(rail=48.0)
-    parts = [opamp_subcircuit(header, "slew"), linear_subcircuit(header, drive, LOAD, 0.1)]
+    part = LinearDrive().for_load(header, drive, LOAD, "linear")
+    parts = [opamp_subcircuit(header, "slew"), part]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
     total = LOAD.resistance + 100.0 + 1.0 + 0.1
     assert waves["i"][-1] == pytest.approx(48 / total, rel=5e-3)
@@ -162,7 +114,7 @@ def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
 
 def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
     drive = PwmKeys()
-    parts = [opamp_subcircuit(header), pwm_subcircuit(header, drive, LOAD)]
+    parts = [opamp_subcircuit(header), PwmDrive().for_load(header, drive, LOAD, "pwm")]
     waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
     t, i = waves["time"], waves["i"]
     late = t > 0.8e-3

@@ -32,16 +32,6 @@ RC = "V1 a 0 PULSE(0 1 0 1n)\nR1 a b 1k\nC1 b 0 1u\n.options acct\n.tran 1u {}"
 # ---------------------------------------------------------------------------------- raw files
 
 
-def test_real_and_complex_files_are_read(tmp_path):
-    path = tmp_path / "a.raw"
-    path.write_bytes(raw_text(2) + struct.pack("<4d", 0.0, 1.0, 0.5, 2.0))
-    vectors = read_raw(path)
-    assert list(vectors) == ["time", "v(a)"]
-    np.testing.assert_array_equal(vectors["v(a)"], [1.0, 2.0])
-    path.write_bytes(raw_text(1, "complex") + struct.pack("<4d", 5.0, 0.0, 1.0, -2.0))
-    assert read_raw(path)["v(a)"][0] == 1 - 2j
-
-
 @pytest.mark.parametrize(
     "content",
     [

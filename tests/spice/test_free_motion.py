@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
+from kc2spice.parts._linear_body import inert_ports
+from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
@@ -38,6 +40,24 @@ def test_a_mass_flies_on_as_fast_as_it_began(tmp_path):
     for found in both({"box": BOX | {"velocity": 1.0}, "seen": SEEN, **STEPS}, tmp_path):
         np.testing.assert_allclose(found["box.x"], found["time"], rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(found["box.v"], 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [{"sine": {"frequency": 1e3}}, {"pwl": [[0, 0], [1, 1e-6]]}])
+def test_a_jump_of_velocity_is_refused_where_nothing_yields(shape):
+    table = {"part": "source", "kind": "displacement", "pins": {"out": "box.a"}}
+    with pytest.raises(UsageError, match="infinite force") as caught:
+        load_scene({"name": "free", "box": BOX, "table": table | shape, **STEPS})
+    assert caught.value.where == f"scene, key table.{next(iter(shape))}"
+    joint = {"part": "spring", "stiffness": 1.0, "pins": {"a": "table.out", "b": "box.a"}}
+    table["pins"] = {}
+    load_scene({"name": "free", "box": BOX, "table": table | shape, "joint": joint, **STEPS})
+
+
+@pytest.mark.parametrize(("light", "D", "found"), [(1, 0, ("tip",)), (0, 0, ()), (1, 1e-9, ())])
+def test_a_body_follows_a_jump_by_what_of_it_has_no_inertia(light, D, found):
+    M, ports = np.diag([1.0, light]), [Port("tip", "mechanical")]
+    model = LinearModel(M=M, E=0 * M, K=np.eye(2), B=[[1.0], [1.0]], D=[[D]], ports=ports)
+    assert inert_ports(model) == found
 
 
 def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hostile import files, readers
+from hostile import bombs, files, readers
 
 PROGRAM = Path(readers.__file__)
 FEW = ("csv", "deck", "rom", "plan")
@@ -33,6 +33,28 @@ def test_honest_files_are_taken(tmp_path, monkeypatch):
     monkeypatch.setitem(files.MUTATIONS, "none", lambda data: data)
     for home, commands in readers.prepared("csv", "none", tmp_path):
         assert readers.ask(readers.COMMANDS["export"], home)[0] == 0, commands
+
+
+@pytest.mark.parametrize("rest", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+def test_small_files_that_declare_too_much_end_in_time_and_memory(rest, tmp_path):
+    """Every format under every command: exit code 2, and what is expected instead."""
+    names = list(bombs.BOMBS)[rest::3]
+    command = [sys.executable, bombs.__file__, str(tmp_path), *names]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    last = json.loads(ran.stdout.splitlines()[-1])
+    wrong = {
+        case: (code, seconds, words[-1000:])
+        for case, (code, seconds, words) in last["found"].items()
+        if code != 2
+        or seconds > 10
+        or "expected:" not in words
+        or not any(name in words for name in bombs.BOMBS[case.rpartition(", ")[0]])
+        or ("cannot be" in words and not ("got:" in words and "next:" in words))
+    }
+    assert not wrong, json.dumps(wrong, indent=1)[:4000]
+    assert len(last["found"]) > 3 * len(names)
+    assert last["memory"] < 1e9
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 
 
@@ -49,33 +48,3 @@ def test_results_have_the_names_and_signs_of_the_contract(run):
     assert waves["kick.current"][edge].mean() > 20.0
     assert waves["kick.voltage"].max() == pytest.approx(80.0)
     np.testing.assert_allclose(waves["control.error"], 2.5e-3 - waves["sphere.y"], atol=1e-8)
-
-
-def thrown(electrical, **keys):
-    """An impact on the made-up device."""
-    tables = {
-        "name": "impact", "gravity": 0.0, "kick": {"electrical": electrical},
-        "contact": {"rings": "all"}, "sphere": {}, "impact": {}, "solver": {"stop": 15e-6},
-    }  # fmt: skip
-    return load_scene(tables, keys)
-
-
-@pytest.mark.parametrize("electrical", ["open", "short"])
-def test_impact_agrees_with_scipy(model, electrical, tmp_path):
-    scene = thrown(electrical, **{"solver.max_step": 50e-9})
-    waves = run_deck(deck_of(scene, model), tmp_path)
-    t, p, v = exact.impact(scene, model)
-    height = np.interp(t, waves["time"], waves["sphere.y"]) - 1e-3
-    assert np.abs(height - p).max() < 1e-4 * np.ptp(p)
-    assert waves["sphere.v"][-1] == pytest.approx(v[-1], rel=1e-4)
-
-
-@pytest.mark.parametrize("electrical", ["open", "short"])
-def test_imprint_agrees_with_the_static_solution(model, electrical, tmp_path):
-    tables = {"name": "imprint", "kick": {"electrical": electrical}, "imprint": {"steps": 50}}
-    scene = load_scene(tables | {"contact": {"rings": "all"}, "sphere": {}})
-    waves = run_deck(deck_of(scene, model), tmp_path, timeout=60)
-    depth = np.linspace(0.0, 50e-6, 51)
-    np.testing.assert_allclose(waves["imprint.depth"], depth, atol=1e-18)
-    found = exact.imprint(scene, model, depth)
-    np.testing.assert_allclose(waves["contact.force"], found, rtol=1e-9)

@@ -12,8 +12,8 @@ from kc2spice.parts._opamp import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.parttype import Sampled
-from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.shared import run_shared
 
 
 def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):

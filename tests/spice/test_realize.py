@@ -1,11 +1,13 @@
 """Subcircuits of small models with every kind of port, against their equations solved by numpy."""
 
+import itertools
 import re
 
 import numpy as np
 import pytest
 from device import bench
 
+from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.spice.header import Header
@@ -88,6 +90,33 @@ def test_every_port_answers_every_other(form, mass, tmp_path):
                 exact = (rigid if driven is port else 0.0) - s**2 * exact
             error = np.abs(waves[f"{driven.name}>{port.name}"] - exact).max()
             assert error < 1e-6 * np.abs(exact).max() + 1e-11, (driven.name, port.name)
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_a_bare_electrode_that_shares_charge_is_no_passive_network(dense):
+    M, K, B, D = springs()
+    D[FLOATING, TIP] = D[TIP, FLOATING] = 1e-9
+    with pytest.raises(UsageError, match="without capacitance of its own"):
+        subcircuit(LinearModel(M=M, E=1e-5 * K, K=K, B=B, D=D, ports=PORTS), "zoo", dense=dense)
+
+
+@pytest.mark.parametrize("dense", [False, True])
+@pytest.mark.parametrize("loss", [0.0, 2e3])
+def test_states_without_inertia_have_no_velocity(loss, dense, tmp_path):
+    """A bare electrode takes the rate of their charge; a frame would take the rate of that."""
+    w, ports = 2 * np.pi * np.array([1e3, 3e3]), [PORTS[FLOATING], PORTS[TIP]]
+    pencil = {"M": np.diag([1.0, 0.0]), "E": np.diag([100.0, loss]), "K": np.diag(w**2)}
+    B = np.array([[1.0, 3.0], [2.0, 1.0]])
+    model = LinearModel(**pencil, B=B, ports=ports)
+    waves = answers(subcircuit(model, "zoo", HEADER, dense=dense), ports, tmp_path)
+    f = waves["frequency"].real
+    for (o, out), (i, driven) in itertools.product(enumerate(ports), repeat=2):
+        exact = model.transfer(f)[:, o, i] * (2j * np.pi * f if o == 0 else 1.0)
+        error = np.abs(waves[f"{driven.name}>{out.name}"] - exact).max()
+        assert error < 1e-6 * np.abs(exact).max() + 1e-11, (driven.name, out.name)
+    with pytest.raises(UsageError, match="states without inertia"):
+        shaken = LinearModel(**pencil, B=B, ports=[PORTS[SHAKE], PORTS[TIP]])
+        subcircuit(shaken, "zoo", HEADER, dense=dense)
 
 
 # -------------------------------------------------------------------------- blocks of signals

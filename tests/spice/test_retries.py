@@ -19,13 +19,6 @@ def deck(cards, stop=1e-3):
     return Deck(name="d", text=f"* d\n{cards}.end\n", vectors={"b": ("v(b)", 1.0)}, stop=stop)
 
 
-def test_no_retries_when_switched_off(tmp_path):
-    with pytest.raises(RetriesFailedError, match="imestep too small") as caught:
-        run_with_retries(deck(HOPELESS), tmp_path, retries=0)
-    assert len(caught.value.attempts) == 1
-    assert "solver.retries" in caught.value.hint
-
-
 @pytest.mark.filterwarnings("ignore:tighter")
 def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_path):
     coarse = varied(**{"solver.reltol": 0.03, "solver.max_step": 1e-4})

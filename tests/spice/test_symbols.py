@@ -7,7 +7,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.netlist.deck import Block
-from kc2spice.netlist.symbol import symbol_files
+from kc2spice.netlist.translate import symbol_files
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")

@@ -8,8 +8,8 @@ from device import deck_of
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.dialect import dialect_files
 from kc2spice.netlist.printers.verilog_a import library
+from kc2spice.netlist.translate import dialect_files
 
 openvaf = pytest.importorskip("openvaf_py")
 

@@ -7,25 +7,24 @@ import json
 import numpy as np
 import pytest
 
-from kc2spice.scene.axes import axes
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.bench import plane
-from kc2spice.workflow.bench.evaluate import Run
+from kc2spice.workflow import bench
+from kc2spice.workflow.refine import Run
 
 
-def simulator(scene, *, trust=False):
+def simulator(scene, *_, **__):
     """Errors of tolerance and order have opposite signs; time grows as either gets finer."""
     reltol, order = scene.solver.reltol, scene.rom.order
     value = 1.0 + reltol - 3e-3 / order
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
-    return Run({"speed": np.asarray(value), **rest}, cost, axes(scene), deck=None)
+    return Run({"speed": np.asarray(value), **rest}, np.arange(2), cost, None, None)
 
 
 @pytest.fixture(autouse=True, scope="module")
 def timed_again():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plane, "time_again", lambda run: run.cpu_s)
+        patch.setattr(bench, "time_again", lambda run: run.cpu_s)
         yield
 
 
@@ -33,8 +32,8 @@ def timed_again():
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plane, "evaluate", simulator)
-        record = plane.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
+        patch.setattr(bench, "evaluate", simulator)
+        record = bench.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
     return record, out
 
 
@@ -68,7 +67,7 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):
-    monkeypatch.setattr(plane, "evaluate", simulator)
+    monkeypatch.setattr(bench, "evaluate", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
     result = cli(*called, "--json", "--quiet", "--out", "o")
     assert result.exit_code == 4

@@ -7,8 +7,8 @@ import pytest
 
 from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.linear import Certificate
-from kc2spice.scene.parttype import LeftOut, Modelled
-from kc2spice.scene.plan import Plan, Setting
+from kc2spice.scene.parttype import Neglected
+from kc2spice.scene.plan import Modelled, Plan, Setting
 from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
 
 
@@ -53,7 +53,7 @@ def test_the_head_of_a_library():
 def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
     parts = (Modelled("chip", "", ""), Modelled("ball", "", ""))
     settings = (Setting("rom.order", 30, None), Setting("solver.reltol", 1e-4, None))
-    left = (LeftOut("heat", "", ""), LeftOut("air\n.exec", "", ""))
+    left = (Neglected("heat", "", ""), Neglected("air\n.exec", "", ""))
     found = Plan(parts, (), left, 0.05, settings)
     assert plan_lines(found).splitlines() == [
         "* modelled: chip, ball",
@@ -63,6 +63,6 @@ def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
     short = plan_lines(replace(found, error_budget=None, left_out=()))
     assert short.splitlines()[1].startswith("* numerical settings (error not estimated): rom")
     assert "left out" not in short
-    long = plan_lines(Plan((), (), (LeftOut("xx" + 200 * " x", "", ""),), None, ())).splitlines()
+    long = plan_lines(Plan((), (), (Neglected("xx" + 200 * " x", "", ""),), None, ())).splitlines()
     assert [len(line) for line in long[:-1]] == [98, 97, 97, 97]  # an even number, an odd one
     assert all(line.startswith("*   x x") for line in long[1:])

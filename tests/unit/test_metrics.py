@@ -63,13 +63,6 @@ def test_launch_is_found_within_a_sample_gap() -> None:
     assert found[1] == pytest.approx(SPEED, rel=1e-9)
 
 
-def test_no_launch_without_separation() -> None:
-    t = np.linspace(0.0, 1e-3, 101)
-    still = {"time": t, "sphere.y": 0 * t + RADIUS, "sphere.v": 0 * t}
-    assert edge(Waveforms(still | {"contact.force": 0 * t + 1.0}, {})) is None
-    assert edge(Waveforms(still | {"contact.force": 0 * t}, {})) is None
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_settling_of_an_exponential(sign: float) -> None:
     t = uneven(5e-3)
@@ -107,16 +100,6 @@ def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:
     assert lost["caught"] is False
     assert lost["settling_time_s"] is None
     assert lost["peak_height_m"] == pytest.approx(waves["sphere.y"].max())
-
-
-def test_the_hold_current_is_a_mean_over_time() -> None:
-    """A current that rises over the last twentieth, sampled more densely as it grows."""
-    t = 5e-3 * (1.0 - np.linspace(1.0, 0.0, 4001) ** 3)
-    ramp = np.clip((t - 4.75e-3) / 0.25e-3, 0.0, None)
-    path = {"time": t, "sphere.y": RADIUS + 0 * t, "coil.upper.current": ramp}
-    got = of_scene(Waveforms(path | {"sphere.v": 0 * t, "contact.force": 0 * t}, {}),
-                   "kick_and_catch")  # fmt: skip
-    assert got["hold_current_a"] == pytest.approx(0.5, rel=3e-3)
 
 
 def test_impact_on_a_spring() -> None:

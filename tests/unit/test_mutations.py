@@ -11,8 +11,8 @@ import pytest
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.foreign import checked
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.scan import third_party
 from kc2spice.scene.load import gallery
 from kc2spice.sim.rawfile import read_raw
 
@@ -163,7 +163,7 @@ def test_damaged_circuits_are_refused_with_their_line(chunk, tmp_path):
         path = tmp_path / "user.lib"
         path.write_bytes(mutated(text, rng).encode("utf-8", "replace"))
         try:
-            lint(Deck(name="t", text=main, more=third_party(path), stop=1e-3))
+            lint(Deck(name="t", text=main, more={"user.lib": checked(path).text}, stop=1e-3))
         except UsageError as error:
             assert re.match(r"(user\.lib|t\.cir)(:\d+)?$|.*user\.lib", str(error.where)), error
             bad += 1

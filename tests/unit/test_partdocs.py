@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from kc2spice.core.toml import parse_toml
+from kc2spice.core.foreign import parse_toml
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.partdocs import part_docs

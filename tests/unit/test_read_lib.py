@@ -6,7 +6,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.deck import Deck, read_deck
-from kc2spice.netlist.parameters import with_parameters
+from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.contact import Normal, contact_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit

@@ -283,7 +283,7 @@ NBLOCK,6,SOLID,     300,       3
 N,R5.3,LOC,       -1,
 CMBLOCK,ENDS    ,NODE,       3  ! users node component definition
 (8i10)
-         7        -8       300
+         6        -7       300
 """
 BULK = (
     "$ nodes\n"
@@ -316,6 +316,23 @@ def test_every_mesh_format_finds_the_nodes(labelled, tmp_path, name, text):
         model = labelled(f'mesh="{name}"\n' + by_set)
         assert np.flatnonzero(model.B).tolist() == [0, 4]
         np.testing.assert_allclose(model.B.max(), 0.5)
+
+
+def test_columns_and_rows_of_the_file_become_ports_in_order(tmp_path):
+    rng = np.random.default_rng(2)
+    B, C, D = rng.normal(size=(N, 2)), rng.normal(size=(2, N)), rng.normal(size=(2, 2))
+    np.savez(tmp_path / "m.npz", K=K, M=M, B=B, C=C, D=D)
+    port = '[[port]]\nname = "{}"\ndirection = "{}"\nscale = {}\n'
+    given = [("a", "in", 2.0), ("b", "in", 1.0), ("c", "out", 1.0), ("d", "out", 4.0)]
+    model = read_model(
+        tmp_path / "m.npz", sidecar(tmp_path, "".join(port.format(*each) for each in given))
+    )
+    into, out = np.array([2.0, 1.0]), np.array([[1.0], [4.0]])
+    np.testing.assert_allclose(model.B, B * into)
+    np.testing.assert_allclose(model.C, C / out)
+    np.testing.assert_allclose(model.D, D * into / out)
+    side = sidecar(tmp_path, '[[ports]]\nname = "x"\nkind = "mechanical"\ncolumn = 1\n')
+    refused(tmp_path / "m.npz", "is not conservative", side=side)
 
 
 def test_fixed_freedoms_leave_the_model(labelled):

@@ -4,7 +4,6 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.plan import plan
 
 
 def rings_of(scene, chip="kick"):
@@ -50,19 +49,6 @@ def test_without_a_catch_the_kick_alone_decides(voltage, rings):
     stack = {"part": "piezo_stack"}
     free = load_scene({"stack": stack, "supply": fed, "contact": {}, "sphere": {}})
     assert rings_of(free, "stack") == rings
-
-
-def test_what_is_left_out_is_named_with_its_reason():
-    (rings,) = (e for e in plan(load_scene("kick_and_catch")).left_out if "contact at" in e.effect)
-    assert rings.effect == "contact at ring2 to ring5"
-    assert "5.01e-06 m" in rings.why  # R - sqrt(R^2 - r^2) at 100 um
-    assert "4.7e-06 m" in rings.why
-    everything = plan(load_scene("kick_and_catch", ["contact.rings=all"]))
-    assert not [
-        each
-        for each in everything.left_out
-        if "ring2" in each.effect or "contact at" in each.effect
-    ]
 
 
 @pytest.mark.parametrize("rings", ["0", "-1", "2.5", "some", "[]", "true"])

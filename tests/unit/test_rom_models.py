@@ -6,8 +6,7 @@ from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.linear import LinearModel, Port, with_potentials
-from kc2spice.rom.pencil import Pencil, eliminated
-from kc2spice.rom.response import Response
+from kc2spice.rom.pencil import eliminated
 
 
 @pytest.mark.parametrize("form", ["piezoelectric", "not symmetric", "first order"])
@@ -115,36 +114,6 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
 
 
 # --------------------------------------------------------------------------------- responses
-
-
-def full(n, rng):
-    return rng.standard_normal((n, n)) + 3 * n * np.eye(n)
-
-
-@pytest.mark.parametrize("n", [3, 13, 30])
-@pytest.mark.parametrize("form", ["decoupled", "coupled", "first order", "heat", "free"])
-def test_a_response_is_that_of_the_matrices(form, n):
-    rng = np.random.default_rng(n)
-    root, other = rng.standard_normal((2, n, n))
-    K, M = root @ root.T + np.eye(n), other @ other.T + np.eye(n)
-    parts = {
-        "decoupled": (K, 0.01 * K + 0.1 * M, M),
-        "coupled": (K, 0.1 * full(n, rng), M),
-        "first order": (full(n, rng), full(n, rng)),
-        "heat": (K, M),
-        "free": (root[:, 1:] @ root[:, 1:].T, 0 * K, M),
-    }[form]
-    pencil = Pencil(parts, *(rng.standard_normal(s) for s in ((n, 2), (3, n), (3, 2))))
-    response = Response(pencil)
-    assert response.decoupled is (form in ("decoupled", "heat", "free"))
-    assert (response.modes is None) is (n == 3 and not response.decoupled)
-    s = np.array([0.3j, 1.0 + 2j, 20j])
-    P = sum(s[:, None, None] ** k * each for k, each in enumerate(pencil.coefficients))
-    exact = pencil.C @ np.linalg.solve(P, pencil.B.astype(complex)[None]) + pencil.D
-    np.testing.assert_allclose(response.transfer(s), exact, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(
-        pencil.C @ response.states(s) + pencil.D, exact, rtol=1e-8, atol=1e-10
-    )
 
 
 def test_a_pole_among_the_frequencies_is_an_error():

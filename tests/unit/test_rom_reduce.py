@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy import sparse
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.band import natural_band
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce
@@ -48,25 +46,6 @@ def test_the_band_is_that_asked_for_or_the_models_own():
     assert reduce(model, order=4).certificate.band_hz == (0.0, 0.02)
     assert reduce(model, order=4, band=(0.0, 0.03)).certificate.band_hz == (0.0, 0.03)
     assert reduce(model, order=4).band == (0.0, 0.02)
-
-
-def test_an_order_of_a_definite_model_is_certified_by_two_blocks_more():
-    """Rayleigh damping; the estimate is near the error of a direct solution."""
-    n, order, band = 60, 12, (0.0, 0.03)
-    model = chain(n)
-    rom = reduce(model, order=order, band=band)
-    assert rom.certificate.method.startswith(f"difference to {order + 2 * 2} states")
-    s = 2j * np.pi * np.linspace(0, 0.03, 301)[:, None, None]
-
-    def response(found):
-        P = s * s * found.M + s * found.E + found.K
-        return found.C @ np.linalg.solve(P, found.B.astype(complex)[None])
-
-    exact = response(model)
-    size = np.maximum(abs(exact), 1e-6 * abs(exact).max(axis=0))
-    error = (abs(response(rom) - exact) / size).max()
-    assert error <= rom.certificate.error_estimate <= 2 * error
-    assert error > 1e-8
 
 
 # -------------------------------------------------------------------------- models that move
@@ -144,24 +123,3 @@ def loose(n):
     links = np.eye(n - 1, n) - np.eye(n - 1, n, k=1)
     dash = np.outer(links[n // 2], links[n // 2])
     return LinearModel(M=np.eye(n), E=0.3 * dash, K=links.T @ links, B=np.eye(n)[:, [0]])
-
-
-@pytest.mark.parametrize("n", [200, 201])
-def test_a_natural_band_ends_above_the_fifth_frequency_whatever_the_size(n):
-    """Of springs apart: of a body that is held, of one with a negative stiffness, of heat."""
-    omega = 3.0 + np.arange(n)
-    one = sparse.eye_array(n, format="csc")
-    B = np.ones((n, 1))
-    end = 1.1 * omega[4] / (2 * np.pi)
-    for signs in (np.ones(n), np.r_[1, 1, -1, np.ones(n - 3)]):
-        K = sparse.diags_array(signs * omega**2, format="csc")
-        assert natural_band(LinearModel(M=one, K=K, B=B).pencil) == (
-            0.0,
-            pytest.approx(end, rel=1e-4),
-        )
-    heat = LinearModel(E=one, A=-sparse.diags_array(omega, format="csc"), B=B)
-    assert natural_band(heat.pencil) == (0.0, pytest.approx(end, rel=1e-4))
-    loose = LinearModel(M=one, K=sparse.diags_array(np.r_[0.0, omega[1:] ** 2], format="csc"), B=B)
-    if n > 200:
-        with pytest.raises(UsageError, match="no natural frequency"):
-            natural_band(loose.pencil)

@@ -5,9 +5,8 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.netlist.deck import Deck, read_deck
-from kc2spice.netlist.included import included_netlists, included_sources
+from kc2spice.netlist.foreign import checked, included_netlist
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.scan import third_party
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.verify import verify
 
@@ -117,7 +116,7 @@ def test_hostile_circuits_are_refused(text, tmp_path):
     path = tmp_path / "user.lib"
     path.write_bytes((AMPLIFIER + text + "\n").encode())
     with pytest.raises(UsageError) as caught:
-        third_party(path)
+        checked(path)
     assert caught.value.exit_code == 2
     assert "user.lib" in str(caught.value)
 
@@ -140,19 +139,19 @@ def test_hostile_decks_are_not_verified(name, tmp_path):
 def test_benign_circuits_pass(text, tmp_path):
     path = tmp_path / "user.lib"
     path.write_bytes(text.encode())
-    files = third_party(path)
-    assert list(files) == ["user.lib"]
-    assert "\r" not in files["user.lib"]
+    found = checked(path)
+    assert found.file == "user.lib"
+    assert "\r" not in found.text
     (tmp_path / "again").mkdir()
-    (tmp_path / "again" / "user.lib").write_text(files["user.lib"])
-    third_party(tmp_path / "again" / "user.lib")
+    (tmp_path / "again" / "user.lib").write_text(found.text)
+    checked(tmp_path / "again" / "user.lib")
 
 
 def test_the_line_is_named(tmp_path):
     path = tmp_path / "user.lib"
     path.write_text(AMPLIFIER + "* one more\n.control\n.endc\n")
     with pytest.raises(UsageError, match=r"user\.lib:7") as caught:
-        third_party(path)
+        checked(path)
     assert caught.value.got == ".control"
     assert "--trust" in str(caught.value.hint)
 
@@ -160,7 +159,7 @@ def test_the_line_is_named(tmp_path):
 def test_trust_takes_the_circuit_as_it_is(tmp_path):
     path = tmp_path / "user.lib"
     path.write_text(AMPLIFIER + ".control\n.endc\n")
-    assert ".control" in third_party(path, trust=True)["user.lib"]
+    assert ".control" in checked(path, trust=True).text
 
 
 def test_included_files_come_along_and_are_scanned(tmp_path):
@@ -168,13 +167,11 @@ def test_included_files_come_along_and_are_scanned(tmp_path):
     (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER)
     main = tmp_path / "user.cir"
     main.write_text(".include models/amp.lib\nX1 a b c amp\n")
-    assert third_party(main) == {
-        "user.cir": f"* begin of models/amp.lib\n{AMPLIFIER}\n* end of models/amp.lib\n"
-        "X1 a b c amp\n"
-    }
+    text = f"* begin of models/amp.lib\n{AMPLIFIER}\n* end of models/amp.lib\nX1 a b c amp\n"
+    assert checked(main).text == text
     (tmp_path / "models" / "amp.lib").write_text(AMPLIFIER + ".control\n")
     with pytest.raises(UsageError, match=r"amp\.lib:6"):
-        third_party(main)
+        checked(main)
 
 
 def test_paths_count_from_the_file_they_stand_in(tmp_path):
@@ -183,10 +180,9 @@ def test_paths_count_from_the_file_they_stand_in(tmp_path):
     (tmp_path / "models" / "inner.lib").write_text("* inner\n")
     main = tmp_path / "user.cir"
     main.write_text("* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n")
-    files = third_party(main)
-    assert list(files) == ["user.cir"]
-    assert "\n* inner\n" in files["user.cir"]
-    lint(Deck(name="user", text=files.pop("user.cir"), more=files))
+    text = checked(main).text
+    assert "\n* inner\n" in text
+    lint(Deck(name="user", text=text))
     assert len(read_deck(main).files) == 3
 
 
@@ -207,9 +203,9 @@ def test_no_include_is_left_for_the_simulator(card, tmp_path):
     main.write_text(f"* user\n{card}\nR2 a 0 1\n")
     if any(word in card for word in ("..", "~", "other")):
         with pytest.raises(UsageError, match="includes"):
-            third_party(main)
+            checked(main)
         return
-    text = third_party(main)["user.cir"]
+    text = checked(main).text
     assert "\nRinner a 0 1\n" in text
     assert ".inc" not in text.lower()
 
@@ -220,14 +216,14 @@ def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
     (tmp_path / "sub" / "inner.lib").write_text(".param a=1\n")
     (tmp_path / "inner.lib").write_text(".param a=2\n")
     expected = "* begin of inner.lib\n.param a=1\n\n* end of inner.lib\n"
-    assert included_netlists(["sub/user.cir"], tmp_path) == {"user.cir": expected}
-    assert included_sources(["sub/user.cir"], tmp_path) == {"sub/user.cir": expected}
+    found = included_netlist("sub/user.cir", tmp_path)
+    assert (found.file, found.text) == ("user.cir", expected)
 
 
 def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
     (tmp_path / "user.cir").write_text(".control\n.endc\n")
     with pytest.raises(UsageError, match="control"):
-        included_sources(["user.cir"], tmp_path)
+        included_netlist("user.cir", tmp_path)
 
 
 def test_a_card_that_goes_on_over_two_files_is_seen_whole(tmp_path):
@@ -235,14 +231,14 @@ def test_a_card_that_goes_on_over_two_files_is_seen_whole(tmp_path):
     main = tmp_path / "user.lib"
     main.write_text("V1 a 0 PWL\n.include inner.lib\n")
     with pytest.raises(UsageError, match="reads or writes a file"):
-        third_party(main)
+        checked(main)
 
 
 def test_includes_in_a_circle_are_refused(tmp_path):
     (tmp_path / "a.lib").write_text(".include b.lib\n")
     (tmp_path / "b.lib").write_text(".include a.lib\n")
     with pytest.raises(UsageError, match="circle"):
-        third_party(tmp_path / "a.lib")
+        checked(tmp_path / "a.lib")
 
 
 def test_includes_that_multiply_are_refused(tmp_path):
@@ -250,7 +246,7 @@ def test_includes_that_multiply_are_refused(tmp_path):
         (tmp_path / f"{i}.lib").write_text(f".include {i + 1}.lib\n" * 2)
     (tmp_path / "10.lib").write_text("* end\n")
     with pytest.raises(UsageError, match="too many files"):
-        third_party(tmp_path / "0.lib")
+        checked(tmp_path / "0.lib")
 
 
 @pytest.mark.parametrize(
@@ -263,7 +259,7 @@ def test_names_in_a_scene_cannot_lead_elsewhere(name):
     assert name_threat(name)
     home = load_scene("bring_your_own").home
     with pytest.raises(UsageError) as caught:
-        included_netlists((name,), home)
+        included_netlist(name, home)
     assert caught.value.exit_code == 2
     assert "includes" in str(caught.value)
     with pytest.raises(UsageError):
@@ -278,14 +274,14 @@ def test_links_do_not_lead_out(tmp_path):
     (home / "link.lib").symlink_to(secret)
     (home / "user.cir").write_text(".include link.lib\n")
     with pytest.raises(UsageError, match="leads out"):
-        third_party(home / "user.cir")
+        checked(home / "user.cir")
 
 
 @pytest.mark.parametrize("name", ["missing.lib", "."])
 def test_unreadable_circuits_are_named(name, tmp_path):
     (tmp_path / "user.cir").write_text(f".include {name}\n")
     with pytest.raises(UsageError, match="cannot include this"):
-        third_party(tmp_path / "user.cir")
+        checked(tmp_path / "user.cir")
 
 
 def test_pins_are_looked_up_beside_the_scene_alone(tmp_path):

@@ -1,15 +1,13 @@
 """What is made of a simulator's words, files and failures, with a program in its place."""
 
 import os
-import struct
 
 import pytest
 
-from kc2spice.core.errors import MissingToolError
+from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
 from kc2spice.sim.log import classify
-from kc2spice.sim.ngspice import run_deck
 
 # ----------------------------------------------------------------------------------------- log
 
@@ -36,39 +34,17 @@ def test_a_failure_has_its_place_and_its_kind(text, node, at, kind):
     assert (report.node, report.time, report.kind) == (node, at, kind)
 
 
-# ------------------------------------------------------------------------------------ raw files
-
-
-def raw(points, values, names=("time", "v(a)"), *, flags="real", more=""):
-    lines = [
-        "Title: t", "Plotname:  Transient Analysis ", f"Flags: {flags}",
-        f"No. Variables: {len(names)}",
-        f"No. Points: {points}", more + "Variables:",
-        *(f"\t{i}\t{n}\tvoltage" for i, n in enumerate(names)), "Binary:", "",
-    ]  # fmt: skip
-    return "\n".join(lines).encode() + struct.pack(f"<{len(values)}d", *values)
-
-
 # --------------------------------------------------------------------------------------- engine
-
-
-def deck(text="* d\n.tran 1u 1m\n.end\n", **more):
-    return Deck(**{"name": "d", "text": text, "stop": 1e-3, "vectors": {"b": ("v(b)", 1.0)}} | more)
-
-
-def script(path, text):
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-    return path
 
 
 @pytest.fixture
 def fake(tmp_path, monkeypatch):
-    """A program in place of ngspice, which says its version and then does as told."""
+    """A program in place of ngspice, which does as told."""
 
     def install(text):
-        known = 'case "$*" in *--version*) echo "** ngspice-99.5 : Circuit"; exit 0;; esac\n'
-        script(tmp_path / "ngspice", known + text)
+        path = tmp_path / "ngspice"
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
         monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
         ngspice.find_ngspice.cache_clear()
 
@@ -81,37 +57,16 @@ def fake(tmp_path, monkeypatch):
     [("echo hello", "does not tell its version", "hello"),
      ("exec sleep 30", "does not run", "no answer")],
 )  # fmt: skip
-def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, tmp_path, monkeypatch):
-    fake("")
-    script(tmp_path / "ngspice", text)
+def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, monkeypatch):
+    fake(text)
     monkeypatch.setattr(ngspice, "ANSWERS", 0.2)
     with pytest.raises(MissingToolError, match=words) as caught:
         ngspice.find_ngspice()
     assert got in caught.value.got
 
 
-RAW = 'for last; do :; done; raw=$(echo "$*" | sed "s/.*-r \\\\([^ ]*\\\\).*/\\\\1/")\n'
-
-
-def ran(fake, tmp_path, made, then="", **more):
-    """The waves of a run whose simulator writes ``made`` as its raw file and does ``then``."""
-    (tmp_path / "made").write_bytes(made)
-    fake(RAW + f'cat {tmp_path}/made > "$raw"\n{then}')
-    return run_deck(deck(**more), tmp_path / "out")
-
-
-def test_the_user_s_surroundings_are_kept_out(fake, tmp_path, monkeypatch):
-    monkeypatch.setenv("SPICE_SCRIPTS", "/nowhere")
-    made = raw(2, [0, 1, 1e-3, 2], ("time", "v(b)"))
-    ran(fake, tmp_path, made, 'echo "$HOME $SPICE_SCRIPTS $PWD $* $(cat | wc -c)"')
-    out = tmp_path / "out"
-    assert (out / "d.log").read_text().split() == [
-        str(out),
-        str(out),
-        "-b",
-        "-n",
-        "-r",
-        "d.raw.part",
-        "d.cir",
-        "0",
-    ]
+def test_a_simulator_that_does_nothing_is_ended(fake, tmp_path, monkeypatch):
+    fake('case "$*" in *--version*) echo "** ngspice-99.5";; *) exec sleep 30;; esac')
+    monkeypatch.setattr(ngspice, "STALLED", 0.2)
+    with pytest.raises(SimulationError, match="hangs"):
+        ngspice.run_deck(Deck(name="d", text="* d\n.end\n"), tmp_path / "out")

@@ -93,7 +93,7 @@ def test_bad_ranges_name_the_option(text):
         (("control.kd=10",), {}, "nothing to sweep"),
         (("control.kd=10,20", "control.kd=30,40"), {}, "twice"),
         (("control.kd=10,20", "control.setpoint=50 mm"), {}, "force table"),
-        (("sphere.density=-1:1:3",), {}, "out of range"),
+        (("sphere.density=7e3:-1:3",), {}, "out of range"),
         (("control.kp=normal(1,1,5)", "control.kd=normal(1,1,6)"), {}, "unequal"),
         (("control.kp=1,2,3", "control.kd=4,5"), {"zipped": True}, "unequal"),
         (tuple(f"{k}=1:2:1000" for k in ("control.kp", "control.kd", "control.ki")), {}, "many"),

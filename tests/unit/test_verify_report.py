@@ -1,4 +1,4 @@
-"""Page and figures of a verification: every solution, every gate, the paper's numbers."""
+"""What a verification compares: every wave and pair of a gate, points, metrics without a unit."""
 
 from __future__ import annotations
 
@@ -6,44 +6,13 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import Gate
+from kc2spice.scene.judge import Gate
 from kc2spice.workflow.verify.compare import (
     Solution,
-    gate_limits,
     measured,
     metric_errors,
     output_errors,
 )
-
-
-def swing(error: float) -> Waveforms:
-    t = np.linspace(0.0, 1e-3, 200)
-    y = 1e-6 * np.sin(2e4 * t)
-    return Waveforms({"time": t, "ball.y": y * (1 + error), "ball.force": 0.2 + 0 * t}, {})
-
-
-@pytest.mark.parametrize(
-    ("measure", "value"), [("travel", 5e-4), ("absolute", 1e-9), ("largest", 1e-3)]
-)
-def test_gates_measure_what_they_say(measure: str, value: float) -> None:
-    ours, exact = Solution(swing(1e-3), {}), Solution(swing(0.0), {})
-    found = measured(Gate("height", "ball.y", {}, measure), ours, exact)  # type: ignore[arg-type]
-    assert found == pytest.approx(value, rel=1e-2)
-
-
-def test_a_gate_that_one_solution_never_reaches_fails() -> None:
-    gate = Gate("launch", "launch_velocity_m_s", {"ngspice_vs_rom": 1e-4}, leads=True)
-    ours, exact = (Solution(swing(0.0), {"launch_velocity_m_s": v}) for v in (None, 1.0))
-    (limit,), leading = gate_limits([gate], "ngspice_vs_rom", ours, exact)
-    assert not limit.passed
-    assert leading is None
-    assert gate_limits([gate], "ngspice_vs_rom", ours, ours) == ([], None)
-
-
-def test_small_metrics_are_judged_by_the_waves_of_their_unit() -> None:
-    ours, exact = (Solution(swing(0.0), {"final_error_m": v}) for v in (2e-12, 1e-12))
-    errors = dict(metric_errors(ours, exact, {"ball.y": "m"}))
-    assert errors["final_error_m"] == pytest.approx(1e-3, rel=1e-2)
 
 
 def response(low: float, high: float) -> Waveforms:

@@ -2,47 +2,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.archive import packed, read_in_child
-from kc2spice.bodies.readers.raw import CODES, Raw
+from kc2spice.bodies.readers.archive import packed
+from kc2spice.bodies.readers.raw import CODES
 from kc2spice.core.errors import MissingToolError
 from kc2spice.rom.matrix_market import mirrored
 
-# Ansys counts freedoms from 0 in this file: UX UY UZ ROTX ROTY ROTZ AX AY AZ VX VY VZ ... TEMP VOLT
-_KINDS = dict(enumerate(("ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz")))
-_KINDS |= {
-    15: "warp",
-    16: "conc",
-    17: "hdsp",
-    18: "pres",
-    19: "temp",
-    20: "volt",
-    21: "mag",
-    22: "enke",
-    23: "ends",
-    24: "emf",
-    25: "curr",
-}
+# Ansys counts freedoms in this file from 0.
+_KINDS = dict(enumerate((
+    "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
+    "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
+)))  # fmt: skip
 
 
-def read_full(path: Path) -> Raw:
-    """Stiffness and mass of a ``.full`` file; freedoms that Ansys constrains are marked as held.
-
-    Raises
-    ------
-    UsageError : damaged, or without a symmetric stiffness.
-    MissingToolError : ansys-mapdl-reader is not installed.
-    """
-    return read_in_child(path, "a symmetric .full file of Ansys", f"{__name__}:unpack")
-
-
-def unpack(path: str) -> dict[str, np.ndarray]:
-    """The matrices of a ``.full`` file as arrays of an archive.
+def unpack(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+    """Stiffness and mass of a ``.full`` file as arrays of an archive, with the freedoms that Ansys
+    constrains as ``held``; ``wanted`` means nothing here.
 
     Raises
     ------

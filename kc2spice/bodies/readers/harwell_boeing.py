@@ -8,19 +8,18 @@ Format: Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix C
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.limits import bounded, checked, content, guarded, refused
 from kc2spice.bodies.readers.raw import CODES, Dofs
 from kc2spice.rom.matrix_market import indices, mirrored
-from kc2spice.rom.operators import Matrix
 
-_EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
+EXPECTED = "an assembled, real Harwell-Boeing file: type RSA, RUA, RZA or RRA, in ASCII"
 _FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
+_LONGEST = 10_000  # characters of a line
 _ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
@@ -30,18 +29,18 @@ def is_harwell_boeing(head: bytes) -> bool:
     return len(lines) > 3 and _TYPE.match(lines[2] + b" ") is not None
 
 
-def read_harwell_boeing(path: Path, letter: str) -> Matrix:
-    """The matrix in ``path``, whole: the stored triangle of RSA is mirrored.
+def read_harwell_boeing(
+    data: bytes, allowed: Callable[[tuple[int, int], int], None]
+) -> sparse.csc_array:
+    """The matrix of a file's content, whole: the stored triangle of RSA is mirrored.
+
+    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
 
     Raises
     ------
-    UsageError : binary, elemental, complex, a pattern, damaged or too large.
+    ValueError : binary, elemental, complex, a pattern or damaged.
     """
-    return checked(guarded(path, _EXPECTED, lambda: _read(path, letter)), letter, path)
-
-
-def _read(path: Path, letter: str) -> sparse.csc_array:
-    lines = content(path).splitlines()
+    lines = data.splitlines()
     if len(lines) < 5:
         raise ValueError("the header is cut off")
     match = _TYPE.match(lines[2] + b" ")
@@ -52,7 +51,7 @@ def _read(path: Path, letter: str) -> sparse.csc_array:
         raise ValueError(f"type {kind}")
     counts = [int(word) for word in lines[1].split()[:4]]
     rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
-    bounded(path, letter, (rows, columns), entries)
+    allowed((rows, columns), entries)
     if min(counts) < 0 or (kind in ("RSA", "RZA") and rows != columns):
         raise ValueError("the header is damaged")
     formats = _FORMAT.findall(lines[3])
@@ -76,7 +75,7 @@ def _read(path: Path, letter: str) -> sparse.csc_array:
         return matrix
     triangle = sparse.coo_array(matrix)
     if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
-        raise refused(path, f"type {kind} with entries on both sides", "one triangle")
+        raise ValueError(f"type {kind} with entries on both sides, not one triangle")
     return mirrored(matrix, 1 if kind == "RSA" else -1)
 
 
@@ -89,25 +88,22 @@ def _fields(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndar
     """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
     if len(lines) * repeat < number:
         raise ValueError(f"{len(lines)} lines for {number} numbers: is it cut off?")
+    if not 0 < repeat * width <= _LONGEST:
+        raise ValueError(f"lines of {repeat} fields of {width} characters")
     text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
     text = text.translate(bytes.maketrans(b"Dd", b"EE"))
     values = np.frombuffer(text, dtype=f"S{width}")[:number]
     return np.char.strip(values).astype(float)
 
 
-def read_mapping(path: Path, size: int) -> Dofs:
-    """Node and freedom of each equation from Ansys' ``NAME.mapping``.
+def mapping(data: bytes, size: int) -> Dofs:
+    """Node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
 
     Raises
     ------
-    UsageError : damaged, an equation missing or twice, a freedom that is not known.
+    ValueError : damaged, an equation missing or twice, a freedom that is not known.
     """
-    expected = f"lines of equation, node and freedom for {size} equations"
-    return guarded(path, expected, lambda: _mapping(path, size))
-
-
-def _mapping(path: Path, size: int) -> Dofs:
-    rows = [line.split() for line in content(path).decode("ascii", "replace").splitlines()]
+    rows = [line.split() for line in data.decode("ascii", "replace").splitlines()]
     rows = [row for row in rows if row and row[0].isdigit()]
     if len(rows) != size or any(len(row) != 3 for row in rows):
         raise ValueError(f"{len(rows)} equations")

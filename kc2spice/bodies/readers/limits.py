@@ -10,7 +10,6 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import Kc2spiceError, UsageError
-from kc2spice.rom.matrix_market import mirrored
 from kc2spice.rom.operators import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
@@ -18,13 +17,16 @@ WIDE = ("B", "C", "D")  # few rows or columns, kept dense
 MAX_SIZE = 5_000_000  # rows or columns
 MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
 MAX_DENSE = 50_000_000  # entries of a full matrix
+MAX_WIDE = 25_000_000  # entries of B, C or D, which may be more than their file holds
 MAX_BYTES = 4_000_000_000  # one file, unpacked
+UNPACKED = 100_000_000, 100  # bytes of any packed file, and times its size of a large one
+NEXT = "write it again with the tool that it comes from; formats: kc2spice reduce --help"
 _BOM = b"\xef\xbb\xbf"
 
 T = TypeVar("T")
 
 
-def refused(path: Path, got: object, expected: str, hint: str | None = None) -> UsageError:
+def refused(path: Path, got: object, expected: str, hint: str = NEXT) -> UsageError:
     """The error for a file that cannot be used."""
     return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
 
@@ -37,7 +39,7 @@ def present(path: Path) -> bool:
         return False
 
 
-def existing(path: Path) -> Path:
+def existing(path: Path, what: str = "a model in this file") -> Path:
     """``path``, which is a file of a size that can be read.
 
     Raises
@@ -46,16 +48,23 @@ def existing(path: Path) -> Path:
     """
     if not present(path):
         where = str(path).replace("\0", "\\0")
-        raise UsageError("no such file", where=where, expected="a model in this file")
+        raise UsageError("no such file", where=where, expected=what)
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise refused(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
     return path
 
 
-def content(path: Path) -> bytes:
-    """The bytes of a text file without its UTF-8 byte order mark."""
-    return existing(path).read_bytes().removeprefix(_BOM)
+def unpacked(path: Path) -> int:
+    """Bytes that a packed file may come to: a small one is never much."""
+    least, times = UNPACKED
+    return min(MAX_BYTES, max(least, times * existing(path).stat().st_size))
+
+
+def parsed(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
+    """What ``parse`` makes of the bytes of a text file without its UTF-8 byte order mark."""
+    data = existing(path).read_bytes().removeprefix(_BOM)
+    return guarded(path, expected, lambda: parse(data))
 
 
 def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
@@ -65,15 +74,11 @@ def guarded(path: Path, expected: str, read: Callable[[], T]) -> T:
     except Kc2spiceError:
         raise
     except NotImplementedError:
-        raise UsageError(
-            "is in a format that is not read",
-            where=str(path),
-            expected=expected,
-            hint="in MATLAB: save(..., '-v7')",
-        ) from None
+        message, got, hint = "is in a format that is not read", None, "in MATLAB: save(..., '-v7')"
     except Exception as error:  # parsers of hostile bytes raise nearly anything
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise UsageError("cannot be read", where=str(path), got=reason, expected=expected) from None
+        got = " ".join(str(error).split())[:160] or type(error).__name__
+        message, hint = "cannot be read", NEXT
+    raise UsageError(message, where=str(path), got=got, expected=expected, hint=hint)
 
 
 def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
@@ -84,26 +89,16 @@ def bounded(path: Path, letter: str, shape: tuple[int, ...], entries: int | None
     UsageError : not two-dimensional, or above the limits of this module.
     """
     shape = tuple(int(k) for k in shape)
+    what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
-        raise refused(path, f"matrix {letter} has {len(shape)} dimensions", "2 dimensions")
-    size = " x ".join(map(str, shape))
+        raise refused(path, what, "2 dimensions")
     if max(shape) > MAX_SIZE or min(shape) < 0:
-        got = f"matrix {letter} of {size}"
-        raise refused(path, got, f"at most {MAX_SIZE} rows and columns")
-    if letter in WIDE and shape[0] * shape[1] > MAX_DENSE:
-        raise refused(path, f"matrix {letter} of {size}", "few inputs or outputs")
+        raise refused(path, what, f"at most {MAX_SIZE} rows and columns")
+    if letter in WIDE and shape[0] * shape[1] > MAX_WIDE:
+        raise refused(path, what, f"few inputs or outputs, at most {MAX_WIDE} numbers")
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:
         raise refused(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
-
-
-def whole(matrix: sparse.csc_array) -> sparse.csc_array:
-    """A matrix whose pairs off the diagonal were stored once, on either side of it; as it is where
-    any pair is stored twice.
-    """
-    below = abs(sparse.tril(matrix, -1, format="csc")) > 0
-    above = abs(sparse.triu(matrix, 1, format="csc")) > 0
-    return matrix if below.multiply(above.T).nnz else mirrored(matrix)
 
 
 def checked(matrix: Any, letter: str, path: Path) -> Matrix:

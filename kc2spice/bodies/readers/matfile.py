@@ -9,45 +9,25 @@ as COMSOL's ``mphmatrix`` and ``mphstate`` return it. It writes ``E u'' + D u' +
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import io, sparse
 
-from kc2spice.bodies.readers.archive import packed, read_in_child
-from kc2spice.bodies.readers.limits import LETTERS, MAX_DENSE
-from kc2spice.bodies.readers.raw import Raw
+from kc2spice.bodies.readers.archive import packed
+from kc2spice.bodies.readers.limits import LETTERS, unpacked
 
 _OTHER = ("cell", "object", "char", "function", "opaque")
-_STATE: dict[str, tuple[str, ...]] = {
-    "E": ("Mc",),
-    "A": ("MA", "A"),
-    "B": ("MB", "B"),
-    "C": ("C",),
-    "D": ("D",),
-}
-_SECOND: dict[str, tuple[str, ...]] = {
-    "M": ("Ec", "E"),
-    "E": ("Dc", "D"),
-    "K": ("Kc", "K"),
-    "B": ("Lc", "L"),
-}
+# Fields of the structs by letter, the first that is there.
+_STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
+_SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
 
-def read_mat(path: Path) -> Raw:
-    """Matrices of a MATLAB file by letter; other variables are not looked at.
-
-    Raises
-    ------
-    UsageError : missing, damaged, of version 7.3, or one of the matrices is not numeric.
-    """
-    expected = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
-    return read_in_child(path, expected, f"{__name__}:unpack")
-
-
-def unpack(path: str) -> dict[str, np.ndarray]:
-    """The matrices of a MATLAB file as arrays of an archive.
+def unpack(path: str, wanted: dict[str, str]) -> dict[str, np.ndarray]:
+    """The matrices of a MATLAB file as arrays of an archive; other variables are not looked at, and
+    ``wanted`` means nothing here.
 
     Raises
     ------
@@ -55,20 +35,20 @@ def unpack(path: str) -> dict[str, np.ndarray]:
     """
     names = (*LETTERS, "nodes", "dofs")
     kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
-    wanted = [name for name in names if name in kinds]
+    plain = [name for name in names if name in kinds]
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
-    if not set(wanted) & set(LETTERS) and len(structs) == 1:
+    if not set(plain) & set(LETTERS) and len(structs) == 1:
         found = _struct(
             io.loadmat(path, appendmat=False, variable_names=structs)[structs[0]], structs[0]
         )
     else:
-        for name in wanted:
+        for name in plain:
             shape, kind = kinds[name]
             if kind in (*_OTHER, "struct"):
                 raise ValueError(f"variable {name} is a {kind}")
-            if kind != "sparse" and np.prod(shape, dtype=float) > MAX_DENSE:
+            if kind != "sparse" and 8 * np.prod(shape, dtype=float) > unpacked(Path(path)):
                 raise ValueError(f"variable {name} of {shape} is too large")
-        found = io.loadmat(path, appendmat=False, variable_names=wanted) if wanted else {}
+        found = io.loadmat(path, appendmat=False, variable_names=plain) if plain else {}
     parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in found:
@@ -98,12 +78,9 @@ def _struct(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
-    def pick(table: dict[str, tuple[str, ...]]) -> dict[str, Any]:
-        return {
-            letter: next(fields[key] for key in keys if key in fields)
-            for letter, keys in table.items()
-            if any(key in fields for key in keys)
-        }
+    def pick(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+        there = {letter: [k for k in keys if k in fields] for letter, keys in table.items()}
+        return {letter: fields[keys[0]] for letter, keys in there.items() if keys}
 
     if "MA" in fields or ("A" in fields and "K" not in fields):
         return pick(_STATE)
@@ -114,13 +91,12 @@ def _struct(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(f"struct {name} is in unknowns over uscale: scale by None in the solver")
-    if "M" in found and not _entries(found["M"]):
-        del found["M"]  # a first-order problem: E is D, the damping
-    if "M" in found and "E" in found and not _entries(found["E"]):
-        del found["E"]
-    if "B" in found and not _entries(found["B"]):
-        del found["B"]  # no load: ports come from the TOML file
-    return found
+    # Without a mass the problem is of first order and keeps its E; without a load the ports come
+    # from the TOML file.
+    absent = {letter for letter in "MEB" if letter in found and not _entries(found[letter])}
+    if "M" not in found or "M" in absent:
+        absent -= {"E"}
+    return {letter: matrix for letter, matrix in found.items() if letter not in absent}
 
 
 def _entries(matrix: Any) -> int:

@@ -7,13 +7,15 @@ the basic system), Ansys ``.cdb`` (``NBLOCK``, ``CMBLOCK``), or ``.csv`` with li
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.limits import content, guarded
+from kc2spice.bodies.readers.limits import MAX_SIZE, parsed
+from kc2spice.bodies.readers.nastran import cards, real
 from kc2spice.core.errors import UsageError
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
@@ -73,55 +75,59 @@ def read_mesh(path: Path) -> Mesh:
     ------
     UsageError : damaged, several instances, moved coordinates, or no node in it.
     """
-    suffix = path.suffix.lower()
-    readers = {".inp": _keywords, ".cdb": _blocks, ".csv": _table}
-    readers |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _bulk)
-    if suffix not in readers:
-        raise UsageError("is no mesh", where=str(path), got=suffix, expected=_EXPECTED)
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise UsageError("is no mesh", where=str(path), got=path.suffix, expected=_EXPECTED)
 
-    def read() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        nodes, sets = readers[suffix](path)  # numbers may be too large for any array
+    def mesh(data: bytes) -> Mesh:
+        nodes, sets = read(data)
+        if not nodes:
+            raise ValueError("no node in it")
         node = np.fromiter(nodes, dtype=np.int64, count=len(nodes))
-        named = {name: np.unique(np.array(list(n), dtype=np.int64)) for name, n in sets.items()}
-        return node, np.array(list(nodes.values()), dtype=float), named
+        at = np.array(list(nodes.values()), dtype=float)
+        if not np.isfinite(at).all():
+            raise ValueError("a coordinate is not finite")
+        named = {name: np.unique(np.array(each, np.int64)) for name, each in sets.items()}
+        return Mesh(str(path), node, at, named)
 
-    node, at, named = guarded(path, _EXPECTED, read)
-    if not len(node):
-        raise UsageError("holds no node", where=str(path), expected=_EXPECTED)
-    if not np.isfinite(at).all():
-        raise UsageError("a coordinate is not finite", where=str(path), expected=_EXPECTED)
-    return Mesh(str(path), node, at, named)
+    return parsed(path, _EXPECTED, mesh)
 
 
 Nodes = dict[int, tuple[float, float, float]]
 Found = tuple[Nodes, dict[str, list[int]]]
 
 
-def _lines(path: Path) -> list[str]:
-    return content(path).decode("utf-8", "replace").splitlines()
+def _lines(data: bytes) -> list[str]:
+    return data.decode("utf-8", "replace").splitlines()
 
 
 def _point(words: Iterable[str]) -> tuple[float, float, float]:
-    plain = (word.upper().replace("D", "E") for word in words)
-    values = [float(word) if word.strip() else 0.0 for word in plain][:3]
+    values = [real(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 
 
-def _keywords(path: Path) -> Found:
+class _Sets(dict[str, list[int]]):
+    """Node sets by name, of bounded length together: ranges and sets of sets are short to write."""
+
+    def add(self, name: str, members: Sequence[int]) -> None:
+        if len(members) + sum(map(len, self.values())) > MAX_SIZE:
+            raise ValueError(f"node sets of more than {MAX_SIZE} nodes")
+        self.setdefault(name, []).extend(members)
+
+
+def _keywords(data: bytes) -> Found:
     """Abaqus and CalculiX."""
     nodes: Nodes = {}
-    sets: dict[str, list[int]] = {}
+    sets = _Sets()
     keyword, options, instances = "", {}, 0
-    for line in _lines(path):
+    for line in _lines(data):
         if line.startswith("**") or not line.strip():
             continue
         if line.startswith("*"):
-            head, *rest = (word.strip() for word in line[1:].upper().split(","))
-            keyword = head
-            options = {
-                k.strip(): v.strip().strip('"') for k, _, v in (w.partition("=") for w in rest)
-            }
+            keyword, *rest = (word.strip() for word in line[1:].upper().split(","))
+            pairs = (word.partition("=") for word in rest)
+            options = {key.strip(): value.strip().strip('"') for key, _, value in pairs}
             instances += keyword == "INSTANCE"
             if instances > 1:
                 raise ValueError(
@@ -129,105 +135,77 @@ def _keywords(path: Path) -> Found:
                 )
             continue
         cells = line.split(",")
+        name = options.get("NSET", "")
         if keyword == "INSTANCE" and any(float(c) for c in cells if c.strip()):
             raise ValueError("an *INSTANCE that is moved")
         if keyword == "NODE":
             nodes[int(cells[0])] = _point(cells[1:4])
-            if "NSET" in options:
-                sets.setdefault(options["NSET"], []).append(int(cells[0]))
+            if name:
+                sets.setdefault(name, []).append(int(cells[0]))
+        elif keyword == "NSET" and "GENERATE" in options:
+            first, last, *step = (int(cell) for cell in cells if cell.strip())
+            sets.add(name, range(first, last + 1, step[0] if step else 1))
         elif keyword == "NSET":
-            _members(cells, options, sets)
+            for word in filter(None, (cell.strip().upper() for cell in cells)):
+                number = word.lstrip("-").isdigit()
+                sets.add(name, [int(word)] if number else sets.get(word, ()))
     return nodes, sets
 
 
-def _members(cells: list[str], options: dict[str, str], sets: dict[str, list[int]]) -> None:
-    members = sets.setdefault(options.get("NSET", ""), [])
-    words = [cell.strip().upper() for cell in cells if cell.strip()]
-    if "GENERATE" in options:
-        first, last, *step = (int(word) for word in words)
-        if last - first > 10_000_000:
-            raise ValueError("a node set of more than 10 million nodes")
-        members.extend(range(first, last + 1, step[0] if step else 1))
-        return
-    for word in words:
-        if word.lstrip("-").isdigit():
-            members.append(int(word))
-        else:
-            members.extend(sets.get(word, ()))
-
-
-def _bulk(path: Path) -> Found:
-    """Nastran: GRID in small, large and free fields."""
+def _bulk(data: bytes) -> Found:
+    """Nastran."""
     nodes: Nodes = {}
-    lines = _lines(path)
-    for number, line in enumerate(lines):
-        if line[:4].upper() != "GRID":
-            continue
-        if "," in line:
-            cells = [*line.split("$")[0].split(",")[1:], "", "", "", "", ""]
-        elif "*" in line[:8]:
-            following = lines[number + 1] if number + 1 < len(lines) else ""
-            cells = [line[8 + k * 16 : 24 + k * 16] for k in range(4)] + [following[8:24]]
-        else:
-            cells = [line[8 + k * 8 : 16 + k * 8] for k in range(5)]
-        if cells[1].strip() not in ("", "0"):
-            raise ValueError(f"grid {cells[0].strip()} is in coordinate system {cells[1].strip()}")
-        nodes[int(cells[0])] = _point(cells[2:5])
+    for cells in cards(data, "GRID"):
+        number, system, *place = (cell.strip() for cell in cells[:5])
+        if system not in ("", "0"):
+            raise ValueError(f"grid {number} is in coordinate system {system}")
+        nodes[int(number)] = _point(place)
     return nodes, {}
 
 
-def _blocks(path: Path) -> Found:
+def _blocks(data: bytes) -> Found:
     """Ansys: NBLOCK (``i,i,i,x,y,z`` in fixed fields) and CMBLOCK of nodes."""
     nodes: Nodes = {}
-    sets: dict[str, list[int]] = {}
-    lines = iter(_lines(path))
+    sets = _Sets()
+    lines = iter(_lines(data))
     for line in lines:
         head = line.upper()
         if head.startswith("NBLOCK"):
-            heads, wide, field_width = _nblock(next(lines))
+            start, wide, field_width = _nblock(next(lines))
+            ends = [start + k * field_width for k in range(4)]
             for row in lines:
                 if row[:1] in ("N", "n", "-") or row.strip() == "-1":
                     break
-                start = heads * wide
-                coordinates = [
-                    row[start + k * field_width : start + (k + 1) * field_width] for k in range(3)
-                ]
-                nodes[int(row[:wide])] = _point(coordinates)
+                nodes[int(row[:wide])] = _point(row[a:b] for a, b in pairwise(ends))
         elif head.startswith("CMBLOCK"):
             _, name, kind, count, *_ = (word.strip() for word in head.split(","))
             next(lines)
             members: list[int] = []
             while len(members) < int(count.split("!")[0]):
                 members += [int(word) for word in next(lines).split()]
-            if kind == "NODE":
-                sets[name] = _ranges(members)
+            for before, number in pairwise([0, *members] if kind == "NODE" else ()):
+                # a negative number ends a range that the one before began
+                sets.add(name, range(before + 1, 1 - number) if number < 0 else [number])
     return nodes, sets
 
 
 def _nblock(form: str) -> tuple[int, int, int]:
-    """``(3i9,6e21.13e3)``: integers, their width, the width of a coordinate."""
+    """``(3i9,6e21.13e3)``: where coordinates begin, width of a number, width of a coordinate."""
     integers, floats = form.strip().strip("()").lower().split(",")[:2]
-    count, width = integers.split("i")
-    return int(count), int(width), int(floats.split("e")[1].split(".")[0])
+    count, width = (int(word) for word in integers.split("i"))
+    return count * width, width, int(floats.split("e")[1].split(".")[0])
 
 
-def _ranges(members: list[int]) -> list[int]:
-    """A negative number ends a range that the one before began."""
-    found: list[int] = []
-    for value in members:
-        if value < 0 and found and -value - found[-1] < 10_000_000:
-            found.extend(range(found[-1] + 1, -value + 1))
-        else:
-            found.append(value)
-    return found
-
-
-def _table(path: Path) -> Found:
+def _table(data: bytes) -> Found:
     nodes: Nodes = {}
-    for line in _lines(path):
+    for line in _lines(data):
         cells = line.split(",")
         if len(cells) >= 4 and cells[0].strip().isdigit():
             nodes[int(cells[0])] = _point(cells[1:4])
         elif nodes and line.strip():
             raise ValueError(f"line {line[:40]!r}")
     return nodes, {}
+
+
+_READERS = {".inp": _keywords, ".cdb": _blocks, ".csv": _table}
+_READERS |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _bulk)

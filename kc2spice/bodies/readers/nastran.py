@@ -13,16 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.readers.archive import packed, read_in_child
-from kc2spice.bodies.readers.limits import (
-    bounded,
-    checked,
-    content,
-    guarded,
-    refused,
-    whole,
-)
-from kc2spice.bodies.readers.raw import Raw, labelled
+from kc2spice.bodies.readers.archive import packed
+from kc2spice.bodies.readers.limits import bounded, parsed, refused
+from kc2spice.bodies.readers.raw import Raw, keyed, labelled, whole
 from kc2spice.core.errors import MissingToolError
 
 _FIRST = {"K": "K", "M": "M", "B": "E"}
@@ -68,65 +61,54 @@ def read_dmig(path: Path, wanted: Mapping[str, str]) -> Raw:
     UsageError : no such cards, complex or rectangular ones, or damage.
     """
     expected = "real, square DMIG cards"
-    headers, entries = guarded(path, expected, lambda: _cards(path))
-    if not headers:
-        raise refused(path, "no DMIG card", expected)
-    chosen = choose(
-        [n for n, form in headers.items() if form in (_SQUARE, _SYMMETRIC)], wanted, path
-    )
-    triples = {}
-    for letter, name in chosen.items():
-        table = np.array(entries.get(name, []), dtype=float).reshape(-1, 5)
-        keys = table[:, [0, 2]].astype(np.int64) * 64 + table[:, [1, 3]].astype(np.int64)
-        triples[letter] = (keys[:, 0], keys[:, 1], table[:, 4])
-    matrices, dofs = labelled(triples)
-    found = {}
-    for letter, matrix in matrices.items():
-        symmetric = headers[chosen[letter]] == _SYMMETRIC
-        found[letter] = checked(whole(matrix) if symmetric else matrix, letter, path)
-    return Raw(found, dofs)
+    forms, entries = parsed(path, expected, _dmig)
+    chosen = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], wanted, path)
+    tables = {k: np.array(entries[name]).reshape(-1, 5) for k, name in chosen.items()}
+    matrices, dofs = labelled({letter: keyed(table) for letter, table in tables.items()})
+    symmetric = {k for k, name in chosen.items() if forms[name] == _SYMMETRIC}
+    return Raw({k: whole(m) if k in symmetric else m for k, m in matrices.items()}, dofs)
 
 
-def _cards(path: Path) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]]]]:
+def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, list[tuple[float, ...]]]]:
     """Form of each matrix by name, and its (row grid, component, column grid, component, value)."""
-    headers: dict[str, int] = {}
+    forms: dict[str, int] = {}
     entries: dict[str, list[tuple[float, ...]]] = {}
-    text = content(path).decode("ascii", "replace")
-    if text and not text.endswith("\n"):
+    if data and not data.endswith(b"\n"):
         raise ValueError("the last line has no end: is it cut off?")
-    for cells in _joined(text):
+    for cells in cards(data, "DMIG"):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":
-            form, kind = int(cells[2]), int(cells[3])
-            if kind not in (1, 2):
+            forms[name], entries[name] = int(cells[2]), []
+            if int(cells[3]) not in (1, 2):
                 raise ValueError(f"matrix {name} is complex")
-            headers[name] = form
             continue
-        if name not in headers:
+        if name not in forms:
             raise ValueError(f"matrix {name} has no header card")
         column = (int(cells[1]), _component(cells[2]))
-        rows = entries.setdefault(name, [])
         for at in range(4, len(cells), 4):
             grid, component, value = [*cells[at : at + 3], "", ""][:3]
             if grid.strip():
-                rows.append((int(grid), _component(component), *column, _number(value)))
-    return headers, entries
+                entries[name].append((int(grid), _component(component), *column, real(value)))
+    for table in entries.values():
+        keyed(np.array(table).reshape(-1, 5))
+    if not forms:
+        raise ValueError("no DMIG card")
+    return forms, entries
 
 
-def _joined(text: str) -> Iterator[list[str]]:
-    """The fields of each DMIG card behind its name, continuation lines joined."""
+def cards(data: bytes, name: str) -> Iterator[list[str]]:
+    """The fields of each card of this name behind it, continuation lines joined; bulk data in
+    small, large and free fields."""
     cells: list[str] = []
-    for line in text.splitlines():
+    for line in data.decode("ascii", "replace").splitlines():
         line = line.split("$", 1)[0].rstrip()
-        if line[:4].upper() == "DMIG":
-            if cells:
-                yield cells
-            cells = _fields(line)
-        elif cells and (line[:1] in ("*", "+", ",") or (line and not line[:8].strip())):
-            cells += _fields(line)
-        elif cells and line:
+        begins = line[: len(name)].upper() == name
+        continues = line[:1] in ("*", "+", ",") or (line and not line[:8].strip())
+        if cells and line and not (continues and not begins):
             yield cells
             cells = []
+        if begins or (cells and continues):
+            cells += _fields(line)
     if cells:
         yield cells
 
@@ -146,31 +128,18 @@ def _component(text: str) -> int:
     return value
 
 
-def _number(text: str) -> float:
-    text = text.strip().upper().replace("D", "E")
-    try:
-        return float(text)
-    except ValueError:
-        return float(_SHORT_EXPONENT.sub(r"E\1", text))
-
-
-def read_op4(path: Path, wanted: Mapping[str, str]) -> Raw:
-    """Matrices of an OUTPUT4 file, text or binary, of either byte order.
-
-    Raises
-    ------
-    UsageError : damaged, too large, complex, or no stiffness in it.
-    MissingToolError : pyyeti is not installed.
-    """
-    expected = "a Nastran OUTPUT4 file"
-    return read_in_child(path, expected, f"{__name__}:unpack_op4", wanted=dict(wanted))
+def real(text: str) -> float:
+    """A number as Fortran writes it: 1.5D+7, or 1.5+7."""
+    return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 
 
 def unpack_op4(path: str, wanted: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """The matrices of an OUTPUT4 file as arrays of an archive.
+    """The matrices of an OUTPUT4 file, text or binary, of either byte order, as arrays of an
+    archive.
 
     Raises
     ------
+    UsageError : too large, or no stiffness in it.
     MissingToolError : pyyeti is not installed.
     """
     try:

@@ -47,7 +47,7 @@ B and rows of C are signals ``u1`` ..., ``y1`` ....
 from __future__ import annotations
 
 import math
-import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -58,19 +58,18 @@ from pydantic import (
     Field,
     PrivateAttr,
     StrictBool,
+    StringConstraints,
     ValidationInfo,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from kc2spice.bodies.readers.limits import LETTERS, existing, present
+from kc2spice.bodies.readers.limits import existing, guarded
 from kc2spice.bodies.readers.raw import CODES, DOFS
-from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Count, Section
-from kc2spice.core.schema import validated
-from kc2spice.rom.linear import CONSERVATIVE, PortKind
+from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
+from kc2spice.core.quantities import Count, Section, validated
+from kc2spice.rom.linear import CONSERVATIVE, Port, PortKind
 
-MAX_BYTES = 1_000_000
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -92,12 +91,6 @@ def _word(value: str) -> str:
     """A unit goes into the header of a netlist."""
     if value and len(value.split()) != 1:
         raise wrong("is no unit", "one word")
-    return value
-
-
-def _letter(value: str) -> str:
-    if value not in LETTERS:
-        raise wrong("no such matrix", ", ".join(LETTERS))
     return value
 
 
@@ -143,7 +136,7 @@ Point = tuple[Finite, Finite, Finite]
 Axis = Annotated[Point, BeforeValidator(_direction), AfterValidator(_unit_vector)]
 Unit = Annotated[str, Field(max_length=32), AfterValidator(_word), AfterValidator(_printable)]
 Rayleigh = tuple[float, float]
-Letter = Annotated[str, AfterValidator(_letter)]
+Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
 
 
 class Place(Section):
@@ -196,9 +189,7 @@ class PortEntry(Place):
     axis: Axis | None = None
     column: Position | None = None
     row: Position | None = None
-    unit: Annotated[
-        str, Field(max_length=32), AfterValidator(_word), AfterValidator(_printable)
-    ] = ""
+    unit: Unit = ""
     scale: Annotated[Finite, Field(gt=0)] = 1.0
     pins: tuple[Name, ...] = Field((), max_length=2)
 
@@ -228,6 +219,11 @@ class PortEntry(Place):
             raise wrong(got, "'dof' or 'axis'")
         return self
 
+    @property
+    def port(self) -> Port:
+        """What the model calls it."""
+        return Port(self.name, self.kind, across=self.unit, pins=self.pins)
+
 
 class Damping(Section):
     """``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz]."""
@@ -250,17 +246,6 @@ class Damping(Section):
         if self.ratio is None or self.at is None:
             return self.alpha, self.beta
         return 0.0, self.ratio / (math.pi * self.at)
-
-
-class InOrder(Section):
-    """One ``[[port]]`` table: the next column of B, the next row of C, or both."""
-
-    name: Name
-    direction: Literal["in", "out", "both"]
-    kind: PortKind | None = None
-    unit: str = ""
-    scale: float = 1.0
-    pins: tuple[Name, ...] = ()
 
 
 class Sidecar(Section):
@@ -293,13 +278,39 @@ class Sidecar(Section):
                     return f"{self.where}: {word}[{number}]{name}"
         return self.where
 
+    @model_validator(mode="before")
+    @classmethod
+    def _in_order(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """``[[port]]`` tables with a direction as ``[[ports]]`` with columns and rows."""
+        if "port" not in data or "ports" in data:
+            return data
+        tables = data["port"] if isinstance(data["port"], list) else [data["port"]]
+        columns, rows, ports = 0, 0, []
+        for number, table in enumerate(tables):
+            match table:
+                case {"column": _} | {"row": _}:
+                    raise wrong(f"port[{number}] has a column or row", "[[ports]], with a kind")
+                case {"direction": "in", **rest}:
+                    columns += 1
+                    ports.append({**rest, "kind": "input", "column": columns})
+                case {"direction": "out", **rest}:
+                    rows += 1
+                    ports.append({**rest, "kind": "output", "row": rows})
+                case {"direction": "both", **rest}:
+                    columns, rows = columns + 1, rows + 1
+                    ports.append({**rest, "column": columns})
+                case _:
+                    raise wrong(f"port[{number}] has no direction", "'in', 'out' or 'both'")
+        return {**{key: data[key] for key in data if key != "port"}, "ports": ports}
+
     @model_validator(mode="after")
     def _fits(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             raise wrong("band is none", "[f0, f1] with 0 <= f0 < f1, Hz")
         names = [port.name.lower() for port in self.ports]
-        if len(set(names)) < len(names):
-            raise wrong(f"two ports have one name: {', '.join(names)}", "a name for each")
+        twice = [name for name, times in Counter(names).items() if times > 1]
+        if twice:
+            raise wrong(f"two ports have one name: {', '.join(twice[:5])}", "a name for each")
         return self
 
 
@@ -311,34 +322,9 @@ def read_sidecar(path: Path) -> Sidecar:
     UsageError : missing, not TOML, too long, an unknown key, a value of the wrong type, a name
         twice; the message names the file and the key.
     """
-    if not present(path):
-        where = str(path).replace("\0", "\\0")
-        raise UsageError("no such file", where=where, expected="a TOML file")
-    where = str(path)
-    if path.stat().st_size > MAX_BYTES:
-        raise UsageError("too long", where=where, expected=f"at most {MAX_BYTES} bytes")
-    try:
-        data = tomllib.loads(existing(path).read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError("is not TOML", where=where, got=str(error)[:200]) from None
-    if "port" in data and "ports" not in data:
-        data["ports"] = _in_order(data.pop("port"), where)
-    found = validated(Sidecar, data, f"{where}:", {"folder": path.parent})
-    found._where = where
-    return found
-
-
-def _in_order(tables: Any, where: str) -> list[dict[str, Any]]:
-    """``[[port]]`` tables with a direction as ``[[ports]]`` tables with columns and rows."""
-    if not isinstance(tables, list):
-        raise UsageError("is no list of tables", where=f"{where}: port", expected="[[port]]")
-    found, columns, rows = [], 0, 0
-    for number, table in enumerate(tables):
-        entry = validated(InOrder, table, f"{where}: port[{number}]")
-        columns += entry.direction != "out"
-        rows += entry.direction != "in"
-        place = {"row": rows} if entry.direction == "out" else {"column": columns}
-        words = {"in": {"kind": "input"}, "out": {"kind": "output"}, "both": {}}[entry.direction]
-        given = {key: table[key] for key in table if key != "direction"}
-        found.append(given | words | place)
+    expected = f"a TOML file of at most {MAX_BYTES} bytes"
+    existing(path, expected)
+    data = guarded(path, expected, lambda: parse_toml(text_of(read_bounded(path, MAX_BYTES))))
+    found = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
+    found._where = str(path)
     return found

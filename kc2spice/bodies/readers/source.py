@@ -4,52 +4,59 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from kc2spice.bodies.readers import abaqus
-from kc2spice.bodies.readers.ansys_full import read_full
-from kc2spice.bodies.readers.archive import read_archive
+from kc2spice.bodies.readers import abaqus, ansys_full, matfile, nastran
+from kc2spice.bodies.readers import harwell_boeing as boeing
+from kc2spice.bodies.readers.archive import read_archive, read_in_child
 from kc2spice.bodies.readers.calculix import SUFFIXES, read_calculix
-from kc2spice.bodies.readers.harwell_boeing import (
-    is_harwell_boeing,
-    read_harwell_boeing,
-    read_mapping,
-)
 from kc2spice.bodies.readers.limits import (
     LETTERS,
     bounded,
     checked,
-    content,
     existing,
     guarded,
+    parsed,
     present,
     refused,
 )
-from kc2spice.bodies.readers.matfile import read_mat
-from kc2spice.bodies.readers.nastran import read_dmig, read_op4
-from kc2spice.bodies.readers.raw import DOFS, Dofs, Raw
+from kc2spice.bodies.readers.raw import Dofs, Raw
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.matrix_market import BANNER, numbers, read_market
 from kc2spice.rom.operators import Matrix
 
+Reader = Callable[[Path, Mapping[str, str]], Raw]
+
+
+def _in_child(function: Callable[..., object]) -> Reader:
+    name = f"{function.__module__}:{function.__name__}"
+    return lambda path, wanted: read_in_child(path, name, wanted)
+
+
 # What may stand behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-# One file with all matrices, by its suffix.
-READERS: Mapping[str, Callable[[Path, Sidecar], Raw]] = {
-    ".npz": lambda path, said: read_archive(path),
-    ".mat": lambda path, said: read_mat(path),
-    ".full": lambda path, said: read_full(path),
-    ".op4": lambda path, said: read_op4(path, said.matrices),
-    **{suffix: lambda path, said: read_calculix(path) for suffix in SUFFIXES},
-    **{
-        suffix: lambda path, said: read_dmig(path, said.matrices)
-        for suffix in (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig")
-    },
+_MATLAB = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
+_ARRAYS = (
+    "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
+    "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
+)
+_JOB = f"{', '.join(SUFFIXES)} of one job"
+# One file with all matrices, by its suffix: what it should be, and its reader, which gets the names
+# that the sidecar has for matrices.
+READERS: Mapping[str, tuple[str, Reader]] = {
+    ".npz": (_ARRAYS, lambda path, wanted: read_archive(path)),
+    ".mat": (_MATLAB, _in_child(matfile.unpack)),
+    ".full": ("a symmetric .full file of Ansys", _in_child(ansys_full.unpack)),
+    ".op4": ("a Nastran OUTPUT4 file", _in_child(nastran.unpack_op4)),
+    **dict.fromkeys(SUFFIXES, (_JOB, lambda path, wanted: read_calculix(path))),
+    **dict.fromkeys(
+        (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
+        ("a punch file of Nastran", nastran.read_dmig),
+    ),
 }
 
 
@@ -72,17 +79,17 @@ def open_source(path: Path, sidecar: Path | None) -> Source:
     MissingToolError : a package that the format needs is not installed.
     """
     if "\0" in str(path):
-        where = str(path).replace("\0", "\\0")
-        raise UsageError("no such file", where=where, expected="a name without NUL")
+        existing(path)  # says that there is none
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files = _family(path)
     _, said = described(path, sidecar)
-    raw = _read(path, {**files, **said.files}, said)
+    raw = _read(path, {**files, **said.files}, said.matrices)
+    sound = {k: checked(m, k, raw.files.get(k, path)) for k, m in raw.matrices.items()}
     if said.dofs is not None:
-        raw = Raw(raw.matrices, _rows(said.dofs), raw.held)
-    return Source(base.name, str(path), said, raw)
+        raw = replace(raw, dofs=parsed(said.dofs, "lines 'node,dof', one for each row", _rows))
+    return Source(base.name, str(path), said, replace(raw, matrices=sound))
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
@@ -154,7 +161,7 @@ def _member(path: Path) -> re.Match[str] | None:
     return match if any(present(path.with_name(path.name + tail)) for tail in tails) else None
 
 
-def _read(path: Path, files: dict[str, Path], said: Sidecar) -> Raw:
+def _read(path: Path, files: dict[str, Path], wanted: Mapping[str, str]) -> Raw:
     suffix = path.suffix.lower()
     if files:
         return _matrices(files)
@@ -165,80 +172,55 @@ def _read(path: Path, files: dict[str, Path], said: Sidecar) -> Raw:
             expected=f"{path.name}.M .E .K .B .C (or .A), .mtx, .matrix, .mat, .npz, .op4, .pch, "
             ".sti or .full; or a TOML file with 'files'",
         )
-    if suffix in READERS:
-        return READERS[suffix](path, said)
-    raise refused(
-        path,
-        "one file that is not called after its matrix",
-        "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
-        hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
-    )
+    if suffix not in READERS:
+        raise refused(
+            path,
+            "one file that is not called after its matrix",
+            "NAME.K, NAME_K.mtx, JOB_STIF1.mtx",
+            hint='or name the files in NAME.toml: files = { K = "...", M = "..." }',
+        )
+    expected, read = READERS[suffix]
+    return guarded(path, expected, lambda: read(path, wanted))
 
 
 def _matrices(files: dict[str, Path]) -> Raw:
     """One file a matrix; Matrix Market and Harwell-Boeing may stand side by side."""
-    heads = {letter: _head(path) for letter, path in files.items()}
-    market = {k for k, head in heads.items() if head[: len(BANNER)].lower() == BANNER}
-    boeing = {k for k, head in heads.items() if k not in market and is_harwell_boeing(head)}
-    other = {k: path for k, path in files.items() if k not in market | boeing}
-    raw = abaqus.read_abaqus(_tables(other)) if other else Raw({})
-    found: dict[str, Matrix] = dict(raw.matrices)
+    found: dict[str, Matrix] = {}
+    tables: dict[str, Path] = {}
+    mapped: list[Path] = []
     for letter, path in files.items():
-        if letter in market:
-            found[letter] = _market(path, letter)
-        elif letter in boeing:
-            found[letter] = read_harwell_boeing(path, letter)
-    dofs = raw.dofs
-    if boeing and dofs is None:
-        dofs = _mapping([files[k] for k in sorted(boeing, key="KMEABCD".index)], found)
-    return Raw(found, dofs, raw.held)
-
-
-def _market(path: Path, letter: str) -> Matrix:
-    def read() -> Matrix:
-        return read_market(content(path), lambda shape, n: bounded(path, letter, shape, n))
-
-    expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
-    return checked(guarded(path, expected, read), letter, path)
-
-
-def _tables(files: dict[str, Path]) -> dict[str, Path]:
-    """Text that has neither a banner nor a header must be Abaqus' square matrices."""
-    for letter, path in files.items():
-        if letter not in "MEK" or path.suffix.lower() != ".mtx":
-            raise refused(
-                path,
-                f"matrix {letter} in an unknown format",
-                "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus",
-            )
-    return files
+        head = _head(path)
+        allowed = partial(bounded, path, letter)
+        if head[: len(BANNER)].lower() == BANNER:
+            expected = "a Matrix Market file, 'coordinate' or 'array', 'real' or 'integer'"
+            found[letter] = parsed(path, expected, partial(read_market, allowed=allowed))
+        elif boeing.is_harwell_boeing(head):
+            read = partial(boeing.read_harwell_boeing, allowed=allowed)
+            found[letter] = parsed(path, boeing.EXPECTED, read)
+            mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
+        elif letter in "MEK" and path.suffix.lower() == ".mtx":  # Abaqus' square matrices
+            tables[letter] = path
+        else:
+            expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
+            raise refused(path, f"matrix {letter} in an unknown format", expected)
+    raw = abaqus.read_abaqus(tables) if tables else Raw({})
+    found |= raw.matrices
+    dofs, names = raw.dofs, [path for path in mapped if present(path)]
+    if names and dofs is None:
+        size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
+        expected = f"lines of equation, node and freedom for {size} equations"
+        dofs = parsed(names[0], expected, partial(boeing.mapping, size=size))
+    return Raw(found, dofs, raw.held, files)
 
 
 def _head(path: Path) -> bytes:
-    existing(path)
-    with path.open("rb") as stream:
+    with existing(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 
 
-def _mapping(files: list[Path], found: dict[str, Matrix]) -> Dofs | None:
-    size = next(m.shape[0] for k, m in found.items() if k in "MEKA")
-    for path in files:
-        for suffix in (".mapping", ".MAPPING"):
-            if present(path.with_suffix(suffix)):
-                return read_mapping(path.with_suffix(suffix), size)
-    return None
-
-
-def _rows(path: Path) -> Dofs:
+def _rows(data: bytes) -> Dofs:
     """``node,dof`` of each row in order, dofs by number."""
-
-    def read() -> Dofs:
-        values = numbers(content(path))
-        if values.size == 0 or values.size % 2 or (values != np.floor(values)).any():
-            raise ValueError(f"{values.size} numbers in two columns")
-        node, kind = values.reshape(-1, 2).T.astype(np.int64)
-        if not np.isin(kind, list(DOFS)).all():
-            raise ValueError(f"degree of freedom {kind[~np.isin(kind, list(DOFS))][0]}")
-        return Dofs(node, kind)
-
-    return guarded(path, "lines 'node,dof', one for each row", read)
+    values = numbers(data)
+    if values.size == 0 or values.size % 2:
+        raise ValueError(f"{values.size} numbers in two columns")
+    return Dofs(*values.reshape(-1, 2).T)

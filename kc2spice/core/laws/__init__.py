@@ -8,7 +8,6 @@ kind              across               through
 ================  ===================  ==========================
 ``electrical``    voltage [V]          current into the part [A]
 ``displacement``  displacement [m]     force on the part [N]
-``velocity``      velocity [m/s]       force on the part [N]
 ``rotation``      angle [rad]          torque on the part [N m]
 ``signal``        value                none; one pin of a net sets it
 ================  ===================  ==========================
@@ -18,52 +17,32 @@ nonlinear or switched law is a :class:`Device`: smooth expressions within a *mod
 zeros end the mode.
 """
 
-from kc2spice.core.laws.control import Pid
-from kc2spice.core.laws.device import Device, Flow, Tap, inside
-from kc2spice.core.laws.equations import Equations, Reading, difference, reading
-from kc2spice.core.laws.linear import (
-    LinearBody,
-    Mass,
-    Port,
-    Sensor,
-    SignalBlock,
-    Source,
-    TwoTerminal,
-)
-from kc2spice.core.laws.magnets import CoilForce, ForceTable, PositionForce
-from kc2spice.core.laws.pin import GROUND, KINDS, MECHANICAL, Law, Pin
-from kc2spice.core.laws.ported import PortBody, Relation
-from kc2spice.core.laws.wave import Line, Recorded, Sine, Waveform
-
-__all__ = [
-    "GROUND",
-    "KINDS",
-    "MECHANICAL",
-    "CoilForce",
-    "Device",
-    "Equations",
-    "Flow",
-    "ForceTable",
-    "Law",
-    "Line",
-    "LinearBody",
-    "Mass",
-    "Pid",
-    "Pin",
-    "Port",
-    "PortBody",
-    "PositionForce",
-    "Reading",
-    "Recorded",
-    "Relation",
-    "Sensor",
-    "SignalBlock",
-    "Sine",
-    "Source",
-    "Tap",
-    "TwoTerminal",
-    "Waveform",
-    "difference",
-    "inside",
-    "reading",
-]
+from kc2spice.core.laws.control import Pid as Pid
+from kc2spice.core.laws.device import Device as Device
+from kc2spice.core.laws.device import Flow as Flow
+from kc2spice.core.laws.device import Tap as Tap
+from kc2spice.core.laws.device import inside as inside
+from kc2spice.core.laws.equations import Equations as Equations
+from kc2spice.core.laws.equations import Reading as Reading
+from kc2spice.core.laws.equations import difference as difference
+from kc2spice.core.laws.equations import reading as reading
+from kc2spice.core.laws.linear import LinearBody as LinearBody
+from kc2spice.core.laws.linear import Mass as Mass
+from kc2spice.core.laws.linear import Port as Port
+from kc2spice.core.laws.linear import Sensor as Sensor
+from kc2spice.core.laws.linear import SignalBlock as SignalBlock
+from kc2spice.core.laws.linear import Source as Source
+from kc2spice.core.laws.linear import TwoTerminal as TwoTerminal
+from kc2spice.core.laws.magnets import CoilForce as CoilForce
+from kc2spice.core.laws.magnets import ForceTable as ForceTable
+from kc2spice.core.laws.magnets import PositionForce as PositionForce
+from kc2spice.core.laws.pin import GROUND as GROUND
+from kc2spice.core.laws.pin import MECHANICAL as MECHANICAL
+from kc2spice.core.laws.pin import Law as Law
+from kc2spice.core.laws.pin import Pin as Pin
+from kc2spice.core.laws.ported import PortBody as PortBody
+from kc2spice.core.laws.ported import Relation as Relation
+from kc2spice.core.laws.wave import Line as Line
+from kc2spice.core.laws.wave import Recorded as Recorded
+from kc2spice.core.laws.wave import Sine as Sine
+from kc2spice.core.laws.wave import Waveform as Waveform

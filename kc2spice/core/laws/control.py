@@ -31,30 +31,16 @@ class Pid(Device):
     disable: tuple[float, ...] = ()
     kind: str = "displacement"
 
+    taps = (Tap("y"),)
+    states = ("followed", "integral")
+    drives = ("out",)
+    affine = True
+    extra = ("error",)
+
     @property
     def pins(self) -> tuple[Pin, ...]:
         """Measured quantity ``y``, signal ``out``."""
         return (Pin("y", self.kind), Pin("out", "signal"))
-
-    @property
-    def taps(self) -> tuple[Tap, ...]:
-        """The measured quantity."""
-        return (Tap("y"),)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Followed error and integral part."""
-        return ("followed", "integral")
-
-    @property
-    def drives(self) -> tuple[str, ...]:
-        """The output."""
-        return ("out",)
-
-    @property
-    def affine(self) -> bool:
-        """Within a mode."""
-        return True
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -110,11 +96,6 @@ class Pid(Device):
         elif on:
             out[2] = side * self.limit
         return out, jac
-
-    @property
-    def extra(self) -> tuple[str, ...]:
-        """The error."""
-        return ("error",)
 
     def waves(self, t: float, e: np.ndarray, mode: Any) -> dict[str, float]:
         """The error."""

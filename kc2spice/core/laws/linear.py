@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.core.laws.pin import Pin
+from kc2spice.core.laws.pin import MECHANICAL, Pin
 from kc2spice.core.laws.wave import Waveform
 
 
@@ -28,8 +28,7 @@ class Port:
 class LinearBody:
     """``M x'' + E x' + K x = B in``, ``out = C x + D in``.
 
-    ``M``, ``E``, ``K`` (n, n) or, for diagonal ones, (n,); ``B`` (n, p), ``C`` (p, n), ``D`` (p, p)
-    or None.
+    ``M``, ``E``, ``K`` (n, n) or (n,) for diagonal ones; ``B`` (n, p), ``C`` (p, n), ``D`` (p, p).
     A port with ``D`` must be electrical or have an own positive compliance.
     """
 
@@ -45,13 +44,18 @@ class LinearBody:
     @property
     def pins(self) -> tuple[Pin, ...]:
         """One pin a port, and the returns."""
-        found: list[Pin] = []
-        for port in self.ports:
-            kind = "signal" if port.kind == "acceleration" else port.kind
-            found.append(Pin(port.name, kind))
-            if port.ret and port.ret not in {p.name for p in found}:
-                found.append(Pin(port.ret, kind, grounded=True))
-        return tuple(found)
+        return port_pins(self.ports)
+
+
+def port_pins(ports: tuple[Port, ...]) -> tuple[Pin, ...]:
+    """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
+    found: list[Pin] = []
+    for port in ports:
+        kind = port.kind if port.kind in (*MECHANICAL, "electrical") else "signal"
+        found.append(Pin(port.name, kind))
+        if port.ret and port.ret not in {p.name for p in found}:
+            found.append(Pin(port.ret, kind, grounded=True))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -75,11 +79,10 @@ class SignalBlock:
 
 @dataclass(frozen=True)
 class Mass:
-    """A rigid mass [kg] on pin ``a``, or a moment of inertia on a rotation net.
+    """A rigid mass [kg] on pin ``a``.
 
     ``position`` and ``velocity`` start it there; None starts it where the rest of the system holds
-    it in equilibrium. ``gravity`` [m/s^2] pulls towards smaller displacements. ``offset`` is added
-    to the displacement in the wave ``NAME.y``.
+    it in equilibrium. ``gravity`` [m/s^2] pulls towards smaller displacements.
     """
 
     name: str
@@ -87,13 +90,11 @@ class Mass:
     gravity: float = 0.0
     position: float | None = None
     velocity: float = 0.0
-    offset: float = 0.0
-    kind: str = "displacement"
 
     @property
     def pins(self) -> tuple[Pin, ...]:
         """The one pin ``a``."""
-        return (Pin("a", self.kind),)
+        return (Pin("a", "displacement"),)
 
 
 @dataclass(frozen=True)
@@ -129,30 +130,25 @@ class Source:
     kind: str
     wave: Waveform
     ac: complex = 0.0
-    pin_kind: str = ""
 
     @property
     def pins(self) -> tuple[Pin, ...]:
         """``out``, and ``ret``, which is grounded by default."""
-        kinds = {"voltage": "electrical", "current": "electrical", "signal": "signal"} | {
-            "acceleration": "signal"
-        }
-        kind = self.pin_kind or kinds.get(self.kind, "displacement")
-        out = Pin("out", kind)
-        return (out,) if kind == "signal" else (out, Pin("ret", kind, grounded=True))
+        if self.kind in ("signal", "acceleration"):
+            return (Pin("out", "signal"),)
+        kind = "electrical" if self.kind in ("voltage", "current") else "displacement"
+        return (Pin("out", kind), Pin("ret", kind, grounded=True))
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Signal ``out = gain (across(a) - across(b)) + offset``, with a pole at ``bandwidth`` [Hz]."""
+    """Signal ``out = gain across(a)``."""
 
     name: str
-    gain: float = 1.0
-    offset: float = 0.0
-    bandwidth: float = np.inf
-    kind: str = "displacement"
+    gain: float
+    kind: str
 
     @property
     def pins(self) -> tuple[Pin, ...]:
-        """``a``, ``b`` (grounded by default) and the signal ``out``."""
-        return (Pin("a", self.kind), Pin("b", self.kind, grounded=True), Pin("out", "signal"))
+        """``a`` and the signal ``out``."""
+        return (Pin("a", self.kind), Pin("out", "signal"))

@@ -17,6 +17,7 @@ class ForceTable:
     """``F(y, i) = c0 + sum c_k i_k + sum_{k <= l} c_kl i_k i_l`` by not-a-knot cubic splines.
 
     ``y`` (n,) [m]; ``columns`` (n, 1 + m + m (m + 1) / 2): c0, c_1 ... c_m, c_11, c_12, ..., c_mm.
+    With ``j = [1, i]`` this is ``F = j' S'(y) j / 2``, the slope of the coenergy ``j' S(y) j / 2``.
     """
 
     y: np.ndarray
@@ -24,43 +25,29 @@ class ForceTable:
     coils: int
 
     @cached_property
-    def _spline(self) -> np.ndarray:
+    def _quartics(self) -> np.ndarray:
+        """Coefficients (5, n - 1, (1 + m)^2) of ``S`` between the nodes."""
         from scipy.interpolate import CubicSpline
 
-        return CubicSpline(self.y, self.columns, bc_type="not-a-knot").c
+        k, m = np.triu_indices(1 + self.coils)  # in the order of the columns
+        half = np.zeros((self.y.size, 1 + self.coils, 1 + self.coils))
+        half[:, k, m] = self.columns
+        spline = CubicSpline(self.y, half + half.transpose(0, 2, 1), bc_type="not-a-knot")
+        return np.asarray(spline.antiderivative().c.reshape(5, self.y.size - 1, -1))
 
-    @cached_property
-    def _potential(self) -> np.ndarray:
-        """Integrals over y from the first node, as quartics (5, n - 1, columns)."""
-        c, h = self._spline, np.diff(self.y)[:, None]
-        quartic = np.concatenate((c / np.array([4.0, 3.0, 2.0, 1.0])[:, None, None], c[:1] * 0))
-        step = (((quartic[0] * h + quartic[1]) * h + quartic[2]) * h + quartic[3]) * h
-        quartic[4, 1:] = np.cumsum(step, axis=0)[:-1]
-        return quartic
-
-    def coefficients(self, y: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Integral over y, value and slope of all columns; the end cubics go on outside."""
-        j = min(max(int(self.y.searchsorted(y, side="right")) - 1, 0), self.y.size - 2)
-        s, p = y - self.y[j], self._potential[:, j]
+    def forms(self, y: float) -> np.ndarray:
+        """``S``, zero at the first node, ``S'`` and ``S''``; the end cubics go on outside."""
+        k = min(max(int(self.y.searchsorted(y, side="right")) - 1, 0), self.y.size - 2)
+        s = y - self.y[k]
         t = s * s
-        powers = np.array((t * t, t * s, t, s, 1.0))
-        c = self._spline[:, j]
-        return powers @ p, powers[1:] @ c, np.array((3 * t, 2 * s, 1.0)) @ c[:3]
-
-    def powers(self, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Monomials (columns,) of the currents and their derivatives (columns, coils)."""
-        first, k, m = self._monomials
-        slopes = np.zeros((self.columns.shape[1], self.coils))
-        n = 1 + self.coils
-        slopes[1:n] = first[0]
-        slopes[n:] = first[1] * i[m][:, None] + first[2] * i[k][:, None]
-        return np.concatenate(((1.0,), i, i[k] * i[m])), slopes
-
-    @cached_property
-    def _monomials(self) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-        k, m = np.triu_indices(self.coils)
-        unit = np.eye(self.coils)
-        return (unit, unit[k], unit[m]), k, m
+        powers = np.array(
+            [
+                [t * t, t * s, t, s, 1.0],
+                [4 * t * s, 3 * t, 2 * s, 1.0, 0.0],
+                [12 * t, 6 * s, 2, 0, 0],
+            ]
+        )
+        return (powers @ self._quartics[:, k]).reshape(3, 1 + self.coils, 1 + self.coils)
 
     def check(self, y: float, where: str, t: float) -> None:
         """Raise SimulationError if ``y`` lies outside the nodes."""
@@ -88,6 +75,8 @@ class PositionForce(Device):
     gains: tuple[float, ...]
     offset: float = 0.0
 
+    flows = (Flow("y"),)
+
     @property
     def _signals(self) -> tuple[str, ...]:
         return tuple(f"i{k + 1}" for k in range(self.table.coils))
@@ -102,18 +91,12 @@ class PositionForce(Device):
         """Displacement, its rate, currents."""
         return (Tap("y"), Tap("y", rate=True), *(Tap(n) for n in self._signals))
 
-    @property
-    def flows(self) -> tuple[Flow, ...]:
-        """The reaction on the coils."""
-        return (Flow("y"),)
-
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Reaction and its slopes in y and the currents."""
-        gains = np.asarray(self.gains)
-        _, value, slope = self.table.coefficients(float(e[0]) + self.offset)
-        powers, by_current = self.table.powers(gains * e[2:])
-        derivative = np.concatenate(([slope @ powers, 0.0], (value @ by_current) * gains))
-        return np.array([-(value @ powers)]), -derivative[None]
+        j = np.append(1.0, np.asarray(self.gains) * e[2:])
+        _, S1, S2 = self.table.forms(float(e[0]) + self.offset)
+        slopes = np.append([0.5 * j @ S2 @ j, 0.0], (S1 @ j)[1:] * self.gains)
+        return np.array([-0.5 * j @ S1 @ j]), -slopes[None]
 
     def check(self, t: float, e: np.ndarray) -> None:
         """Raise SimulationError outside the table."""
@@ -180,41 +163,28 @@ class CoilForce(Device):
         """Milliamperes."""
         return (1e-3,) * self.table.coils
 
-    def _split(self, e: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        m = self.table.coils
-        return float(e[0]) + self.offset, e[1 : 1 + m], e[1 + m :]
+    def _at(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """``j``, and the forms of the table with ``L0`` in the first."""
+        S, S1, S2 = self.table.forms(float(e[0]) + self.offset)
+        S[1:, 1:] += self.inductance
+        return np.append(1.0, e[1 + self.table.coils :]), S, S1, S2
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Reaction, currents, and ``d lambda/dt = v - R i``."""
         m = self.table.coils
-        y, volts, i = self._split(e)
-        _, value, slope = self.table.coefficients(y)
-        powers, by_current = self.table.powers(i)
-        out = np.concatenate(([-(value @ powers)], i, volts - self.resistance * i))
+        j, _, S1, S2 = self._at(e)
+        out = np.concatenate(([-0.5 * j @ S1 @ j], j[1:], e[1 : 1 + m] - self.resistance * j[1:]))
         jac = np.zeros((1 + 2 * m, e.size))
-        jac[0, 0], jac[0, 1 + m :] = -(slope @ powers), -(value @ by_current)
-        jac[1 : 1 + m, 1 + m :] = np.eye(m)
-        jac[1 + m :, 1 : 1 + m] = np.eye(m)
+        jac[0, 0], jac[0, 1 + m :] = -0.5 * j @ S2 @ j, -(S1 @ j)[1:]
+        jac[1 : 1 + m, 1 + m :] = jac[1 + m :, 1 : 1 + m] = np.eye(m)
         jac[1 + m :, 1 + m :] = -np.diag(self.resistance)
         return out, jac
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Flux linkages [Wb] with their slopes."""
-        m = self.table.coils
-        y, _, i = self._split(e)
-        integral, value, _ = self.table.coefficients(y)
-        _, by_current = self.table.powers(i)
-        jac = np.zeros((m, e.size))
-        jac[:, 0] = value @ by_current
-        jac[:, 1 + m :] = self._incremental(integral)
-        return integral @ by_current + self.inductance @ i, jac
-
-    def _incremental(self, integral: np.ndarray) -> np.ndarray:
-        m = self.table.coils
-        k, n = np.triu_indices(m)
-        half = np.zeros((m, m))
-        half[k, n] = integral[1 + m :]
-        return half + half.T + self.inductance
+        j, S, S1, _ = self._at(e)
+        slopes = np.column_stack(((S1 @ j)[1:], np.zeros((j.size - 1, j.size - 1)), S[1:, 1:]))
+        return (S @ j)[1:], slopes
 
     def check(self, t: float, e: np.ndarray) -> None:
         """Raise SimulationError outside the table."""
@@ -222,10 +192,9 @@ class CoilForce(Device):
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
         """``i' L i / 2 - int c0 dy``."""
-        y, _, i = self._split(e)
-        integral = self.table.coefficients(y)[0]
-        return float(0.5 * i @ self._incremental(integral) @ i - integral[0])
+        j, S, _, _ = self._at(e)
+        return float(0.5 * (j[1:] @ S[1:, 1:] @ j[1:] - S[0, 0]))
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         """``R i^2``."""
-        return float(self.resistance @ self._split(e)[2] ** 2)
+        return float(self.resistance @ e[1 + self.table.coils :] ** 2)

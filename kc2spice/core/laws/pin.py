@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-MECHANICAL = ("displacement", "velocity", "rotation")
-KINDS = ("electrical", *MECHANICAL, "signal")
+MECHANICAL = ("displacement", "rotation")
 GROUND = "gnd"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws.device import Device, Flow, Tap
-from kc2spice.core.laws.linear import Port
+from kc2spice.core.laws.linear import Port, port_pins
 from kc2spice.core.laws.pin import MECHANICAL, Pin
 
 MICRO = 1e-6  # m, in which displacements are balanced
@@ -60,13 +60,7 @@ class PortBody(Device):
     @property
     def pins(self) -> tuple[Pin, ...]:
         """One pin a port, and the returns."""
-        found: list[Pin] = []
-        for port in self.ports:
-            kind = port.kind if port in self._own else "signal"
-            found.append(Pin(port.name, kind))
-            if port.ret and port.ret not in {p.name for p in found}:
-                found.append(Pin(port.ret, kind, grounded=True))
-        return tuple(found)
+        return port_pins(self.ports)
 
     @property
     def taps(self) -> tuple[Tap, ...]:
@@ -95,20 +89,24 @@ class PortBody(Device):
 
     @cached_property
     def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """``a = load @ e``; rows of ``y`` that are stored, balanced and driven."""
-        n, k = len(self._loads), len(self._own)
-        load = np.zeros((n, n + k))
+        """``a = load @ e``, ``charges = stored @ y`` and ``out = direct @ e + answered @ y``."""
+        n, k, drives = len(self._loads), len(self._own), len(self.drives)
+        rows = [port for port in self.ports if port.kind != "input"]
+        load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
+        direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
+        direct[:k, n:] = np.eye(k)
         for row, port in enumerate(self._loads):
             force = port.kind in MECHANICAL
             load[row, n + self._own.index(port) if force else row] = 1.0
-        rows = [port for port in self.ports if port.kind != "input"]
-        stored, balanced = np.zeros((k, len(rows))), np.zeros((k, len(rows)))
         for at, port in enumerate(self._own):
-            (stored if port.kind == "electrical" else balanced)[at, rows.index(port)] = 1.0
-        driven = np.zeros((len(self.drives), len(rows)))
-        for at, name in enumerate(self.drives):
-            driven[at, [port.name for port in rows].index(name)] = 1.0
-        return load, stored, balanced / MICRO, driven
+            if port.kind == "electrical":
+                stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
+            else:
+                direct[k + at, self._loads.index(port)] = 1 / MICRO
+                answered[k + at, rows.index(port)] = -1 / MICRO
+        for at, name in enumerate(self.drives, 2 * k):
+            answered[at, [port.name for port in rows].index(name)] = 1.0
+        return load, stored, direct, answered
 
     def loads(self, e: np.ndarray) -> np.ndarray:
         """``a`` (inputs,) of the inputs ``e`` of the device."""
@@ -136,30 +134,18 @@ class PortBody(Device):
 
     def evaluate(self, t: float, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Through quantities, what must be zero or is a current, and outputs."""
-        y = mode.H @ self.loads(e) + mode.free
         slope = self._slope(mode.H)
-        _, _, balanced, driven = self._maps
-        own = [self._loads.index(port) for port in self._own]
-        through, mechanical = e[len(self._loads) :], balanced.any(axis=1)
-        held = np.where(mechanical, e[own] / MICRO, through) - balanced @ y
-        return np.concatenate((through, held, driven @ y)), slope
+        return slope @ e + self._maps[3] @ mode.free, slope
 
     def _slope(self, H: np.ndarray) -> np.ndarray:
-        n, k = len(self._loads), len(self._own)
-        load, _, balanced, driven = self._maps
-        by_load = H @ load
-        held = np.zeros((k, n + k))
-        for at, port in enumerate(self._own):
-            mechanical = port.kind in MECHANICAL
-            column, value = (self._loads.index(port), 1 / MICRO) if mechanical else (n + at, 1.0)
-            held[at, column] = value
-        return np.vstack((np.eye(k, n + k, n), held - balanced @ by_load, driven @ by_load))
+        load, _, direct, answered = self._maps
+        return direct + answered @ H @ load
 
     def store(self, e: np.ndarray, mode: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Charges."""
         load, stored, _, _ = self._maps
-        y = mode.H @ self.loads(e) + mode.free
-        return stored @ y, stored @ mode.H @ load
+        slope = stored @ mode.H @ load
+        return slope @ e + stored @ mode.free, slope
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Slopes at a frequency, from the transfer function there."""

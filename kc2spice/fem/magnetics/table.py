@@ -66,6 +66,17 @@ class EMTable:
         offset = np.mean(nodes - potentials(self.y)[:, 1:], axis=0)
         return potentials.raised(np.concatenate([[0.0], offset]))
 
+    @cached_property
+    def facts(self) -> dict[str, float]:
+        """The numbers by which an engineer knows the actuator."""
+        return {
+            "unknowns": self.unknowns,
+            "force_max_n": float(abs(em_cases(self, current_pairs())).max()),
+            "coil_resistance_ohm": float(self.resistance[0]),
+            "coil_inductance_h": float(self.inductance[:, 0, 0].mean()),
+            "coil_mutual_h": float(self.inductance[:, 0, 1].mean()),
+        }
+
 
 def coefficients(table: EMTable, y: np.ndarray | float) -> np.ndarray:
     """``c0 c1 c2 c11 c12 c22`` (..., 6) at the heights ``y`` [m].

@@ -24,10 +24,17 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.units import EPSILON_0
 from kc2spice.fem.keys import Damping
-from kc2spice.fem.materials import Material, material, require_definite
+from kc2spice.fem.materials import Material, MaterialTable, material
 
 SECTORS = 4  # quarters of the chip that move alike, of which one is modelled
 PATCH = "patch"  # its port under a pressure
+
+
+_NAMES = (
+    ("stiffness", ("c11", "c12", "c13", "c33", "c44", "c66")),
+    ("coupling", ("e31", "e33", "e15")),
+    ("permittivity", ("eps11", "eps33")),
+)
 
 
 class Ceramic(Section):
@@ -53,41 +60,20 @@ class Ceramic(Section):
     )
 
     def build(self) -> Material:
-        """The ceramic, with its permittivity at constant strain: data sheets give that at constant
-        stress.
+        """The ceramic, poled along z; its permittivity is that at constant strain.
 
         Raises
         ------
         UsageError : stiffness or permittivity is not positive definite, so no such material exists.
         """
-        C, e, eps = self.tensors()
-        require_definite(C, "kick.material.stiffness")
-        if self.permittivity_at == "stress":
-            eps = eps - e @ np.linalg.solve(C, e.T)
-        hint = "is the permittivity at constant stress or strain (permittivity_at)?"
-        require_definite(eps, "kick.material.permittivity", hint)
-        return Material(
-            "ceramic",
-            self.density,
-            C,
-            e,
-            eps,
-            tensile_strength=self.tensile_strength,
-            depoling_field=self.depoling_field,
+        tables = {key: dict(zip(names, getattr(self, key), strict=True)) for key, names in _NAMES}
+        table = MaterialTable(
+            symmetry="hexagonal",
+            stress_coupling=tables.pop("coupling"),
+            **tables,
+            **self.model_dump(exclude=set(tables) | {"coupling"}),
         )
-
-    def tensors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``C`` (6, 6) [Pa], ``e`` (3, 6) [C/m^2] and the permittivity (3, 3) [F/m] as given."""
-        c11, c12, c13, c33, c44, c66 = self.stiffness
-        C = np.diag([c11, c11, c33, c44, c44, c66])
-        C[0, 1] = C[1, 0] = c12
-        C[:2, 2] = C[2, :2] = c13
-        e31, e33, e15 = self.coupling
-        e = np.zeros((3, 6))
-        e[0, 4] = e[1, 3] = e15
-        e[2, :3] = e31, e31, e33
-        in_plane, axial = self.permittivity
-        return C, e, EPSILON_0 * np.diag([in_plane, in_plane, axial])
+        return table.build("ceramic", "kick.material")
 
 
 class ChipMesh(Section):
@@ -136,8 +122,8 @@ def _from_library(given: object) -> object:
         "tensile_strength": named.tensile_strength,
         "depoling_field": named.depoling_field,
     }
-    found = Ceramic(**keys).tensors()
-    same = zip(found, (C, named.e, named.eps_S), strict=True)
+    found = Ceramic(**keys).build()
+    same = ((found.C, C), (found.e, e), (found.eps_S, named.eps_S))
     if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):
         raise ValueError(f"{given} is no ceramic poled along z (class 6mm)")
     return keys

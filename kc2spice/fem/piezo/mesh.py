@@ -12,15 +12,11 @@ parallel at one voltage are one layer m times as thick, of coupling ``m e`` and 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import shortest_path
 from skfem import MeshHex1, MeshHex2
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.fem.piezo.keys import Cap, Chip
 from kc2spice.linalg.memory import require_bytes
 
@@ -174,58 +170,25 @@ def _require_memory(kick: Chip) -> None:
 
 
 def _in_plane(kick: Chip, steps: int) -> np.ndarray:
-    """Lattice (rings + 1, spokes + 1, 2) of node positions; row 0 repeats the centre."""
-    with gmsh_session("chip") as gmsh:
-        _transfinite_patches(gmsh, kick, steps)
-        gmsh.model.mesh.generate(2)
-        tags, xyz, _ = gmsh.model.mesh.getNodes()
-        _, _, blocks = gmsh.model.mesh.getElements(2)
-        corners = [gmsh.model.mesh.getElementProperties(t)[3] for t in (2, 3)]
-    number = np.full(int(tags.max()) + 1, -1)
-    number[tags] = np.arange(len(tags))
-    cells = [number[b].reshape(-1, n) for b, n in zip(blocks, corners, strict=True)]
-    return _lattice(np.asarray(xyz).reshape(-1, 3)[:, :2], cells)
+    """Lattice (rings + 1, spokes + 1, 2) of node positions; row 0 repeats the centre.
 
-
-def _transfinite_patches(gmsh: ModuleType, kick: Chip, steps: int) -> None:
-    """Two patches (below and above the corner's spoke) per ring, and two from the last ring out.
-
-    Curves carry ``steps`` nodes per ring and sector, so every node is the product of two lines.
+    Nodes share arcs and straight edges evenly; out from the last ring they lie on straight lines.
     """
-    geo, mesh, half = gmsh.model.geo, kick.mesh, kick.half
-    radii = mesh.ring_spacing * np.arange(1, mesh.rings + 1)
-    directions = [(1.0, 0.0), (0.5**0.5, 0.5**0.5), (0.0, 1.0)]
-    circles = [[geo.addPoint(r * x, r * y, 0) for x, y in directions] for r in radii]
-    corners = [(half[0], 0), half, (0, half[1])]
-    if kick.diameter is not None:
-        # chords of linear elements enclose the circle's area
+    mesh, half = kick.mesh, kick.half
+    along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
+    circle = np.column_stack([np.cos(np.pi / 2 * along), np.sin(np.pi / 2 * along)])
+    inner = mesh.ring_spacing * np.arange(mesh.rings * steps + 1)[:, None, None] / steps * circle
+    if kick.diameter is None:
+        sides = np.interp(along, [0.5, 1.0], [1.0, 0.0]), np.interp(along, [0.0, 0.5], [0.0, 1.0])
+        edge = np.column_stack(sides) * half
+    else:  # chords of linear elements enclose the circle's area
         angle = np.pi / (2 * mesh.sectors * steps)
-        radius = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0)
-        corners = [(radius * x, radius * y) for x, y in directions]
-    square = [geo.addPoint(x, y, 0) for x, y in corners]
-    centre = geo.addPoint(0, 0, 0)
-    growth = _growth(min(half) - radii[-1], mesh.ring_spacing, mesh.outer_rings) ** (1 / steps)
-    along = mesh.sectors // 2 * steps + 1
-
-    inner, inner_arcs = [centre] * 3, None
-    for outer in [*circles, square]:
-        last = outer is square
-        spokes = [geo.addLine(p, q) for p, q in zip(inner, outer, strict=True)]
-        across = steps * (mesh.outer_rings if last else 1) + 1
-        for curve in spokes:
-            geo.mesh.setTransfiniteCurve(curve, across, "Progression", growth if last else 1.0)
-        pairs = [(outer[0], outer[1]), (outer[1], outer[2])]
-        straight = last and kick.diameter is None
-        arcs = [geo.addLine(p, q) if straight else geo.addCircleArc(p, centre, q) for p, q in pairs]
-        for i, curve in enumerate(arcs):
-            geo.mesh.setTransfiniteCurve(curve, along)
-            loop = [spokes[i], curve, -spokes[i + 1]] + ([-inner_arcs[i]] if inner_arcs else [])
-            patch = geo.addPlaneSurface([geo.addCurveLoop(loop)])
-            ends = [inner[i], *pairs[i]] + ([inner[i + 1]] if inner_arcs else [])
-            geo.mesh.setTransfiniteSurface(patch, cornerTags=ends)
-            geo.mesh.setRecombine(2, patch)
-        inner, inner_arcs = outer, arcs
-    geo.synchronize()
+        edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
+    left = min(half) - mesh.rings * mesh.ring_spacing
+    growth = _growth(left, mesh.ring_spacing, mesh.outer_rings) ** (1 / steps)
+    sizes = np.cumsum(growth ** np.arange(mesh.outer_rings * steps))
+    share = (sizes / sizes[-1])[:, None, None]
+    return np.concatenate([inner, (1 - share) * inner[-1] + share * edge])
 
 
 def _growth(length: float, first: float, count: int) -> float:
@@ -239,16 +202,3 @@ def _growth(length: float, first: float, count: int) -> float:
         step = (sizes.sum() - length / first) / (powers * sizes / growth).sum()
         growth -= step
     return float(growth)
-
-
-def _lattice(points: np.ndarray, cells: list[np.ndarray]) -> np.ndarray:
-    """Order the nodes of a fan of rings: by steps from the centre, then by angle."""
-    pairs = np.vstack([c[:, [i, j]] for c in cells for i in range(c.shape[1]) for j in range(i)])
-    links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
-    centre = int(np.argmin(np.hypot(*points.T)))
-    ring = shortest_path(links.tocsr(), directed=False, unweighted=True, indices=centre).astype(int)
-    order = np.lexsort((np.arctan2(points[:, 1], points[:, 0]), ring))
-    rings = ring.max()
-    outside = points[order[1:]].reshape(rings, -1, 2)
-    inside = np.broadcast_to(points[centre], outside[:1].shape)
-    return np.concatenate([inside, outside])

@@ -6,23 +6,20 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from math import ceil
 
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Element, Param, Pin, Subcircuit
-from kc2spice.netlist.expression import Probe, walk
+from kc2spice.netlist.circuit import Param, Pin, Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
 REFERENCES = frozenset({"base", "ref"})
-OPAMP = frozenset({"inp", "inn", "out", "vcc", "vee"})
 _LETTER = 0.45  # width of a letter in grid units
 _CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
 
 
 @dataclass(frozen=True)
 class Place:
-    """The free end of a pin at grid position ``(x, y)``, y upwards, ``length`` from the outline."""
+    """The free end of a pin at grid position ``(x, y)``, y upwards, ``length`` from the body."""
 
     number: int
-    pin: Pin
+    name: str
     side: str
     x: int
     y: int
@@ -31,7 +28,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Box:
-    """A symbol of half width and half height in grid units, a rectangle or a ``triangle``."""
+    """A symbol of half width and half height in grid units."""
 
     name: str
     library: str
@@ -40,7 +37,6 @@ class Box:
     width: int
     height: int
     places: tuple[Place, ...]
-    triangle: bool
 
 
 def layout(part: Subcircuit) -> Box:
@@ -49,11 +45,8 @@ def layout(part: Subcircuit) -> Box:
     Electrical terminals of an actuator are left of its mechanical ports; of electronics, what only
     senses is left of what drives; of mechanical parts, displacements left of the rest.
     """
-    numbered = list(enumerate(part.pins, 1))
-    triangle = {p.name for p in part.pins} - REFERENCES == OPAMP
-    places = _triangle(numbered) if triangle else None
-    sides = _sides(numbered, inputs(part))
-    width, height = (2, 2) if triangle else _size(sides)
+    sides = _sides(list(enumerate(part.pins, 1)), inputs(part))
+    width, height = _size(sides)
     return Box(
         part.name,
         part.filename,
@@ -61,8 +54,7 @@ def layout(part: Subcircuit) -> Box:
         part.params,
         width,
         height,
-        tuple(sorted(places or _around(sides, width, height), key=lambda place: place.number)),
-        triangle,
+        tuple(sorted(_around(sides, width, height), key=lambda place: place.number)),
     )
 
 
@@ -79,24 +71,12 @@ def _sensed(scope: Scope | None) -> set[str]:
     for each in scope.elements if scope else ():
         two = each.kind in _CONTROLLED and len(each.nodes) == 4
         loaded |= set(each.ends[:2] if two else () if each.kind == "x" else each.ends)
-        sensed |= {*each.ends[2:]} if two else _probed(each)
+        sensed |= {*each.ends[2:]} if two else each.sensed
         if each.kind == "x" and scope and (called := scope.find(each.model)):
             quiet = _sensed(called)
             for pin, node in zip(called.pins, each.ends, strict=False):
                 (sensed if pin in quiet else loaded).add(node)
     return sensed - loaded
-
-
-def _probed(part: Element) -> set[str]:
-    if not part.quantity:
-        return set()
-    try:
-        leaves = walk(part.law)
-        return {
-            n.lower() for e in leaves if isinstance(e, Probe) and e.kind == "v" for n in e.names
-        }
-    except UsageError:
-        return set()  # the linter names it
 
 
 def _sides(
@@ -138,21 +118,8 @@ def _around(sides: dict[str, list[tuple[int, Pin]]], width: int, height: int) ->
     places = []
     for side, x in (("left", -width - 1), ("right", width + 1)):
         for row, (number, pin) in enumerate(sides[side]):
-            places.append(Place(number, pin, side, x, height - 1 - row))
+            places.append(Place(number, pin.name, side, x, height - 1 - row))
     first = -(len(sides["bottom"]) // 2)
     for column, (number, pin) in enumerate(sides["bottom"]):
-        places.append(Place(number, pin, "bottom", first + column, -height - 1))
+        places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
     return places
-
-
-def _triangle(numbered: list[tuple[int, Pin]]) -> list[Place]:
-    """An operational amplifier, its apex at the right."""
-    at = {
-        "inp": ("left", -3, 1, 1.0),
-        "inn": ("left", -3, -1, 1.0),
-        "out": ("right", 3, 0, 1.0),
-        "vcc": ("top", 0, 3, 2.0),
-        "vee": ("bottom", 0, -3, 2.0),
-        "ref": ("bottom", -1, -3, 1.5),
-    }
-    return [Place(number, pin, *at[pin.name]) for number, pin in numbered]

@@ -20,13 +20,13 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
 )
+from kc2spice.netlist.deck import ANALYSES
 from kc2spice.netlist.expression import Binary, Call, Choice, Number, Tree, Unary
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.statements import OPTION_CARDS
 from kc2spice.netlist.vectors import Trace, vector
 
-ANALYSES = (".tran", ".ac", ".dc", ".op")
-OPTIONS = (".options", ".option")
 _SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES})
 _SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters
 # Models that all three read alike: SPICE2's own parameters.
@@ -64,7 +64,7 @@ class Dialect(Printer, ABC):
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()
-    joined: frozenset[str] = frozenset()  # commands of which only the last counts
+    joined = frozenset({".save"})  # Xyce writes one file per ``.print``
     functions = COMMON
     temperature = ""
 
@@ -92,7 +92,7 @@ class Dialect(Printer, ABC):
             return super().card(item)
         if item.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
             return ""
-        if item.keyword in OPTIONS:
+        if item.keyword in OPTION_CARDS:
             return self.options(item.words)
         if item.keyword == ".save":
             return self.save([self.vector(word) for word in item.words])
@@ -247,29 +247,18 @@ def _truth(tree: Tree) -> Tree:
 
 
 def _merged(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Neighbouring ``.save`` cards as one: Xyce writes one file per ``.print``.
-
-    All cards of the commands ``joined`` become one where the first of them stands, with the
-    comments of all: the deck's title may be among them.
-    """
+    """All cards of each of the commands ``joined`` as one where the first of them stands, with the
+    comments of all: the deck's title may be among them."""
     merged: list[Item] = []
     first: dict[str, int] = {}
     for item in items:
-        keyword = item.keyword if isinstance(item, Directive) else ""
-        last = merged[-1] if merged else None
-        at = first.get(keyword)
-        if keyword == ".save" and not item.notes and isinstance(last, Directive):
-            at = len(merged) - 1 if last.keyword == ".save" else None
-        if at is None:
-            if keyword in joined:
-                first[keyword] = len(merged)
+        if not (isinstance(item, Directive) and item.keyword in joined):
             merged.append(item)
-        else:
-            merged[at] = _with(merged[at], item)
+            continue
+        at = first.setdefault(item.keyword, len(merged))
+        if at == len(merged):
+            merged.append(item)
+        one = merged[at]
+        if isinstance(one, Directive) and one is not item:
+            merged[at] = replace(one, words=one.words + item.words, notes=one.notes + item.notes)
     return merged
-
-
-def _with(one: Item, two: Item) -> Item:
-    assert isinstance(one, Directive)
-    assert isinstance(two, Directive)
-    return replace(one, words=one.words + two.words, notes=one.notes + two.notes)

@@ -1,15 +1,28 @@
-"""KiCad symbol libraries and what stands in them besides our parts: sources, ground, a probe.
+"""KiCad: symbols of parts and elements, a deck as a project with its sheet and simulation.
 
-Format: KiCad developer documentation, S-expression symbol library format, version 20231120, which
-releases 8, 9 and 10 read.
+Nets are joined by global labels, which carry the node names of the deck, so that a curve has the
+same name in KiCad, in the deck and in the results. Formats: KiCad developer documentation,
+S-expression symbol library and schematic, version 20231120, which releases 8, 9 and 10 read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+from textwrap import shorten
+from uuid import NAMESPACE_URL, uuid5
 
-from kc2spice.netlist.printers.box import Box, Place
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import Directive, Element, Subcircuit
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.printers.box import Box, Place, layout
+from kc2spice.netlist.read import subcircuits
+from kc2spice.netlist.scope import GROUND, Scope
+from kc2spice.netlist.vectors import vector
 
 GRID = 2.54  # mm, 100 mil
 TEXT = 1.27  # mm
@@ -37,20 +50,17 @@ _ANGLE = {"left": 0, "right": 180, "bottom": 90, "top": 270}  # from the free en
 
 @dataclass(frozen=True)
 class Symbol:
-    """A drawing with pins: ``ends`` are their free ends in grid units, y upwards, with their side.
-
-    ``text`` is where reference and value begin, left to right, one above the other.
-    """
+    """A drawing with pins at ``places``; ``text`` is where reference and value begin, left to
+    right, one above the other."""
 
     name: str
     fields: dict[str, str]
     drawing: tuple[Tree, ...]
-    pins: tuple[Tree, ...]
-    ends: tuple[tuple[int, int, str], ...]
+    places: tuple[Place, ...]
     text: tuple[float, float]
-    power: bool = False
+    pins: str = "passive"
     simulated: bool = True
-    named_pins: bool = True
+    named_pins: bool = False
 
     def definition(self, name: str) -> Tree:
         """The symbol as a library holds it; a sheet embeds it under ``library:name``."""
@@ -58,7 +68,7 @@ class Symbol:
         return (
             "symbol",
             name,
-            *([("power",)] if self.power else []),
+            *([("power",)] if self.pins.startswith("power") else []),
             ("pin_numbers", Word("hide")),
             ("pin_names", ("offset", 0.508), *hidden),
             ("exclude_from_sim", NO if self.simulated else YES),
@@ -66,7 +76,7 @@ class Symbol:
             ("on_board", NO),
             *self.properties(self.fields, 0.0, 0.0, up=1),
             ("symbol", f"{self.name}_0_1", *self.drawing),
-            ("symbol", f"{self.name}_1_1", *self.pins),
+            ("symbol", f"{self.name}_1_1", *(_pin(self.pins, place) for place in self.places)),
         )
 
     def properties(self, fields: dict[str, str], x: float, y: float, *, up: int) -> list[Tree]:
@@ -94,33 +104,11 @@ def part_symbol(box: Box) -> Symbol:
         "Sim.Device": "SUBCKT",
         "Sim.Library": box.library,
         "Sim.Name": box.name,
-        "Sim.Pins": " ".join(f"{place.number}={place.pin.name}" for place in box.places),
+        "Sim.Pins": " ".join(f"{place.number}={place.name}" for place in box.places),
     }
     x, y = GRID * box.width, GRID * box.height
     outline: Tree = ("rectangle", ("start", -x, y), ("end", x, -y), _STROKE, _PAPER)
-    return Symbol(
-        box.name,
-        fields,
-        _opamp_drawing() if box.triangle else (outline,),
-        tuple(_pin(place) for place in box.places),
-        tuple((p.x, p.y, p.side) for p in box.places),
-        (GRID, y + 0.5) if box.triangle else (-x, y + 1.3),
-        named_pins=not box.triangle,
-    )
-
-
-def _opamp_drawing() -> tuple[Tree, ...]:
-    w = 2 * GRID
-    corners = ((-w, w), (-w, -w), (w, 0.0), (-w, w))
-    marks = (("+", -1.5, 1.0, TEXT), ("-", -1.5, -1.0, TEXT), ("ref", -1.35, -2.3, 0.8),
-             ("vcc", 0.5, 1.3, 0.8), ("vee", 0.5, -1.3, 0.8))  # fmt: skip
-    return (
-        ("polyline", ("pts", *(("xy", x, y) for x, y in corners)), _STROKE, _PAPER),
-        *(
-            ("text", text, ("at", GRID * x, GRID * y, 0), ("effects", font(size)))
-            for text, x, y, size in marks
-        ),
-    )
+    return Symbol(box.name, fields, (outline,), box.places, (-x, y + 1.3), named_pins=True)
 
 
 def element_symbols() -> dict[str, Symbol]:
@@ -145,85 +133,49 @@ def element_symbols() -> dict[str, Symbol]:
         "H": ("VOLTAGE_BY_CURRENT", "voltage source controlled by a current", (ring, *plus)),
         "B": ("BEHAVIOUR", "behavioural source", (ring,)),
     }
+    poles = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
     found = {
-        letter: _two_pole(letter, name, title, drawing)
+        letter: Symbol(name, _spice(letter, name, title, 2), drawing, poles, (GRID + 0.8, -0.9))
         for letter, (name, title, drawing) in titles.items()
     }
-    found["E"] = _controlled("E", "VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage")
-    found["G"] = _controlled("G", "CURRENT_BY_VOLTAGE", "current source controlled by a voltage")
-    return found | _marks()
-
-
-def _two_pole(letter: str, name: str, title: str, drawing: tuple[Tree, ...]) -> Symbol:
-    ends = ((0, 2, "top"), (0, -2, "bottom"))
-    pins = tuple(
-        _drawn("passive", k, text, *end, 1.0)
-        for k, (text, end) in enumerate(zip("+-", ends, strict=True), 1)
-    )
-    text = (GRID + 0.8, -0.9)
-    fields = _spice(letter, name, title, 2)
-    return Symbol(name, fields, drawing, pins, ends, text, named_pins=False)
-
-
-def _controlled(letter: str, name: str, title: str) -> Symbol:
-    box: Tree = (
-        "rectangle",
-        ("start", -2 * GRID, 2 * GRID),
-        ("end", 2 * GRID, -2 * GRID),
-        _STROKE,
-        _PAPER,
-    )
+    w = 2 * GRID
+    box: Tree = ("rectangle", ("start", -w, w), ("end", w, -w), _STROKE, _PAPER)
     spots = (
-        (3, 1, "right", "out+"),
-        (3, -1, "right", "out-"),
-        (-3, 1, "left", "in+"),
-        (-3, -1, "left", "in-"),
+        Place(1, "out+", "right", 3, 1),
+        Place(2, "out-", "right", 3, -1),
+        Place(3, "in+", "left", -3, 1),
+        Place(4, "in-", "left", -3, -1),
     )
-    pins = tuple(
-        _drawn("passive", k, text, x, y, side, 1.0) for k, (x, y, side, text) in enumerate(spots, 1)
-    )
-    ends = tuple((x, y, side) for x, y, side, _ in spots)
-    return Symbol(
-        name, _spice(letter, name, title, 4), (box,), pins, ends, (-2 * GRID, 2 * GRID + 1.3)
-    )
+    for letter, what in (("E", "voltage source"), ("G", "current source")):
+        name = f"{what.partition(' ')[0].upper()}_BY_VOLTAGE"
+        fields = _spice(letter, name, f"{what} controlled by a voltage", 4)
+        found[letter] = Symbol(name, fields, (box,), spots, (-w, w + 1.3), named_pins=True)
+    return found | _marks()
 
 
 def _marks() -> dict[str, Symbol]:
     earth = _line((0.0, 0.0), (0.0, -1.27), (0.9, -1.27), (0.0, -2.2), (-0.9, -1.27), (0.0, -1.27))
     flag = _line((0.0, 0.0), (0.0, 1.27), (-1.0, 1.9), (0.0, 2.54), (1.0, 1.9), (0.0, 1.27))
     spot: Tree = ("circle", ("center", 0.0, 3.3), ("radius", 0.762), _STROKE, _FILL)
-    ends = ((0, 0, "top"),)
+    rows = (
+        ("GND", "#PWR", "ground, node 0", earth, Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
+         "power_in"),
+        ("PWR_FLAG", "#FLG", "tells that ground is driven", flag,
+         Place(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
+        ("PROBE", "TP", "a net to be plotted", spot, Place(1, "net", "bottom", 0, 0), (1.5, 2.4),
+         "passive"),
+    )  # fmt: skip
     return {
-        "GND": Symbol(
-            "GND",
-            _fields("#PWR", "GND", "ground, node 0"),
-            (earth,),
-            (_drawn("power_in", 1, "GND", 0, 0, "top", 0.0),),
-            ends,
-            (0.0, -4.0),
-            power=True,
-            named_pins=False,
-        ),
-        "PWR_FLAG": Symbol(
-            "PWR_FLAG",
-            _fields("#FLG", "PWR_FLAG", "tells that ground is driven"),
-            (flag,),
-            (_drawn("power_out", 1, "pwr", 0, 0, "bottom", 0.0),),
-            ((0, 0, "bottom"),),
-            (0.0, 3.0),
-            power=True,
-            named_pins=False,
-        ),
-        "PROBE": Symbol(
-            "PROBE",
-            _fields("TP", "PROBE", "a net to be plotted"),
-            (spot,),
-            (_drawn("passive", 1, "net", 0, 0, "bottom", 1.0),),
-            ((0, 0, "bottom"),),
-            (1.5, 2.4),
-            simulated=False,
-            named_pins=False,
-        ),
+        name: Symbol(
+            name,
+            _fields(reference, name, title),
+            (drawing,),
+            (place,),
+            text,
+            pins,
+            simulated=name != "PROBE",
+        )
+        for name, reference, title, drawing, place, text, pins in rows
     }
 
 
@@ -252,27 +204,21 @@ def _line(*points: tuple[float, float]) -> Tree:
     return ("polyline", ("pts", *(("xy", x, y) for x, y in points)), _STROKE, _FILL)
 
 
-def font(size: float = TEXT) -> Tree:
+def font() -> Tree:
     """Text of the usual size."""
-    return ("font", ("size", size, size))
+    return ("font", ("size", TEXT, TEXT))
 
 
-def _pin(place: Place) -> Tree:
-    return _drawn(
-        "passive", place.number, place.pin.name, place.x, place.y, place.side, place.length
-    )
-
-
-def _drawn(kind: str, number: int, name: str, x: int, y: int, side: str, length: float) -> Tree:
-    """A pin whose free end is at ``(x, y)`` in grid units."""
+def _pin(kind: str, place: Place) -> Tree:
+    """A pin with its free end at its place."""
     return (
         "pin",
         Word(kind),
         Word("line"),
-        ("at", GRID * x, GRID * y, _ANGLE[side]),
-        ("length", GRID * length),
-        ("name", name, ("effects", font())),
-        ("number", str(number), ("effects", font())),
+        ("at", GRID * place.x, GRID * place.y, _ANGLE[place.side]),
+        ("length", GRID * place.length),
+        ("name", place.name, ("effects", font())),
+        ("number", str(place.number), ("effects", font())),
     )
 
 
@@ -298,3 +244,323 @@ def _atom(item: str | float) -> str:
         escaped = item.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
         return f'"{escaped}"'
     return f"{item:.6g}" if isinstance(item, float) else str(item)
+
+
+# --- a deck as a project ---
+
+_TURN = {"bottom": 0, "right": 90, "top": 180, "left": 270}  # of a ground, off the symbol
+# grid units at which rows break, and the papers on which the sheet then has a good shape
+_ENOUGH = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
+MARGIN = 10
+_LETTER = 0.5  # width of a letter in grid units
+_PAPERS = {
+    "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
+}  # fmt: skip
+_STAMP = 40  # mm, height of the title block
+_COMMENT = 80  # letters of a line in it
+_VALUE = 56  # letters of a value
+_NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")
+_OURS = frozenset({".save", ".print", ".end", ".include", ".inc"})
+_KINDS = {".tran": "TRAN", ".ac": "AC", ".dc": "DC", ".op": "OP"}
+_COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(152, 78, 163)")
+
+
+@dataclass(frozen=True)
+class _Item:
+    """A symbol on the sheet at a grid position, its fields and nets; ``reach`` is left, right, up,
+    down in units."""
+
+    symbol: Symbol
+    fields: dict[str, str]
+    nets: tuple[str, ...]
+    reach: tuple[int, int, int, int] = (0, 0, 0, 0)
+    x: int = 0
+    y: int = 0
+    turn: int = 0
+
+    @property
+    def ends(self) -> Iterator[tuple[int, int, str, str]]:
+        """Free ends on the sheet, where y points down: x, y, side, net."""
+        for place, net in zip(self.symbol.places, self.nets, strict=True):
+            yield self.x + place.x, self.y - place.y, place.side, net
+
+
+def project(deck: Deck) -> dict[str, str]:
+    """``{file name: text}`` of a KiCad project that shows and simulates ``deck``.
+
+    ``NAME.kicad_pro`` opens it; the sheet runs with the deck's own analysis and options, and the
+    exported netlist gives the deck's results.
+
+    Raises
+    ------
+    UsageError : the deck instantiates a subcircuit that none of its files defines.
+    """
+    top = deck.scope
+    parts = _parts(deck)
+    plain = element_symbols()
+    drawn = {name: part_symbol(layout(part)) for name, part in parts.items()}
+    items = [_item(element, drawn, plain) for element in top.elements]
+    once = Counter(net for item in items for net in item.nets)
+    for net in (net for net in once if once[net] == 1 and net not in GROUND):
+        named = {"Reference": f"TP{len(items) + 1}", "Value": net}
+        items.append(_placed(plain["PROBE"], plain["PROBE"].fields | named, (net,)))
+    title = deck.files[deck.main].partition("\n")[0].lstrip("* ").removeprefix(f"{deck.name}: ")
+    sources = {e.key: _reference(e.name) for e in top.elements}
+    commands = [
+        " ".join(_renamed(word, sources) for word in card.text.split())
+        for card in top.commands
+        if not (isinstance(card, Directive) and card.keyword in _OURS)
+    ]
+    used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
+    return {
+        f"{deck.name}.kicad_sch": _sheet(deck.name, title, items, commands, plain),
+        f"{deck.name}.kicad_pro": _settings(deck.name),
+        f"{deck.name}.wbk": _workbook(deck, top, commands),
+        f"{LIBRARY}.kicad_sym": library(used),
+        "sym-lib-table": (
+            "(sym_lib_table\n\t(version 7)\n"
+            f'\t(lib (name "{LIBRARY}")(type "KiCad")(uri "${{KIPRJMOD}}/{LIBRARY}.kicad_sym")'
+            '(options "")(descr "parts of this project"))\n)\n'
+        ),
+    }
+
+
+def _parts(deck: Deck) -> dict[str, Subcircuit]:
+    """Subcircuits by lower-case name: ours, and those of the user's files."""
+    own = {part.name.lower(): part for part in deck.parts}
+    ours = {part.filename for part in deck.parts}
+    for file, text in deck.files.items():
+        if file not in ours and file != deck.main:
+            for part in subcircuits(text, file):
+                own.setdefault(part.name.lower(), part)
+    return own
+
+
+def _reference(name: str) -> str:
+    """KiCad counts symbols: a name must end in a number."""
+    return name if name[-1].isdigit() else f"{name}1"
+
+
+def _renamed(word: str, references: Mapping[str, str]) -> str:
+    """A word of a command: a source, or what begins with a vector inside of an instance."""
+    if word.lower() in references:
+        return references[word.lower()]
+    head, dot, rest = word.partition(".")
+    opening, bracket, instance = head.rpartition("(")
+    name = references.get(instance.lower(), instance) if dot and bracket else instance
+    return f"{opening}{bracket}{name}{dot}{rest}"
+
+
+def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
+    letter, name = element.name[0].upper(), _reference(element.name)
+    nets = tuple("0" if n.lower() in GROUND else n for n in element.nodes)
+    given = " ".join(f"{k}={v}" for k, v in element.parameters.items())
+    if letter == "X":
+        symbol = parts.get(element.model.lower())
+        if symbol is None or len(symbol.places) != len(nets):
+            raise UsageError("no such subcircuit", where=element.where, got=element.model)
+        fields = symbol.fields | ({"Sim.Params": given} if given else {})
+        return _placed(symbol, fields | {"Reference": name}, nets)
+    symbol = plain.get(letter)
+    if symbol is None or len(symbol.places) != len(nets):
+        raise UsageError(
+            "the sheet has no symbol for this card",
+            where=element.where,
+            got=element.text[:80],
+            expected=f"one of {', '.join(sorted(k for k in plain if len(k) == 1))} or X",
+        )
+    law = f"{element.quantity}={element.expression}" if element.quantity else ""
+    words = (*map(_reference, element.sources), *element.values, given, law)
+    value = " ".join(filter(None, words))
+    fields = symbol.fields | {
+        "Reference": name,
+        "Value": _shown(value),
+        "Sim.Params": spice(letter, value),
+    }
+    return _placed(symbol, fields, nets)
+
+
+def _shown(value: str) -> str:
+    """A value to be read: six digits, one short line; ``Sim.Params`` has it all."""
+    short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
+    return short if len(short) <= _VALUE else short[: _VALUE - 2].rpartition(" ")[0] + " …"
+
+
+def _placed(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
+    """An item with the room that its pins, labels and texts take."""
+    room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
+    for place, net in zip(symbol.places, nets, strict=True):
+        label = 2 if net == "0" else ceil(_LETTER * len(net)) + 2
+        out = {"left": -place.x, "right": place.x, "top": place.y, "bottom": -place.y}
+        for side, far in out.items():
+            room[side] = max(room[side], far + (label if side == place.side else 0))
+    longest = max(len(fields["Value"]), len(fields["Reference"]))
+    right = max(room["right"], ceil(symbol.text[0] / GRID + _LETTER * longest))
+    up = max(room["top"], ceil(symbol.text[1] / GRID) + 2)
+    return _Item(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
+
+
+def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
+    """Items from left to right, row below row, in the order of the deck."""
+    rows: list[list[_Item]] = []
+    x = width
+    for item in items:
+        needed = item.reach[0] + item.reach[1] + 2
+        if not rows or x + needed > width:
+            rows.append([])
+            x = MARGIN
+        rows[-1].append(item)
+        x += needed
+    y = MARGIN
+    for row in rows:
+        x, top = MARGIN, max(item.reach[2] for item in row)
+        for item in row:
+            yield replace(item, x=x + item.reach[0], y=y + top)
+            x += item.reach[0] + item.reach[1] + 2
+        y += top + max(item.reach[3] for item in row) + 2
+
+
+def _sheet(
+    name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
+) -> str:
+    sheet = _uuid(name, "sheet")
+    for width in _ENOUGH:
+        placed = list(_rows(items, width))
+        bottom = max(item.y + item.reach[3] for item in placed) + 3
+        right = GRID * (max(item.x + item.reach[1] for item in placed) + MARGIN // 2)
+        height = GRID * (bottom + len(commands)) + _STAMP
+        paper = next((p for p, (w, h) in _PAPERS.items() if right <= w and height <= h), "A0")
+        if paper in _ENOUGH[width]:
+            break
+    labels = [end for item in placed for end in item.ends if end[3] != "0"]
+    every = [*placed, *_grounds(placed, plain)]
+    used = {item.symbol.name: item.symbol for item in every}
+    return write(
+        (
+            "kicad_sch",
+            *HEAD,
+            ("uuid", sheet),
+            ("paper", paper),
+            ("title_block", ("title", name), ("comment", 1, shorten(title, _COMMENT))),
+            ("lib_symbols", *(s.definition(f"{LIBRARY}:{s.name}") for s in used.values())),
+            *(_label(*label, name) for label in labels),
+            *(_text(line, MARGIN, bottom + k, name) for k, line in enumerate(commands)),
+            *(_symbol(item, name, sheet) for item in every),
+            ("sheet_instances", ("path", "/", ("page", "1"))),
+        )
+    )
+
+
+def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
+    """Ground at every pin on node 0, turned away from the symbol, and one flag."""
+    grounds = [end for item in items for end in item.ends if end[3] == "0"]
+    rows = [("GND", f"#PWR{k:02d}", *end[:2], _TURN[end[2]]) for k, end in enumerate(grounds, 1)]
+    if grounds:  # a place of its own, on a ground of its own
+        corner = (MARGIN - 2, MARGIN - 2, 0)
+        rows += [("GND", "#PWR00", *corner), ("PWR_FLAG", "#FLG01", *corner)]
+    for mark, reference, x, y, turn in rows:
+        symbol = plain[mark]
+        fields = symbol.fields | {"Reference": reference}
+        yield _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
+
+
+def _symbol(item: _Item, name: str, sheet: str) -> Tree:
+    symbol, reference = item.symbol, item.fields["Reference"]
+    x, y = GRID * item.x, GRID * item.y
+    numbers = range(1, len(symbol.places) + 1)
+    path = ("path", f"/{sheet}", ("reference", reference), ("unit", 1))
+    return (
+        "symbol",
+        ("lib_id", f"{LIBRARY}:{symbol.name}"),
+        ("at", x, y, item.turn),
+        ("unit", 1),
+        ("exclude_from_sim", NO if symbol.simulated else YES),
+        ("in_bom", NO),
+        ("on_board", NO),
+        ("dnp", NO),
+        ("uuid", _uuid(name, reference)),
+        *symbol.properties(item.fields, x, y, up=-1),
+        *(("pin", str(k), ("uuid", _uuid(name, reference, "pin", k))) for k in numbers),
+        ("instances", ("project", name, path)),
+    )
+
+
+def _label(x: int, y: int, side: str, net: str, name: str) -> Tree:
+    angle = {"right": 0, "top": 90, "left": 180, "bottom": 270}[side]
+    justify = Word("right") if side in ("left", "bottom") else Word("left")
+    return (
+        "global_label",
+        net,
+        ("shape", Word("passive")),
+        ("at", GRID * x, GRID * y, angle),
+        ("effects", font(), ("justify", justify)),
+        ("uuid", _uuid(name, "label", x, y)),
+    )
+
+
+def _text(text: str, x: int, y: int, name: str) -> Tree:
+    left: Tree = ("justify", Word("left"), Word("bottom"))
+    return (
+        "text",
+        text,
+        ("exclude_from_sim", NO),
+        ("at", GRID * x, GRID * y, 0),
+        ("effects", font(), left),
+        ("uuid", _uuid(name, "text", y)),
+    )
+
+
+def _settings(name: str) -> str:
+    ngspice = {"meta": {"version": 0}, "model_mode": 0, "workbook_filename": f"{name}.wbk"}
+    content = {
+        "meta": {"filename": f"{name}.kicad_pro", "version": 1},
+        "schematic": {"meta": {"version": 1}, "ngspice": ngspice},
+        "sheets": [[_uuid(name, "sheet"), "Root"]],
+        "text_variables": {},
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
+    """KiCad's saved simulation set-up: the analysis and four node voltages of the deck's results,
+    the first of every part before any second one."""
+    analysis = next((c for c in commands if c.split()[0].lower() in _KINDS), "")
+    kind = _KINDS.get(analysis.split()[0].lower() if analysis else "", "TRAN")
+    found = {name: vector(text) for name, (text, _) in deck.vectors.items()}
+    results = {n: t.names[0] for n, t in found.items() if t and t.quantity == "v"}
+    first: dict[str, str] = {}
+    for name, node in results.items():
+        first.setdefault(name.partition(".")[0], node)
+    nodes = [*first.values(), *results.values()]
+    present = {node.lower(): node for part in top.elements for node in part.nodes}
+    names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]
+    gain = kind == "AC"
+    traces = [
+        {
+            "color": colour,
+            "signal": f"V({name})" + (" (gain)" if gain else ""),
+            "trace_type": 521 if gain else 257,
+        }
+        for name, colour in zip(names, _COLOURS, strict=False)
+    ]
+    tab = {
+        "analysis": kind,
+        "commands": [analysis, ".kicad adjustpaths", ".save all"],
+        "dottedSecondary": True,
+        "margins": {"bottom": 45, "left": 70, "right": 70, "top": 30},
+        "measurements": [],
+        "showGrid": True,
+        "traces": traces,
+    }
+    content = {
+        "last_sch_text_sim_command": analysis,
+        "tabs": [tab],
+        "user_defined_signals": [],
+        "version": 6,
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def _uuid(*what: object) -> str:
+    """The same every time, so that a new export does not change the file."""
+    return str(uuid5(NAMESPACE_URL, "kc2spice/" + "/".join(map(str, what))))

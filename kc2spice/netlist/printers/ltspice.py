@@ -91,6 +91,6 @@ def _pin(place: Place, box: Box) -> list[str]:
     y = -max(-box.height, min(box.height, place.y)) * GRID
     return [
         f"PIN {x} {y} {_SIDES[place.side]} 8",
-        f"PINATTR PinName {place.pin.name}",
+        f"PINATTR PinName {place.name}",
         f"PINATTR SpiceOrder {place.number}",
     ]

@@ -26,7 +26,7 @@ class Xyce(Dialect):
     subckt_keyword = instance_keyword = "PARAMS:"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
-    joined = frozenset({".options"})
+    joined = frozenset({".save", ".options"})  # of options only the last counts
     functions = COMMON - {"uramp"}
     temperature = "TEMP"
 

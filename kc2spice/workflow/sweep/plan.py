@@ -46,13 +46,14 @@ class Random:
     b: float
     n: int
 
-    def quantile(self, share: np.ndarray) -> np.ndarray:
-        """Values below which the given shares of all draws lie."""
+    def drawn(self, share: np.ndarray) -> Grid:
+        """The values below which the given shares (n,) of all draws lie."""
         if self.kind == "uniform":
-            return self.a + (self.b - self.a) * share
+            return Grid(self.key, tuple((self.a + (self.b - self.a) * share).tolist()))
         from scipy.special import ndtri
 
-        return np.asarray(self.a + self.b * ndtri(share))
+        share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # that of 0 would be infinite
+        return Grid(self.key, tuple((self.a + self.b * ndtri(share)).tolist()))
 
 
 # --- one range ----------------------------------------------------------------------------------
@@ -117,29 +118,26 @@ def parse(name: str, text: str, keys: Mapping[str, Key]) -> Grid | Random:
     def refused(message: str, got: object, expected: str = GRAMMAR) -> UsageError:
         return UsageError(message, where=where, got=got, expected=expected)
 
-    def count(word: str) -> int:
-        if not word.isdecimal() or not 2 <= int(word) <= MAX_POINTS:
-            raise refused("not a number of points", repr(word), f"2 … {MAX_POINTS}")
-        return int(word)
-
     if kind in ("list", "value"):
         values = [_value(where, key, word) for word in words]
     elif key.choices or (key.unit is None and (kind in ("normal", "uniform") or not key.whole)):
         raise refused("only numbers have such a range", name)
     elif len(words) != 3:
         raise refused(f"{kind} takes three values", ", ".join(words))
-    elif kind in ("normal", "uniform"):
-        a, b = (number(where, key, word) for word in words[:2])
+    else:
+        count = words[2]
+        if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
+            raise refused("not a number of points", repr(count), f"2 … {MAX_POINTS}")
+        a, b = (float(_value(where, key, word)) for word in words[:2])
         if kind == "normal" and b < 0:
             raise refused("a standard deviation is not negative", f"{b:g}")
         if kind == "uniform" and b < a:
             raise refused("empty range", f"{a:g} … {b:g}")
-        return Random(name, kind, a, b, count(words[2]))
-    else:
-        a, b = (float(_value(where, key, word)) for word in words[:2])
+        if kind in ("normal", "uniform"):
+            return Random(name, kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
             raise refused("a logarithmic range does not pass zero", f"{a:g} … {b:g}")
-        values = (np.geomspace if kind == "log" else np.linspace)(a, b, count(words[2])).tolist()
+        values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
         if key.whole and not all(value == round(value) for value in values):
             raise refused("not all values are whole numbers", values[:5])
         values = [int(value) for value in values] if key.whole else values
@@ -179,13 +177,13 @@ class Plan:
     """
 
     keys: tuple[str, ...]
-    blocks: tuple[Mapping[str, tuple[Any, ...]], ...]
+    blocks: tuple[tuple[Grid, ...], ...]
     random: tuple[str, ...] = ()
 
     @property
     def lengths(self) -> tuple[int, ...]:
         """Number of steps of each block."""
-        return tuple(len(next(iter(block.values()))) for block in self.blocks)
+        return tuple(len(block[0].values) for block in self.blocks)
 
     @property
     def size(self) -> int:
@@ -194,34 +192,34 @@ class Plan:
 
     def values(self, index: int) -> dict[str, Any]:
         """Values of all keys at point ``index``, 0 … size - 1."""
-        steps = []
-        for length in reversed(self.lengths):
-            index, step = divmod(index, length)
-            steps.append(step)
-        return self.at(steps[::-1])
+        return self._at(np.unravel_index(index, self.lengths))
 
-    def at(self, steps: Sequence[int]) -> dict[str, Any]:
+    def _at(self, steps: Sequence[Any]) -> dict[str, Any]:
         """Values of all keys where each block has reached its step."""
         pairs = zip(self.blocks, steps, strict=True)
-        found = {key: column[step] for block, step in pairs for key, column in block.items()}
+        found = {grid.key: grid.values[step] for block, step in pairs for grid in block}
         return {key: found[key] for key in self.keys}
 
-    def ends(self, block: int) -> list[dict[str, Any]]:
-        """Points where a number of the block is least or largest, or where a word comes first."""
-        steps: dict[int, None] = {}
-        for column in self.blocks[block].values():
-            if all(isinstance(value, (int, float)) for value in column):
-                steps |= {column.index(min(column)): None, column.index(max(column)): None}
-            else:
-                words = [repr(value) for value in column]
-                steps |= {words.index(word): None for word in dict.fromkeys(words)}
-        return [
-            self.at([step if b == block else 0 for b in range(len(self.blocks))]) for step in steps
-        ]
+    def ends(self) -> list[dict[str, Any]]:
+        """The first point, and those that differ from it in one block: where a number of that is
+        least or largest, or where a word comes first."""
+        found = [self.values(0)]
+        for k, block in enumerate(self.blocks):
+            steps: dict[int, None] = {}
+            for values in (grid.values for grid in block):
+                if all(isinstance(value, (int, float)) for value in values):
+                    steps |= {values.index(min(values)): None, values.index(max(values)): None}
+                else:
+                    words = [repr(value) for value in values]
+                    steps |= {words.index(word): None for word in dict.fromkeys(words)}
+            found += [
+                self._at([step * (b == k) for b in range(len(self.blocks))]) for step in steps
+            ]
+        return found
 
     def distinct(self, keys: Sequence[str]) -> int:
         """How many combinations of values the given keys take in all points."""
-        columns = [[map(repr, c) for key, c in b.items() if key in keys] for b in self.blocks]
+        columns = [[map(repr, g.values) for g in b if g.key in keys] for b in self.blocks]
         return prod(len(set(zip(*each, strict=True))) for each in columns if each)
 
 
@@ -242,14 +240,21 @@ def make_plan(
         raise UsageError("nothing to sweep", where="--set", expected="--set KEY=a:b:n")
     if twice := [key for key in keys if keys.count(key) > 1]:
         raise UsageError("swept twice", where="--set", got=twice[0])
-    grids = [{item.key: item.values} for item in ranges if isinstance(item, Grid)]
     random = [item for item in ranges if isinstance(item, Random)]
-    _same_length({item.key: item.n for item in random}, "draws")
-    blocks = [*grids, *([_drawn(random, latin, seed)] if random else [])]
+    blocks: list[tuple[Grid, ...]] = [(item,) for item in ranges if isinstance(item, Grid)]
+    if random:
+        _same_length({item.key: item.n for item in random}, "draws")
+        shape, generator = (random[0].n, len(random)), np.random.default_rng(seed)
+        share = generator.random(shape[::-1]).T
+        if latin:
+            from scipy.stats.qmc import LatinHypercube
+
+            share = LatinHypercube(shape[1], seed=generator).random(shape[0])
+        columns = zip(random, share.T, strict=True)
+        blocks.append(tuple(item.drawn(column) for item, column in columns))
     if zipped:
-        together = {key: column for block in blocks for key, column in block.items()}
-        _same_length({key: len(column) for key, column in together.items()}, "--zip")
-        blocks = [together]
+        blocks = [tuple(grid for block in blocks for grid in block)]
+        _same_length({grid.key: len(grid.values) for grid in blocks[0]}, "--zip")
     plan = Plan(keys, tuple(blocks), tuple(item.key for item in random))
     if plan.size > MAX_POINTS:
         raise UsageError("too many points", got=plan.size, expected=f"at most {MAX_POINTS}")
@@ -260,15 +265,3 @@ def _same_length(lengths: dict[str, int], where: str) -> None:
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{key}: {length}" for key, length in lengths.items())
         raise UsageError("unequal numbers of values", where=where, got=got, expected="one number")
-
-
-def _drawn(random: Sequence[Random], latin: bool, seed: int) -> dict[str, tuple[Any, ...]]:
-    generator = np.random.default_rng(seed)
-    share = generator.random((len(random), random[0].n))
-    if latin:
-        from scipy.stats.qmc import LatinHypercube
-
-        share = LatinHypercube(len(random), seed=generator).random(random[0].n).T
-    share = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # a normal quantile of 0 would be infinite
-    columns = zip(random, share, strict=True)
-    return {item.key: tuple(item.quantile(column).tolist()) for item, column in columns}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import os
@@ -10,7 +9,7 @@ import re
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,12 +19,12 @@ import numpy as np
 
 from kc2spice.core.cache import remembering
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
-from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.files import FULL
+from kc2spice.core.foreign import MAX_BYTES, read_bounded, text_of
 from kc2spice.core.progress import Clock
-from kc2spice.core.toml import MAX_BYTES
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.included import included_sources
-from kc2spice.netlist.parameters import Parameters, cards, declared, library_of, with_parameters
+from kc2spice.netlist.foreign import included_netlist
+from kc2spice.netlist.transforms import Parameters, cards, declared, library_of, with_parameters
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
@@ -33,6 +32,7 @@ from kc2spice.sim.retries import Outcome as Simulated
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models, model_facts, rom_facts
+from kc2spice.workflow.results import leaves
 from kc2spice.workflow.simulate import simulate
 from kc2spice.workflow.sweep.plan import PARAMETER
 
@@ -114,9 +114,9 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     UsageError : a file that is missing, not allowed or too long.
     """
     parts = scene.parts.values()
-    netlists = {f for p in parts if p.type.uses_netlists(p) for f in p.type.files(p, scene)}
-    texts = included_sources(sorted({*scene.include, *netlists}), scene.home)
-    found = {name: text.encode() for name, text in texts.items()}
+    netlists = {f for p in parts if p.netlist for f in p.type.files(p, scene)}
+    names = sorted({*scene.include, *netlists})
+    found = {name: included_netlist(name, scene.home).text.encode() for name in names}
     for name in sorted({f for p in parts for f in p.type.files(p, scene)} - set(found)):
         try:
             found[name] = read_bounded(scene.home / name, MAX_FILES)
@@ -185,12 +185,11 @@ def toml(value: Any) -> str:
 
 def parameters(values: Mapping[str, Any]) -> Parameters:
     """``("PART.NAME", value)`` of a point's subcircuit parameters."""
-    pairs = (
-        (key.removeprefix(PARAMETER), value)
+    return tuple(
+        (key.removeprefix(PARAMETER), float(value))
         for key, value in values.items()
         if key.startswith(PARAMETER)
     )
-    return tuple((key, float(value)) for key, value in pairs)
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
@@ -208,14 +207,20 @@ def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
             return _numbers(build, simulate(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
         raise
-    except Kc2spiceError as error:
-        text = _diagnosis(error)
-        return Outcome(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        return Outcome(failure=f"{error}", interrupted=full or _disk_is_full())
     except Exception as error:
-        return Outcome(failure=f"{type(error).__name__}: {error}")
+        return _failed(error)
+
+
+def _failed(error: Exception) -> Outcome:
+    if isinstance(error, Kc2spiceError):
+        parts = [error.message, f"got {error.got}" if error.got is not None else ""]
+        if isinstance(error, UsageError):
+            parts.insert(0, str(error.where or ""))
+        text = ", ".join(part for part in parts if part).replace("\n", " ")
+        return Outcome(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
+    if isinstance(error, OSError):
+        return Outcome(failure=f"{error}", interrupted=error.errno in FULL or _disk_is_full())
+    return Outcome(failure=f"{type(error).__name__}: {error}")
 
 
 def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
@@ -247,13 +252,6 @@ def _disk_is_full() -> bool:
         return True
 
 
-def _diagnosis(error: Kc2spiceError) -> str:
-    parts = [error.message, f"got {error.got}" if error.got is not None else ""]
-    if isinstance(error, UsageError):
-        parts.insert(0, str(error.where or ""))
-    return ", ".join(part for part in parts if part).replace("\n", " ")
-
-
 # The last full model of each kind, which points share that differ in their reduction alone.
 _full_models: dict[str, tuple[str, Any]] = {}
 _lock = threading.Lock()  # threads of one worker must not build the same model side by side
@@ -283,14 +281,16 @@ def _numbers(build: Build, simulated: Simulated) -> Outcome:
         "simulator_cpu_s": stats.get("cpu_s"),
     }
     found = metrics(simulated.waves, build)
-    return Outcome(dict(_leaves("", found)), dict(_leaves("", facts)))
+    return Outcome(_scalars(found), _scalars(facts))
 
 
-def _leaves(path: str, value: Any) -> Iterator[tuple[str, Number]]:
-    if isinstance(value, Mapping):
-        for name, each in value.items():
-            yield from _leaves(f"{path}.{name}" if path else str(name), each)
-    elif value is None or isinstance(value, (bool, np.bool_)):
-        yield path, None if value is None else bool(value)
-    elif isinstance(value, (int, float, np.number)):
-        yield path, float(value)
+def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:
+    """Numbers, yes or no, and what is missing, by their dotted names."""
+    found: dict[str, Number] = {}
+    for name, each in leaves(value):
+        each = each.item() if isinstance(each, np.generic) else each
+        if each is None or isinstance(each, bool):
+            found[name] = each
+        elif isinstance(each, (int, float)):
+            found[name] = float(each)
+    return found

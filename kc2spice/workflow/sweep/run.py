@@ -20,12 +20,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
-from kc2spice.core.foreign import read_bounded, text_of
+from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
-from kc2spice.core.toml import MAX_BYTES, parse_toml
 from kc2spice.core.version import __version__
 from kc2spice.core.words import did_you_mean
-from kc2spice.netlist.parameters import with_parameters
+from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.model import Scene
@@ -52,17 +51,15 @@ from kc2spice.workflow.sweep.point import (
 )
 from kc2spice.workflow.sweep.table import (
     BAD,
-    FORMATS,
     INTERRUPTED,
     MISSING,
+    WRITERS,
     RowStore,
     columns,
     need_parquet,
     require_columns,
-    write_csv,
-    write_parquet,
 )
-from kc2spice.workflow.sweep.workers import WorkerDied, Workers, completed
+from kc2spice.workflow.sweep.workers import WORKER_DIED, Workers, completed
 
 ROWS, PAGE = "rows.sqlite", "sweep.html"
 DIED = "its worker process died, twice"
@@ -98,10 +95,8 @@ class Sweep:
             self.scene.checks.model_dump(),
             self.scene.solver.retries,
         ]
-        digest = hashlib.sha256(json.dumps(context, sort_keys=True).encode())
-        for block in self.plan.blocks:
-            digest.update(repr(list(block.items())).encode())
-        return digest.hexdigest()[:16]
+        text = json.dumps(context, sort_keys=True) + repr(self.plan.blocks)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def runs(self) -> dict[str, int]:
@@ -165,10 +160,7 @@ def planned(job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, 
     ------
     UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
     """
-    first = job.load(plan.values(0))
-    for block in range(len(plan.blocks)):
-        for values in plan.ends(block):
-            job.load(values)
+    first, *_ = [job.load(values) for values in plan.ends()]
     return Sweep(first, job, plan, units, metrics)
 
 
@@ -178,9 +170,10 @@ def _at_first(source: Source, fixed: Sequence[str], firsts: Sequence[str]) -> Sc
         return source.load((*fixed, *firsts))
     except UsageError:
         keys = keys_of(source.load(fixed))
-        for name in (text.partition("=")[0] for text in firsts):
-            if name not in keys and (near := did_you_mean(name, keys)):
-                raise UsageError("unknown key", where="--set", got=name, hint=near) from None
+        for text in firsts:
+            name = text.partition("=")[0]
+            if name not in keys and did_you_mean(name, keys):
+                find_key(name, keys)
         raise
 
 
@@ -265,30 +258,20 @@ def outcomes(
     UsageError : the deck has not a subcircuit parameter, or not with one of the swept values.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    _check_parameters(found)
-    again: list[int] = []  # iterated when all points have been run once
-    runs = (
-        ((index, run_point, (found.job, found.plan.values(index))) for index in attempt)
-        for attempt in (points, again)
-    )
-    for index, result in completed(workers, *runs):
-        if isinstance(result, WorkerDied):
-            result = Outcome(failure=DIED, interrupted=True)
-        elif result.interrupted and index not in again:
-            again.append(index)
-            continue
-        yield index, result
-
-
-def _check_parameters(found: Sweep) -> None:
-    """Raise UsageError if the deck has not a swept parameter, or not at all values of its range."""
-    plan, values = found.plan, list(found.job.parameters)
-    for number_, block in enumerate(plan.blocks):
-        if any(key.startswith(PARAMETER) for key in block):
-            values += [pair for point in plan.ends(number_) for pair in parameters(point)]
-    if values:
-        _, deck = testbench(found.job, overrides(plan.values(0)))
-        with_parameters(deck, values)
+    ends = [pair for values in found.plan.ends() for pair in parameters(values)]
+    if changed := [*found.job.parameters, *ends]:
+        _, deck = testbench(found.job, overrides(found.plan.values(0)))
+        with_parameters(deck, changed)
+    again: list[int] = []
+    for last, attempt in ((False, points), (True, again)):
+        calls = ((k, run_point, (found.job, found.plan.values(k))) for k in attempt)
+        for index, outcome in completed(workers, calls) if attempt else ():
+            if outcome is WORKER_DIED:
+                outcome = Outcome(failure=DIED, interrupted=True)
+            elif outcome.interrupted and not last:
+                again.append(index)
+                continue
+            yield index, outcome
 
 
 def sweep(
@@ -312,31 +295,29 @@ def sweep(
     UsageError : ``out`` holds another sweep, another process writes there, or it cannot be written.
     MissingToolError : no workers, or no ngspice where they are; no pyarrow for Parquet.
     """
-    start = time.monotonic()
+    start = begin = time.monotonic()
     with closing(_open_rows(found, out, table_format)) as rows:
         rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
         missing = np.flatnonzero(rows.state == MISSING).tolist()
         first = next((each for _, each in rows.outcomes() if each.failure is None), None)
         if first is not None:
             require_columns(first, found.metrics, found.scene.name)
-        begin = start
         for done, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
             rows.record(index, outcome)
             if outcome.failure is None and first is None:
                 first = outcome
                 require_columns(outcome, found.metrics, found.scene.name)
-            begin = begin if done > 1 else time.monotonic()
-            progress("sweep", done / len(missing), _progress(done, missing, rows.failed, begin))
+            begin = time.monotonic() if done == 1 else begin
+            told = f"{done} of {len(missing)} points, {rows.failed} failed"
+            if done > 1:  # the first one may have built models for all others
+                rate = (done - 1) / max(time.monotonic() - begin, 1e-9)
+                left = timedelta(seconds=round((len(missing) - done) / rate))
+                told = f"{told}, {rate:.3g}/s, {left} left"
+            progress("sweep", done / len(missing), told)
         progress("report", None, "table, figures and page")
         summary = _publish(found, rows, out, table_format)
     resumed = found.plan.size - len(missing)
     return {**summary, "resumed": resumed, "wall_s": time.monotonic() - start}
-
-
-def _progress(done: int, missing: Sequence[int], failed: int, begin: float) -> str:
-    rate = done / max(time.monotonic() - begin, 1e-9)
-    left = timedelta(seconds=round((len(missing) - done) / rate))
-    return f"{done} of {len(missing)} points, {failed} failed, {rate:.3g}/s, {left} left"
 
 
 def table_name(table_format: str) -> str:
@@ -347,8 +328,8 @@ def table_name(table_format: str) -> str:
     UsageError : no such format.
     MissingToolError : no pyarrow for Parquet.
     """
-    if table_format not in FORMATS:
-        expected = " or ".join(FORMATS)
+    if table_format not in WRITERS:
+        expected = " or ".join(WRITERS)
         raise UsageError("no such format", where="--format", got=table_format, expected=expected)
     if table_format == "parquet":
         need_parquet()
@@ -373,14 +354,12 @@ def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict
     """Write table, figures and page; what the summary says of them."""
     from kc2spice.report.sweep_page import write_sweep, yields
 
-    table, name = (
-        columns(list(rows.outcomes()), found.plan, found.metrics),
-        table_name(table_format),
-    )
+    table = columns(list(rows.outcomes()), found.plan, found.metrics)
+    name = table_name(table_format)
     shares = yields(table, found.plan.keys) if found.plan.random else {}
     plan = found.describe()
     with staged(out) as work:
-        (write_csv if table_format == "csv" else write_parquet)(table, work / name)
+        WRITERS[table_format](table, work / name)
         write_sweep(work / PAGE, found.scene, table, found.units, found.plan.random, plan, shares)
     return {
         "scene": found.scene.name,

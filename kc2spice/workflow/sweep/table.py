@@ -19,7 +19,6 @@ from kc2spice.workflow.sweep.plan import Plan
 from kc2spice.workflow.sweep.point import Outcome, toml
 
 OK = "ok"
-FORMATS = ("csv", "parquet")
 MISSING, GOOD, BAD, INTERRUPTED = -1, 0, 1, 2  # states of a point
 
 _OPEN = """
@@ -179,3 +178,6 @@ def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
     kinds = {name: arrow.float64() if name in empty else None for name in table}
     arrays = {name: arrow.array(column, kinds[name]) for name, column in table.items()}
     arrow.parquet.write_table(arrow.table(arrays), path)
+
+
+WRITERS = {"csv": write_csv, "parquet": write_parquet}

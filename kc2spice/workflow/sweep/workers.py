@@ -22,7 +22,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from itertools import chain, islice, repeat
 from typing import Any, TypeVar
 
@@ -43,8 +43,7 @@ _LOST = {
 }
 
 
-class WorkerDied:
-    """Result of a call whose worker died twice."""
+WORKER_DIED = object()  # result of a call whose worker died twice
 
 
 def cores() -> int:
@@ -55,13 +54,13 @@ def cores() -> int:
         return os.cpu_count() or 1
 
 
-def completed(workers: Workers, *stages: Iterable[Call[T]]) -> Iterator[tuple[T, Any]]:
+def completed(workers: Workers, calls: Iterable[Call[T]]) -> Iterator[tuple[T, Any]]:
     """Results of ``function(*arguments)`` as they come, for each call, with its name.
 
-    A stage begins when the one before has ended. No more calls are in flight than keeps all
-    workers busy. Where a worker dies, the workers are opened again and every call that was in
-    flight is run once more, alone: only the one that ends its worker again is given up; its result
-    is :class:`WorkerDied`. Exceptions of the function itself are raised.
+    No more calls are in flight than keeps all workers busy. Where a worker dies, the workers are
+    opened again and every call that was in flight is run once more, alone: only the one that ends
+    its worker again is given up; its result is ``WORKER_DIED``. Exceptions of the function itself
+    are raised.
     """
     with ExitStack() as opened:
 
@@ -70,44 +69,48 @@ def completed(workers: Workers, *stages: Iterable[Call[T]]) -> Iterator[tuple[T,
             return opened.enter_context(workers())
 
         executor, count = reopen()
-        for stage in stages:
-            calls, pending, lost = iter(stage), dict[Future[Any], Call[T]](), list[Call[T]]()
-            while True:
-                for call in islice(calls, max(0, 2 * count + 1 - len(pending))):
-                    try:
-                        pending[executor.submit(call[1], *call[2])] = call
-                    except Exception as error:
-                        _raise_unless_lost(error)
-                        lost.append(call)
-                        break
-                if not pending and not lost:
-                    break
-                for future in [] if lost else wait(pending, return_when=FIRST_COMPLETED).done:
-                    call = pending.pop(future)
-                    try:
-                        result = future.result()
-                    except Exception as error:
-                        _raise_unless_lost(error)
-                        lost.append(call)
-                    else:
-                        yield call[0], result
-                if lost:
+        calls, pending = iter(calls), dict[Future[Any], Call[T]]()
+        while True:
+            for call in islice(calls, max(0, 2 * count + 1 - len(pending))):
+                pending[_submitted(executor, call)] = call
+            if not pending:
+                return
+            lost: list[Call[T]] = []
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                call, result = pending.pop(future), _result(future)
+                if result is WORKER_DIED:
+                    lost.append(call)
+                else:
+                    yield call[0], result
+            if not lost:
+                continue
+            lost, pending = [*lost, *pending.values()], {}
+            executor, count = reopen()
+            for call in lost:
+                result = _result(_submitted(executor, call))
+                if result is WORKER_DIED:
                     executor, count = reopen()
-                    again, pending, lost = [*lost, *pending.values()], {}, []
-                    for name, function, arguments in again:
-                        try:
-                            yield name, executor.submit(function, *arguments).result()
-                        except Exception as error:
-                            _raise_unless_lost(error)
-                            executor, count = reopen()
-                            yield name, WorkerDied()
+                yield call[0], result
 
 
-def _raise_unless_lost(error: Exception) -> None:
-    if isinstance(error, (BrokenExecutor, CancelledError, OSError)):
-        return
-    if not _LOST & {kind.__name__ for kind in type(error).__mro__}:
-        raise error
+def _submitted(executor: Executor, call: Call[T]) -> Future[Any]:
+    try:
+        return executor.submit(call[1], *call[2])
+    except Exception as error:  # of an executor whose workers are gone
+        failed = Future[Any]()
+        failed.set_exception(error)
+        return failed
+
+
+def _result(future: Future[Any]) -> Any:
+    """What the call returned; ``WORKER_DIED`` where it was lost with its worker."""
+    try:
+        return future.result()
+    except Exception as error:
+        kinds = {kind.__name__ for kind in type(error).__mro__}
+        if isinstance(error, (BrokenExecutor, CancelledError, OSError)) or _LOST & kinds:
+            return WORKER_DIED
+        raise
 
 
 def processes(count: int) -> Workers:
@@ -116,8 +119,6 @@ def processes(count: int) -> Workers:
 
     @contextmanager
     def opened() -> Iterator[tuple[Executor, int]]:
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            os.environ.setdefault(name, "1")
         with tempfile.TemporaryDirectory(prefix="kc2spice-sweep-") as scratch:
             pool = ProcessPoolExecutor(count, get_context("spawn"), _worker_starts, (scratch,))
             try:
@@ -169,15 +170,17 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
             raise MissingToolError(message, where="--dask", hint=hint) from None
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        limit = next(limits)
         with ExitStack() as stack:
-            limit = next(limits)
             try:
                 target: Any = address
                 if address == "local":
-                    own = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
-                    target = stack.enter_context(LocalCluster(**own))
+                    target = LocalCluster(
+                        n_workers=count, threads_per_worker=1, dashboard_address=None
+                    )
+                    stack.enter_context(target)
                 client = Client(target, timeout=limit)
-                stack.callback(_closed, client)
+                stack.callback(_disconnect, client)
                 client.wait_for_workers(1, timeout=limit)
             except (OSError, TimeoutError, ValueError) as error:
                 raise MissingToolError(
@@ -192,9 +195,6 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
     return opened
 
 
-def _closed(client: Any) -> None:
-    """Disconnect from a scheduler that may be gone already."""
-    import contextlib
-
-    with contextlib.suppress(Exception):
+def _disconnect(client: Any) -> None:
+    with suppress(Exception):  # the scheduler may be gone already
         client.close(timeout=5)

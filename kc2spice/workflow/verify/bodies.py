@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +15,12 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.report.verify_page import Findings, responses
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import Response, relative_error, telling
 from kc2spice.rom.structure import structure as form
-from kc2spice.scene.gates import Limit
+from kc2spice.scene.judge import Limit
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import run_deck
@@ -35,17 +36,6 @@ OWN_ROUNDING = 1e-11  # of the reduced model's own response
 MICRO = 1e-6
 
 
-@dataclass(frozen=True)
-class BodyFindings:
-    """What was found of one body; ``errors`` as in the contract, ``curves`` are its responses."""
-
-    name: str
-    checks: tuple[Limit, ...]
-    errors: dict[str, float]
-    curves: dict[str, Waveforms]
-    notes: tuple[str, ...] = ()
-
-
 def verify_body(
     part: Part,
     build: Build,
@@ -53,17 +43,16 @@ def verify_body(
     clock: Clock,
     work: Path,
     whole: bool,
-    gate: float,
-) -> BodyFindings:
-    """Both comparisons of one body.
+    found: Findings,
+) -> None:
+    """Add both comparisons of one body to ``found``.
 
-    ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted;
-    ``gate`` is the largest relative error of the netlist's response. The reduced model's limit is
-    what its certificate says, thus the tolerance that was asked for.
+    ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
+    reduced model's limit is what its certificate says, thus the tolerance that was asked for.
     """
     rom: LinearModel = build.model(part)
-    band = _band(rom, build)
-    checks, errors, curves, notes = [], {}, {}, []
+    band = held_band(rom, build)
+    errors, curves = {}, {}
     at = _sampled(rom, band)
     full = part.type.full_model(part, build, clock)
     if full is not None:
@@ -71,32 +60,52 @@ def verify_body(
         at = _first(rom, at, min(count, MANY))
         with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
             exact = _solved(part, build, full, at)
-        reduced = rom.transfer(at)
-        errors["rom_vs_fom"] = relative_error(reduced, exact)
+        errors["rom_vs_fom"] = relative_error(rom.transfer(at), exact)
         certificate = rom.certificate
         limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
         words = f"{part.name}: ROM to full model, at {at.size} frequencies with its resonances"
-        checks.append(Limit(words, errors["rom_vs_fom"], limit))
+        found.checks.append(Limit(words, errors["rom_vs_fom"], limit))
         curves[f"{part.name}: full model"] = _waves(at, exact, rom)
     else:
-        notes.append(f"{part.name}: no full model here; its reduced model is taken as it is")
-    checks += own_structure(part.name, rom, band)
-    waves = netlist_response(part, build, libraries, clock, work, band)
-    frequency = waves["frequency"].real
-    exact = rom.transfer(frequency)
-    found = _matrix(waves, rom)
-    leak = leakage(rom, frequency)
+        found.notes.append(f"{part.name}: no full model here; its reduced model is taken as it is")
+    found.checks += own_structure(part.name, rom, band)
+    frequency, answer = netlist_response(part, build, libraries, clock, work, band)
+    checks = netlist_checks(part.name, rom, frequency, answer, build.scene.gates.harmonic_ngspice)
+    found.checks += checks
+    errors["ngspice_vs_rom"] = float(checks[0].value or 0.0)
+    curves[f"{part.name}: netlist, ngspice"] = _waves(frequency, answer, rom)
+    found.figures += responses(part.name, curves)
+    for pair, error in errors.items():
+        found.errors[pair] = max(error, found.errors.get(pair, 0.0))
+
+
+def netlist_checks(
+    name: str, rom: LinearModel, frequency: np.ndarray, found: np.ndarray, gate: float
+) -> list[Limit]:
+    """The netlist's response ``found`` (frequencies, outputs, inputs) against the reduced model's:
+    all ports together, capacitance and charge for each load at each electrical port by their own
+    sizes, and what a passive and reciprocal body cannot do. ``gate`` is the largest error."""
+    exact, leak = rom.transfer(frequency), leakage(rom, frequency)
     leaked = LEAKED * float(leak.max(initial=0.0))
-    errors["ngspice_vs_rom"] = relative_error(found, exact)
-    words, most = f"{part.name}: netlist to ROM, all ports", max(gate, leaked)
-    checks.append(Limit(words, errors["ngspice_vs_rom"], most))
-    checks += electrical_checks(part.name, rom, found, exact, gate, leak)
+    rows: list[tuple[str, Any, Any, float]] = [
+        (": netlist to ROM, all ports", slice(None), slice(None), leaked)
+    ]
+    electrical = [port.name for port in rom.ports if port.kind == "electrical"]
+    for port, lost in zip(electrical, leak, strict=True):
+        row, own = rom.outputs.index(port), rom.inputs.index(port)
+        rows.append((f": capacitance of {port}", row, [own], LEAKED * lost))
+        others = np.delete(np.arange(len(rom.inputs)), own)
+        if others.size:
+            rows.append((f": charge by loads of {port}", row, others, LEAKED * lost))
+    checks = [
+        Limit(name + words, relative_error(found[:, row, cols], exact[:, row, cols]), max(gate, by))
+        for words, row, cols, by in rows
+    ]
     if all(port.conservative for port in rom.ports):
         # a leak takes charge that a load separates, but no force from a voltage
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += structure(f"{part.name}: netlist", frequency, found, limit)
-    curves[f"{part.name}: netlist, ngspice"] = waves
-    return BodyFindings(part.name, tuple(checks), errors, curves, tuple(notes))
+        checks += structure(f"{name}: netlist", frequency, found, limit)
+    return checks
 
 
 def leakage(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
@@ -151,28 +160,6 @@ def structure(name: str, frequency: np.ndarray, H: np.ndarray, limit: float) -> 
     return found
 
 
-def electrical_checks(
-    name: str,
-    rom: LinearModel,
-    found: np.ndarray,
-    exact: np.ndarray,
-    gate: float,
-    leak: np.ndarray,
-) -> list[Limit]:
-    """Capacitance, and charge for each force, at each electrical port: each by its own size."""
-    checks: list[Limit] = []
-    ports = [port for port in rom.ports if port.kind == "electrical"]
-    for port, lost in zip(ports, leak, strict=True):
-        row, own = rom.outputs.index(port.name), rom.inputs.index(port.name)
-        limit = max(gate, LEAKED * lost)
-        others = np.delete(np.arange(len(rom.inputs)), own)
-        for words, columns in (("capacitance of", [own]), ("charge by loads of", others)):
-            if len(columns):
-                error = relative_error(found[:, row, columns], exact[:, row, columns])
-                checks.append(Limit(f"{name}: {words} {port.name}", error, limit))
-    return checks
-
-
 def netlist_response(
     part: Part,
     build: Build,
@@ -180,8 +167,8 @@ def netlist_response(
     clock: Clock,
     work: Path,
     band: tuple[float, float],
-) -> Waveforms:
-    """``INPUT>OUTPUT`` (frequencies,) in SI of the subcircuit in ngspice.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (nf,) [Hz] and response (nf, outputs, inputs) in SI of the subcircuit in ngspice.
 
     One copy of the subcircuit per port, all in one ``.ac`` deck: electrical and acceleration pins
     are held by voltage sources, mechanical ones are free but for the unit load.
@@ -193,18 +180,19 @@ def netlist_response(
     deck = _deck(part, build, libraries, band)
     with clock.stage("simulate", f"frequency response of {part.name}"):
         waves = run_deck(deck, work)
-    frequency = waves["frequency"].real
-    data = dict(waves.data)
     rom: LinearModel = build.model(part)
-    s = 2j * np.pi * frequency
-    for load, port in ((a, p) for a in rom.inputs for p in rom.ports):
-        name = f"{load}>{port.name}"
+    frequency = waves["frequency"].real
+    H = np.array([[waves[f"{i}>{o}"] for i in rom.inputs] for o in rom.outputs])
+    H = np.moveaxis(H, -1, 0)
+    s = 2j * np.pi * frequency[:, None]
+    for port in rom.ports:
+        row = rom.outputs.index(port.name) if port.kind != "input" else -1
         if port.kind == "electrical":
-            data[name] = data[name] / s
+            H[:, row] /= s
         elif port.kind == "acceleration":  # its pin draws the force m a - s^2 y
-            mass = reaction_mass(rom, port) if load == port.name else 0.0
-            data[name] = (mass - data[name]) / s**2
-    return Waveforms(data, waves.stats)
+            mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
+            H[:, row] = (mass - H[:, row]) / s**2
+    return frequency, H
 
 
 def reaction_mass(rom: LinearModel, port: Port) -> float:
@@ -297,8 +285,8 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
     return np.asarray(found["real"] + 1j * found["imag"])
 
 
-def _band(rom: LinearModel, build: Build) -> tuple[float, float]:
-    """Where the reduced model is meant to hold."""
+def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
+    """Frequencies [Hz] between which the reduced model is meant to hold."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
     scene = build.scene
@@ -327,12 +315,6 @@ def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = np.sort(at)[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
     return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))
-
-
-def _matrix(waves: Waveforms, rom: LinearModel) -> np.ndarray:
-    """(frequencies, outputs, inputs) of what ngspice answered."""
-    rows = [[waves[f"{i}>{o}"] for i in rom.inputs] for o in rom.outputs]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kc2spice.core.laws import (
+    GROUND,
     Device,
     Equations,
     Law,
@@ -25,7 +26,7 @@ from kc2spice.reference.assemble import System, assemble, has_store
 from kc2spice.reference.integrate import Result, transient
 from kc2spice.reference.linear import ac
 from kc2spice.scene.parttype import Build
-from kc2spice.workflow.decks import replacements, swept
+from kc2spice.workflow.meters import replaced, swept
 
 RTOL = 1.5e-9  # of the integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 # Kind of a pin: the source that can stand for a part there, and the factor to SI of ngspice's node.
@@ -43,7 +44,6 @@ class Reference:
 
     results: Waveforms
     imbalance: float | None = None
-    events: tuple[tuple[float, str], ...] = ()
     runs: tuple[tuple[Circuit, Result], ...] = ()
 
 
@@ -62,7 +62,7 @@ class Circuit:
 
     def given(self, held: set[str]) -> bool:
         """Whether sources of the pins ``held`` prescribe every net, none of them moving a body."""
-        nets = [set(pins) for net, pins in self.joins.items() if net != "gnd"]
+        nets = [set(pins) for net, pins in self.joins.items() if net != GROUND]
         return (
             bool(held)
             and all(pins & held for pins in nets)
@@ -70,46 +70,86 @@ class Circuit:
         )
 
 
-def without_law(build: Build) -> tuple[str, ...]:
-    """Names of the parts that have no law: the scene as a whole cannot be integrated."""
-    return _missing(build, _equations(build))
+@dataclass(frozen=True)
+class _Laws:
+    """Equations of a scene's parts, the parts that have none, and all laws with their pins."""
+
+    build: Build
+    equations: Mapping[str, Equations]
+    missing: tuple[str, ...]
+
+    @property
+    def laws(self) -> dict[str, Law]:
+        """By name."""
+        return {law.name: law for each in self.equations.values() for law in each.laws}
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Of all pins of laws."""
+        return _kinds(self.laws.values())
+
+    @property
+    def ends(self) -> list[tuple[str, str, str, str]]:
+        """Net of the scene, part, its pin, and the pin of a law that stands for it."""
+        nets = self.build.scene.nets
+        return [
+            (nets[n, pin], n, pin, end) for n, e in self.equations.items() for pin, end in e.pins
+        ]
+
+    def joins(self, taken: Mapping[str, Source] | None = None) -> dict[str, tuple[str, ...]]:
+        """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
+        groups = [set(net) for each in self.equations.values() for net in each.nets]
+        by_net = {net: {f"{source.name}.out"} for net, source in (taken or {}).items()}
+        for net, _, _, end in self.ends:
+            by_net.setdefault(net, {GROUND} if net == "0" else set()).add(end)
+        merged = _merged([*groups, *by_net.values()])
+        free = sorted(sorted(pins) for pins in merged if GROUND not in pins and len(pins) > 1)
+        joins = {f"n{k}": tuple(pins) for k, pins in enumerate(free)}
+        ground = next((sorted(pins - {GROUND}) for pins in merged if GROUND in pins), None)
+        return joins | ({GROUND: tuple(ground)} if ground else {})
 
 
-def _missing(build: Build, found: Mapping[str, Equations]) -> tuple[str, ...]:
-    known = {*found, *replacements(build)}
-    return tuple(name for name in build.scene.parts if name not in known)
-
-
-def _equations(build: Build) -> dict[str, Equations]:
-    replaced = replacements(build)
+def _laws(build: Build) -> _Laws:
+    """Parts that drive a load by a signal have no law, as a signal knows no current."""
+    copied = replaced(build.scene)
     found: dict[str, Equations] = {}
     for part in build.scene.parts.values():
-        equations = None if part.name in replaced else part.type.law(part, build)
+        equations = None if part.name in copied else part.type.law(part, build)
         if equations is not None:
             found[part.name] = equations
-    loaded = _loaded(build, found)
-    return {name: equations for name, equations in found.items() if name not in loaded}
-
-
-def _loaded(build: Build, found: Mapping[str, Equations]) -> set[str]:
-    """Parts that drive a load by a signal: that has no law, as a signal knows no current."""
-    laws = {law.name: law for equations in found.values() for law in equations.laws}
-    kinds = _kinds(laws.values())
+    every = _Laws(build, found, ())
+    laws, kinds = every.laws, every.kinds
     nets: dict[str, list[tuple[str, str]]] = {}
-    for name, equations in found.items():
-        for pin, target in equations.pins:
-            nets.setdefault(build.scene.nets[name, pin], []).append((name, target))
-    return {
+    for net, name, _, end in every.ends:
+        nets.setdefault(net, []).append((name, end))
+    loaded = {
         name
         for net in nets.values()
-        if any(kinds[target] != "signal" for _, target in net)
-        for name, target in net
-        if kinds[target] == "signal" and _holds(laws, target)
+        if any(kinds[end] != "signal" for _, end in net)
+        for name, end in net
+        if kinds[end] == "signal" and _holds(laws, end)
     }
+    known = {name: equations for name, equations in found.items() if name not in loaded}
+    missing = (name for name in build.scene.parts if name not in known and name not in copied)
+    return _Laws(build, known, tuple(missing))
 
 
 def _kinds(laws: Iterable[Law]) -> dict[str, str]:
     return {f"{law.name}.{pin.name}": pin.kind for law in laws for pin in law.pins}
+
+
+def _merged(groups: Iterable[set[str]]) -> list[set[str]]:
+    """Groups that share something as one."""
+    found: list[set[str]] = []
+    for group in groups:
+        touched = [other for other in found if other & group]
+        found = [other for other in found if not other & group] + [group.union(*touched)]
+    return found
+
+
+def without_law(build: Build) -> tuple[str, ...]:
+    """Names of the parts that have no law: the scene as a whole cannot be integrated."""
+    return _laws(build).missing
 
 
 def taken_nets(build: Build) -> dict[str, str] | None:
@@ -122,23 +162,15 @@ def taken_nets(build: Build) -> dict[str, str] | None:
     What a part without law does to the rest of a transient is then known from ngspice: its voltage,
     displacement or signal on these nets. Nets that a law holds by itself are not among them.
     """
-    found = _equations(build)
-    missing = set(_missing(build, found))
-    joins = _joins(build, found)
-    laws = {law.name: law for equations in found.values() for law in equations.laws}
-    kinds = _kinds(laws.values())
+    found = _laws(build)
+    laws, kinds, joins = found.laws, found.kinds, found.joins()
     met: dict[str, str] = {}
-    for name, equations in found.items():
-        for pin, target in equations.pins:
-            net = build.scene.nets[name, pin]
-            others = {
-                part
-                for part, end in build.scene.joined(name, pin)
-                if not _listens(build, part, end)
-            }
-            joined = next((pins for pins in joins.values() if target in pins), (target,))
-            if others & missing and not any(_holds(laws, each) for each in joined):
-                met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
+    for net, name, pin, target in found.ends:
+        ends = build.scene.joined(name, pin)
+        others = {part for part, end in ends if not _listens(build, part, end)}
+        joined = next((pins for pins in joins.values() if target in pins), (target,))
+        if others & {*found.missing} and not any(_holds(laws, each) for each in joined):
+            met[net] = kinds[target] if met.get(net, "signal") == "signal" else met[net]
     coils = any(isinstance(law, Device) and has_store(law) for law in laws.values())
     elastic = any(isinstance(law, LinearBody) for law in laws.values())
     known = laws and set(met.values()) <= set(SOURCES)
@@ -149,7 +181,7 @@ def _listens(build: Build, name: str, pin: str) -> bool:
     """Whether a pin takes no current, of a part whose cards are our own."""
     part = build.scene.parts[name]
     end = next(t for t in part.type.pins(part, build.scene) if t.name == pin)
-    return end.flow == "-" and not end.signal_out and not part.type.uses_netlists(part)
+    return end.flow == "-" and not end.signal_out and not part.netlist
 
 
 def _holds(laws: Mapping[str, Law], pin: str) -> bool:
@@ -164,19 +196,34 @@ def _holds(laws: Mapping[str, Law], pin: str) -> bool:
 
 
 def circuits(build: Build, taken: Mapping[str, Source] | None = None) -> tuple[Circuit, ...]:
-    """The scene's independent circuits; ``taken`` are sources on nets of parts without a law.
+    """The scene's independent circuits, which share nothing but ground; ``taken`` are sources on
+    nets of parts without a law.
 
     Raises
     ------
     UsageError : the laws do not fit each other; a part without law is for the caller to find.
     """
-    found, taken = _equations(build), taken or {}
-    joins = _joins(build, found, taken)
-    found |= {source.name: Equations((source,)) for source in taken.values()}
-    laws = [law for equations in found.values() for law in equations.laws]
-    readings = {k: r for equations in found.values() for k, r in equations.results.items()}
-    sweeps = {(n, k): s for n, equations in found.items() for k, s in equations.sweeps.items()}
-    return tuple(_apart(*_listening(laws, joins), readings, sweeps))
+    found, taken = _laws(build), taken or {}
+    laws, joins = _listening([*found.laws.values(), *taken.values()], found.joins(taken))
+    readings = {k: r for e in found.equations.values() for k, r in e.results.items()}
+    sweeps = {(n, k): s for n, e in found.equations.items() for k, s in e.sweeps.items()}
+    met = [{_owner(pin) for pin in pins} for net, pins in joins.items() if net != GROUND]
+    whole = []
+    for group in _merged([*({law.name} for law in laws), *met]):
+        own = {n: tuple(pin for pin in pins if _owner(pin) in group) for n, pins in joins.items()}
+        whole.append(
+            Circuit(
+                tuple(law for law in laws if law.name in group),
+                {net: pins for net, pins in own.items() if pins},
+                {k: r for k, r in readings.items() if _owner(r.terms[0][1]) in group},
+                {k: s for k, s in sweeps.items() if s[0] in group},
+            )
+        )
+    return tuple(whole)
+
+
+def _owner(pin: str) -> str:
+    return pin.partition(".")[0]
 
 
 def _listening(
@@ -188,71 +235,14 @@ def _listening(
     for net, pins in joins.items():
         heard = tuple(pin for pin in pins if kinds[pin] == "signal")
         rest = tuple(pin for pin in pins if pin not in heard)
-        if net == "gnd" or not heard or not rest:
+        if net == GROUND or not heard or not rest:
             continue
         kind = kinds[rest[0]]
-        sensor = Sensor(f"{net} heard", 1 / SOURCES.get(kind, ("", 1.0))[1], kind=kind)
+        sensor = Sensor(f"{net} heard", 1 / SOURCES.get(kind, ("", 1.0))[1], kind)
         sensors.append(sensor)
         found[net] = (*rest, f"{sensor.name}.a")
         found[sensor.name] = (*heard, f"{sensor.name}.out")
     return [*laws, *sensors], found
-
-
-def _joins(
-    build: Build, found: Mapping[str, Equations], taken: Mapping[str, Source] | None = None
-) -> dict[str, tuple[str, ...]]:
-    """Nets of the laws' pins. Nets of the scene that share a pin of a law are one."""
-    nets: list[tuple[bool, set[str]]] = []
-    by_net = {net: {f"{source.name}.out"} for net, source in (taken or {}).items()}
-    for name, equations in found.items():
-        for pin, target in equations.pins:
-            by_net.setdefault(build.scene.nets[name, pin], set()).add(target)
-        nets += [(False, set(net)) for net in equations.nets]
-    nets += [(net == "0", pins) for net, pins in by_net.items()]
-    merged: list[tuple[bool, set[str]]] = []
-    for ground, pins in nets:
-        for other in [m for m in merged if m[1] & pins]:
-            merged.remove(other)
-            ground, pins = ground or other[0], pins | other[1]
-        merged.append((ground, pins))
-    grounded = [sorted(pins) for ground, pins in merged if ground]
-    free = sorted(sorted(pins) for ground, pins in merged if not ground and len(pins) > 1)
-    joins = {f"n{k}": tuple(pins) for k, pins in enumerate(free)}
-    if grounded:
-        joins["gnd"] = tuple(pin for pins in grounded for pin in pins)
-    return joins
-
-
-def _apart(
-    laws: Iterable[Law],
-    joins: Mapping[str, tuple[str, ...]],
-    readings: Mapping[str, Reading],
-    sweeps: Mapping[tuple[str, str], tuple[str, float]],
-) -> Iterator[Circuit]:
-    """Circuits that share nothing but ground."""
-    groups: list[set[str]] = [{law.name} for law in laws]
-    for net, pins in joins.items():
-        if net != "gnd":
-            names = {pin.partition(".")[0] for pin in pins}
-            touched = [group for group in groups if group & names]
-            groups = [group for group in groups if not group & names]
-            groups.append(set().union(*touched))
-    for group in groups:
-        own = {
-            net: kept
-            for net, pins in joins.items()
-            if (kept := tuple(p for p in pins if p.partition(".")[0] in group))
-        }
-        yield Circuit(
-            tuple(law for law in laws if law.name in group),
-            own,
-            {k: r for k, r in readings.items() if _owner(r) in group},
-            {k: s for k, s in sweeps.items() if s[0] in group},
-        )
-
-
-def _owner(reading: Reading) -> str:
-    return reading.terms[0][1].partition(".")[0]
 
 
 # --- analyses -------------------------------------------------------------------------------------
@@ -269,25 +259,45 @@ def solve(build: Build, waves: Waveforms, taken: Mapping[str, str] | None = None
     SimulationError : no equilibrium, or a law left its range.
     """
     parts = moving(build, waves, taken or {})
-    kind = build.scene.analysis.type
-    if kind == "transient":
-        return _transients(parts, build, waves)
-    return steady(parts, build, waves)
+    if build.scene.analysis.type != "transient":
+        return Reference(steady(parts, build, waves))
+    stop = build.scene.stop
+    times = np.minimum(np.unique(waves["time"]), stop)
+    runs = [(c, transient(c.system(), stop, RTOL, times)) for c in parts]
+    grid = np.unique(np.concatenate([times, *(run.time for _, run in runs)]))
+    data = {"time": grid}
+    for circuit, run in runs:
+        data |= read(circuit, replace(run, time=grid).waves, grid)
+    books = [run.energy for _, run in runs]
+    turnover = sum(book.turnover for book in books)
+    imbalance = sum(abs(book.residual) for book in books) / turnover if turnover else None
+    return Reference(Waveforms(data, {}), imbalance, tuple(runs))
 
 
-def steady(parts: Iterable[Circuit], build: Build, waves: Waveforms) -> Reference:
+def steady(parts: Iterable[Circuit], build: Build, waves: Waveforms) -> Waveforms:
     """:func:`solve` for circuits in which no time passes."""
-    kind = build.scene.analysis.type
+    scale, points = next(iter(waves.data.items()))
+    points = points.real
+    data = {scale: points}
+    for circuit in parts:
+        data |= read(circuit, _steady(circuit, build, points), points)
+    return Waveforms(data, {})
+
+
+def _steady(circuit: Circuit, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
+    system, kind = circuit.system(), build.scene.analysis.type
     if kind == "ac":
-        frequency = waves["frequency"].real
-        return _gathered("frequency", frequency, (_ac(c, frequency) for c in parts))
-    scale = next(iter(waves.data))
-    if kind == "op":
-        return _gathered(scale, waves[scale], (_points(c, None) for c in parts))
-    part, key, first, last = swept(build.scene)
-    values = np.linspace(first, last, build.scene.analysis.points)
-    solved = (_points(c, (c.sweeps.get((part.name, key)), values)) for c in parts)
-    return _gathered(scale, waves[scale], solved)
+        return ac(system, points)
+    source, values = None, np.zeros(1)
+    if kind == "dc":
+        part, key, found = swept(build)
+        assert found.range is not None
+        values = np.linspace(*found.range, build.scene.analysis.points)
+        source = circuit.sweeps.get((part.name, key))
+    if source is not None:
+        return equilibrium.dc(system, source[0], source[1] * values)
+    point = equilibrium.operating_point(system)
+    return {name: np.full(values.size, value) for name, value in point.items()}
 
 
 def moving(build: Build, waves: Waveforms, taken: Mapping[str, str]) -> list[Circuit]:
@@ -316,46 +326,6 @@ def _replayed(net: str, kind: str, waves: Waveforms) -> Source:
     return Source(f"net {net}", SOURCES[kind][0], Recorded(times[kept], values[kept]))
 
 
-def _transients(parts: list[Circuit], build: Build, waves: Waveforms) -> Reference:
-    times = np.unique(waves["time"])
-    stop = build.scene.stop
-    times = np.minimum(times, stop)
-    runs = [(c, transient(c.system(), stop, RTOL, times)) for c in parts]
-    grid = np.unique(np.concatenate([times, *(run.time for _, run in runs)]))
-    data = {"time": grid}
-    for circuit, run in runs:
-        run = replace(run, time=grid)
-        data |= read(circuit, run.waves, grid)
-    events = sorted((e.time, f"{e.law} {e.what}") for _, run in runs for e in run.events)
-    imbalance = _imbalance([run for _, run in runs])
-    return Reference(Waveforms(data, {}), imbalance, tuple(events), tuple(runs))
-
-
-def _imbalance(runs: list[Result]) -> float | None:
-    books = [run.energy for run in runs]
-    turnover = sum(book.turnover for book in books)
-    return sum(abs(book.residual) for book in books) / turnover if turnover else None
-
-
-def _ac(circuit: Circuit, frequency: np.ndarray) -> dict[str, np.ndarray]:
-    return read(circuit, ac(circuit.system(), frequency), frequency)
-
-
-def _points(
-    circuit: Circuit, sweep: tuple[tuple[str, float] | None, np.ndarray] | None
-) -> dict[str, np.ndarray]:
-    system = circuit.system()
-    source, values = (None, np.zeros(1)) if sweep is None else sweep
-    if source is None:
-        count = values.size
-        point = equilibrium.operating_point(system).values
-        solved = {name: np.full(count, value) for name, value in point.items()}
-    else:
-        name, scale = source
-        solved = equilibrium.dc(system, name, scale * values)
-    return read(circuit, solved, np.zeros(1))
-
-
 def read(
     circuit: Circuit, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
@@ -372,10 +342,3 @@ def read(
             value = value + reading.constant
         found[name] = value
     return found
-
-
-def _gathered(name: str, scale: np.ndarray, parts: Iterable[Mapping[str, np.ndarray]]) -> Reference:
-    data = {name: scale}
-    for found in parts:
-        data |= found
-    return Reference(Waveforms(data, {}))

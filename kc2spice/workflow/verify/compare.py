@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.gates import Gate, Limit
+from kc2spice.report.words import unit_of
+from kc2spice.scene.judge import Gate, Limit
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow.judge import probed
 
 LOADED = 1e-6  # of the largest value: below, a relative error says nothing
 STILL = 1e-9  # of its size: what rests moves less, by rounding alone
 SMALL = 1e-3  # of the largest wave of its unit: smaller metrics are judged by that
-_SUFFIX = {"_m_s": "m/s", "_m": "m", "_a": "A", "_v": "V", "_n": "N", "_s": "s", "_hz": "Hz",
-           "_ohm": "Ohm", "_c": "C", "_f": "F"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,13 +43,14 @@ class OutputError:
 
 
 def solution(waves: Waveforms, build: Build) -> Solution:
-    """A solution with those metrics of the scene's parts that its waves tell."""
+    """A solution with those metrics of the scene's parts and probes that its waves tell."""
+    told = [
+        partial(part.type.metrics, part, build, waves) for part in build.scene.parts.values()
+    ] + [partial(probed, name, probe, waves) for name, probe in build.scene.probes.items()]
     found: dict[str, Any] = {}
-    for part in build.scene.parts.values():
-        try:
-            found |= part.type.metrics(part, build, waves)
-        except KeyError:  # a wave that this solution path does not have
-            continue
+    for metrics in told:
+        with suppress(KeyError):  # a wave that this solution path does not have
+            found |= metrics()
     return Solution(waves, found)
 
 
@@ -80,7 +84,7 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
         if a is None or b is None:
             return None
         return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
-    names = _named(gate.of, ours.waves, exact.waves)
+    names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.of))
     if not names:
         return _ABSENT
     pairs = [_aligned(ours.waves, exact.waves, name)[1:] for name in names]
@@ -92,67 +96,46 @@ def measured(gate: Gate, ours: Solution, exact: Solution) -> float | None:
         from kc2spice.rom.response import relative_error  # which loads scipy; every run is here
 
         return relative_error(*(np.stack(each, axis=1) for each in zip(*pairs, strict=True)))
+    if gate.measure == "relative":
+        return max(_each(a, b) for a, b in pairs)
     apart = max(float(np.abs(a - b).max()) for a, b in pairs)
     if gate.measure == "absolute":
         return apart
-    largest = max(float(np.abs(b).max()) for _, b in pairs)
+    size = max(float(np.abs(b).max()) for _, b in pairs)
     if gate.measure == "travel":
-        return _share(apart, max(STILL * largest, *(float(np.ptp(b)) for _, b in pairs)))
-    if gate.measure == "largest":
-        return _share(apart, largest)
-    worst = 0.0
-    for a, b in pairs:
-        loaded = np.abs(b) > LOADED * np.abs(b).max()
-        worst = max(worst, float((np.abs(a - b)[loaded] / np.abs(b)[loaded]).max(initial=0.0)))
-    return worst
+        size = max(STILL * size, *(float(np.ptp(b)) for _, b in pairs))
+    # of what is zero throughout, nothing is no share and all else has none
+    return apart / size if size else math.inf if apart else 0.0
 
 
-def _share(apart: float, size: float) -> float:
-    """``apart / size``; of what is zero throughout, nothing is no share and all else has none."""
-    if size == 0.0:
-        return 0.0 if apart == 0.0 else math.inf
-    return apart / size
-
-
-def _named(pattern: str, *all_waves: Waveforms) -> list[str]:
-    common = set.intersection(*(set(waves.data) for waves in all_waves))
-    if pattern == "*>*":
-        return sorted(name for name in common if ">" in name)
-    if pattern.endswith("*"):
-        return sorted(name for name in common if name.startswith(pattern[:-1]))
-    return [pattern] if pattern in common else []
+def _each(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest difference of a value by its own size."""
+    size = np.abs(b)
+    loaded = size > LOADED * size.max()
+    return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
 
 
 def _aligned(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points that both cover, and a wave of both there."""
-    a, b = waves[name], exact[name]
+    """The points that both cover, those of the coarser one, and a wave of both there."""
     if "time" not in waves:
-        return np.arange(float(a.size)), a, b
-    t, u = np.unique(waves["time"], return_index=True)
-    s, w = np.unique(exact["time"], return_index=True)
-    a, b = a[u], b[w]
+        return np.arange(float(waves[name].size)), waves[name], exact[name]
+    t, s = (np.unique(each["time"]) for each in (waves, exact))
     at = t if t.size <= s.size else s
     at = at[(at >= max(t[0], s[0])) & (at <= min(t[-1], s[-1]))]
-    return at, _at(at, t, a, waves, u, name), _at(at, s, b, exact, w, name)
+    return at, _at(at, waves, name), _at(at, exact, name)
 
 
-def _at(
-    at: np.ndarray,
-    t: np.ndarray,
-    values: np.ndarray,
-    waves: Waveforms,
-    unique: np.ndarray,
-    name: str,
-) -> np.ndarray:
-    """Values at ``at``; a height with its velocity by cubics, all others by straight lines."""
+def _at(at: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
+    """A wave at times ``at``: a height with its velocity by cubics, others by straight lines."""
+    t, kept = np.unique(waves["time"], return_index=True)
     stem, _, last = name.rpartition(".")
     if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
         from scipy.interpolate import CubicHermiteSpline
 
-        return np.asarray(CubicHermiteSpline(t, values, waves[f"{stem}.v"][unique])(at))
-    return np.interp(at, t, values)
+        return np.asarray(CubicHermiteSpline(t, waves[name][kept], waves[f"{stem}.v"][kept])(at))
+    return np.interp(at, t, waves[name][kept])
 
 
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
@@ -217,8 +200,8 @@ def _largest(name: str, waves: Waveforms, units: Mapping[str, str]) -> float:
 
     A metric without a unit, such as a coupling, has no such wave: a frequency would excuse any.
     """
-    unit = next((unit for end, unit in _SUFFIX.items() if name.endswith(end)), None)
-    if unit is None:
+    unit = unit_of(name).replace("Ω", "Ohm")
+    if not unit:
         return 0.0
     if unit == "s" and "time" in waves:
         return float(np.ptp(waves["time"]))

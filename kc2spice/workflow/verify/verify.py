@@ -14,13 +14,11 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.foreign import checked
 from kc2spice.netlist.read import subcircuits
-from kc2spice.netlist.scan import third_party
-from kc2spice.report.verdict import Findings
-from kc2spice.report.verify_figures import comparison, responses
-from kc2spice.report.verify_page import write_verify
+from kc2spice.report.verify_page import Findings, comparison, write_verify
 from kc2spice.scene.compose import composed
-from kc2spice.scene.gates import Gate, Limit
+from kc2spice.scene.judge import PAIRS, Gate, Limit
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_deck
@@ -28,9 +26,9 @@ from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.results import plain, write_record
-from kc2spice.workflow.verify.bodies import BodyFindings, verify_body
+from kc2spice.workflow.simulate import shared_engine
+from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.circuit import (
-    Reference,
     solve,
     taken_nets,
     taken_vectors,
@@ -46,6 +44,7 @@ from kc2spice.workflow.verify.compare import (
 )
 from kc2spice.workflow.verify.full import full_build, full_solution
 
+SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
 ANY_WAVE = 0.05  # of a wave's rms, whatever reltol: more is another wave
 STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
@@ -107,7 +106,7 @@ def _refuse_threats(deck: Deck) -> None:
     """Its texts as they will be run, in a folder with nothing else to include."""
     with TemporaryDirectory() as folder:
         try:
-            third_party(write_deck(deck, Path(folder)))
+            checked(write_deck(deck, Path(folder)))
         except UsageError as error:
             error.where = (error.where or "").replace(f"{folder}/", "")
             raise
@@ -116,7 +115,7 @@ def _refuse_threats(deck: Deck) -> None:
 def _as_shipped(scene: Scene, deck: Deck) -> Scene:
     """``scene`` with the ports that an export keeps although nothing joins them, if ``deck`` is one
     that has them."""
-    exported = composed(replace(scene, exported=True))
+    exported = composed(replace(scene, ports="declared"))
     more = {
         tuple(pin.name for pin in part.type.pins(part, exported))
         for part in exported.parts.values()
@@ -128,145 +127,118 @@ def _as_shipped(scene: Scene, deck: Deck) -> Scene:
 
 @dataclass
 class _Verification:
-    """One scene's verification under way: what was found up to now."""
+    """One scene's verification under way: what was ``found`` up to now."""
 
     build: Build
     clock: Clock
     work: Path
     whole: bool
     shipped: Deck | None
-    checks: list[Limit] = field(default_factory=list)
-    errors: dict[str, float] = field(default_factory=dict)
-    outputs: list[OutputError] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    figures: list[Any] = field(default_factory=list)
-    metrics: dict[str, Any] = field(default_factory=dict)
+    found: Findings = field(default_factory=Findings)
+    units: Mapping[str, str] = field(default_factory=dict)
     taken: Mapping[str, str] = field(default_factory=dict)
 
     def findings(self) -> Findings:
         """Bodies, then the scene, then what full models say of it."""
-        deck = self._deck(self.build, self.shipped)
-        libraries = _libraries(deck)
-        bodies = self._bodies(libraries)
-        missing = without_law(self.build)
-        timed = self.build.scene.analysis.type == "transient"
-        given = taken_nets(self.build) if missing and timed else None
-        self.taken = given or {}
-        if missing and given is None:
-            self.notes.append(
-                "left out, for they have no law: "
-                + ", ".join(missing)
-                + "; the scene as a whole is not compared, its bodies are"
-            )
+        found, build = self.found, self.build
+        deck = _with_text(make_deck(build), self.shipped)
+        self.units = deck.units
+        self._bodies(_libraries(deck))
+        found.left_out = without_law(build)
+        timed = build.scene.analysis.type == "transient"
+        taken = taken_nets(build) if found.left_out and timed else None
+        if found.left_out:
+            told = f"left out, for they have no law: {', '.join(found.left_out)}"
+            if taken is None:
+                told += "; the scene as a whole is not compared, its bodies are"
+            elif taken:
+                told += (
+                    "; the others are given what ngspice has on the nets where they meet them: "
+                    + ", ".join(taken)
+                )
+            found.notes.append(told)
+        self.taken = taken or {}
+        if found.left_out and taken is None:
             waves = self._ngspice(deck)
             self._own_checks(waves)
-            self.metrics |= solution(waves, self.build).metrics
+            found.metrics |= solution(waves, build).metrics
         else:
-            if missing:
-                self.notes.append(
-                    "left out, for they have no law: "
-                    + ", ".join(missing)
-                    + "; the others are given what ngspice has on the nets where they meet them: "
-                    * bool(self.taken)
-                    + ", ".join(self.taken)
-                )
             vectors = taken_vectors(self.taken)
-            self._full(*self._compared(deck.saving(vectors) if vectors else deck))
-        self._summary(bodies)
-        return Findings(
-            checks=tuple(self.checks),
-            errors=self.errors,
-            wall_s={stage: time for stage, time in self.clock.wall_s.items() if time},
-            metrics=self.metrics,
-            outputs=tuple(self.outputs),
-            notes=tuple(self.notes),
-            left_out=missing,
-            figures=tuple(self.figures),
-        )
-
-    # --- solution paths -----------------------------------------------------------------------
-
-    def _deck(self, build: Build, shipped: Deck | None) -> Deck:
-        """The emitted deck, or the shipped one with the names that the scene gives its results."""
-        own = make_deck(build)
-        if shipped is None:
-            return own
-        return replace(
-            own,
-            name=shipped.name,
-            text=shipped.text,
-            more=shipped.more,
-            parts=(),
-            blocks=(),
-            options=(),
-        )
+            self._compared(deck.saving(vectors) if vectors else deck)
+        self._summary()
+        found.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
+        return found
 
     def _ngspice(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
-            return run_deck(deck, self.work / "scene", progress=share)
+            shared = shared_engine(self.build, share)
+            return shared(deck) if shared else run_deck(deck, self.work / "scene", progress=share)
 
-    # --- comparisons --------------------------------------------------------------------------
-
-    def _bodies(self, libraries: Sequence[Subcircuit]) -> list[BodyFindings]:
-        found = []
-        gate = self.build.scene.gates.harmonic_ngspice
+    def _bodies(self, libraries: Sequence[Subcircuit]) -> None:
         for part in self.build.scene.parts.values():
             if part.type.reduced:
-                body = verify_body(
-                    part,
-                    self.build,
-                    libraries,
-                    self.clock,
-                    self.work / part.name,
-                    self.whole,
-                    gate,
-                )
-                self.checks += body.checks
-                self.notes += body.notes
-                self.figures += responses(body.name, body.curves)
-                found.append(body)
-        return found
+                folder = self.work / part.name
+                verify_body(part, self.build, libraries, self.clock, folder, self.whole, self.found)
 
-    def _compared(self, deck: Deck) -> tuple[Solution, Reference]:
-        """The scene in ngspice against its laws."""
-        build, waves = self.build, self._ngspice(deck)
+    def _compared(self, deck: Deck) -> None:
+        """The scene in ngspice, by its laws, and by those with full models as far as these are
+        followed: each two of the three."""
+        build, waves, found = self.build, self._ngspice(deck), self.found
         with self.clock.stage("reference", "laws of the reduced models, events located"):
             reference = solve(build, waves, self.taken)
-        ours, exact = solution(waves, build), solution(reference.results, build)
-        outputs = self._pair("ngspice_vs_rom", ours, exact)
-        self.checks += self._generic(build, ours, exact, outputs)
+        solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
+        found.metrics |= solutions["ngspice"].metrics
+        found.answers |= {key: each.metrics for key, each in solutions.items()}
+        outputs = self._pairs("scene", solutions)
+        found.checks += self._generic(solutions, outputs)
         self._own_checks(waves)
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.taken else build.scene.gates.energy
-            self.checks.append(
+            found.checks.append(
                 Limit("energy of the reference integration", reference.imbalance, limit)
             )
-        curves = {"laws": reference.results, "netlist, ngspice": waves}
-        self.figures += comparison("scene", build.scene.name, curves, deck.units)
-        self.metrics |= ours.metrics
-        return ours, reference
+        full = full_build(build, self.clock)
+        followed = full and full_solution(
+            build, full, waves, reference, self.taken, self.clock, self.whole
+        )
+        if not followed:
+            return
+        cut = {k: solution(_until(s.waves, followed.end), build) for k, s in solutions.items()}
+        exact = solution(followed.waves, build)
+        found.answers["fom"] = exact.metrics
+        self._pairs("full", cut | {"fom": exact})
+        found.notes += followed.notes
+        if followed.coarse is not None:
+            self._stepped(followed.waves, followed.coarse)
 
-    def _pair(self, pair: str, ours: Solution, exact: Solution) -> list[OutputError]:
-        """Gates of the parts, and the errors of all waves."""
-        limits, leading = gate_limits(_gates(self.build), pair, ours, exact)
-        self.checks += limits
-        outputs = output_errors(pair, ours.waves, exact.waves)
-        self.outputs += outputs
-        if leading is None and outputs:
-            leading = max(output.rms for output in outputs)
-        if leading is not None:
-            self.errors[pair] = leading
+    def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
+        """Gates of the parts, errors of all waves and figures, of each pair with the last."""
+        last = list(solutions)[-1]
+        outputs: list[OutputError] = []
+        for pair in (p for p in PAIRS if p.endswith(last)):
+            ours, exact = solutions[pair.partition("_")[0]], solutions[last]
+            limits, leading = gate_limits(_gates(self.build), pair, ours, exact)
+            self.found.checks += limits
+            errors = output_errors(pair, ours.waves, exact.waves)
+            leading = max((e.rms for e in errors), default=None) if leading is None else leading
+            if leading is not None:
+                self.found.errors[pair] = leading
+            outputs += errors
+        self.found.outputs += outputs
+        curves = {SOLUTIONS[key]: solutions[key].waves for key in reversed(list(solutions))}
+        self.found.figures += comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
     def _generic(
-        self, build: Build, ours: Solution, exact: Solution, outputs: Sequence[OutputError]
+        self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
     ) -> Iterable[Limit]:
-        gates, solver = build.scene.gates, build.scene.solver
-        timed = build.scene.analysis.type == "transient"
+        scene = self.build.scene
+        gates, solver = scene.gates, scene.solver
+        timed = scene.analysis.type == "transient"
         metric = gates.metrics or (METRICS * solver.reltol if timed else STEADY_METRICS)
         metric *= RECORDED if self.taken else 1.0
         wave = gates.waves or (min(WAVES * solver.reltol, ANY_WAVE) if timed else STEADY_WAVES)
-        errors = dict(metric_errors(ours, exact, make_deck(build).units))
+        errors = dict(metric_errors(solutions["ngspice"], solutions["rom"], self.units))
         missed = [name for name, error in errors.items() if error is None]
         if missed:
             yield Limit(f"metric {missed[0]}, reached by one of both", None, metric)
@@ -275,7 +247,7 @@ class _Verification:
             worst = max(known, key=lambda name: known[name])
             yield Limit(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
         # what rings on after a launch is coarse by choice: the body's own waves and its drive's
-        coarse = [n for n, p in build.scene.parts.items() if p.type.reduced]
+        coarse = [n for n, p in scene.parts.items() if p.type.reduced]
         coarse = coarse if solver.ringing == "coarse" else []
         owners = [(output, output.output.partition(".")[0]) for output in outputs]
         outputs = [o for o, n in owners if not any(n == c or n.startswith(f"{c}_") for c in coarse)]
@@ -285,58 +257,44 @@ class _Verification:
 
     def _own_checks(self, waves: Waveforms) -> None:
         """Physics of the netlist's run that nobody told the simulator."""
-        for check in verdict(waves, self.build).checks:
-            if check.action == "fail" or check.name.startswith("jump"):
-                self.checks.append(
-                    Limit(f"{check.name}, ngspice", check.value, check.limit, check.unit)
-                )
+        self.found.checks += [
+            Limit(f"{check.name}, ngspice", check.value, check.limit, check.unit)
+            for check in verdict(waves, self.build).checks
+            if check.action == "fail" or check.name.startswith("jump")
+        ]
 
-    def _full(self, ours: Solution, reference: Reference) -> None:
-        """Full models in place of the reduced ones, as far as they are followed."""
-        build = self.build
-        full = full_build(build, self.clock)
-        found = full and full_solution(
-            build, full, ours.waves, reference, self.taken, self.clock, self.whole
-        )
-        if not found:
-            return
-        exact = solution(found.waves, build)
-        laws, ours = (
-            solution(_until(waves, found.end), build) for waves in (reference.results, ours.waves)
-        )
-        self._pair("rom_vs_fom", laws, exact)
-        self._pair("ngspice_vs_fom", ours, exact)
-        self.notes += found.notes
-        if found.coarse is not None:
-            self._stepped(exact, solution(found.coarse, build))
-        curves = {"full model": exact.waves, "laws": laws.waves, "netlist, ngspice": ours.waves}
-        self.figures += comparison("full", build.scene.name, curves, make_deck(build).units)
-
-    def _stepped(self, exact: Solution, coarse: Solution) -> None:
+    def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
         """What steps twice as long change must not decide over a gate."""
-        for limit in gate_limits(_gates(self.build), "rom_vs_fom", coarse, exact)[0]:
+        ours, exact = solution(coarse, self.build), solution(waves, self.build)
+        for limit in gate_limits(_gates(self.build), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
-            self.checks.append(replace(limit, name=words))
-        moved = output_errors("steps", coarse.waves, exact.waves)
+            self.found.checks.append(replace(limit, name=words))
+        moved = output_errors("steps", coarse, waves)
         if moved:
             worst = max(moved, key=lambda output: output.rms)
-            self.notes.append(
+            self.found.notes.append(
                 f"halving its steps moves the full model's waves by at most {worst.rms:.1e} (rms; "
                 f"{worst.output})"
             )
 
-    def _summary(self, bodies: Sequence[BodyFindings]) -> None:
-        for pair in ("rom_vs_fom", "ngspice_vs_rom"):
-            values = [body.errors[pair] for body in bodies if pair in body.errors]
-            if values and pair not in self.errors:
-                self.errors[pair] = max(values)
-        if "rom_vs_fom" in self.errors:
-            self.metrics["rom_error"] = self.errors["rom_vs_fom"]
+    def _summary(self) -> None:
+        found, parts = self.found, self.build.scene.parts.values()
+        if "rom_vs_fom" in found.errors:
+            found.metrics["rom_error"] = found.errors["rom_vs_fom"]
+        bodies = [part for part in parts if part.type.reduced]
         if len(bodies) == 1:
-            model = self.build.model(bodies[0].name)
-            self.metrics["rom_order"] = model.order
+            model = self.build.model(bodies[0])
+            found.metrics["rom_order"] = model.order
             if "unknowns" in model.facts:
-                self.metrics["unknowns"] = model.facts["unknowns"]
+                found.metrics["unknowns"] = model.facts["unknowns"]
+
+
+def _with_text(own: Deck, shipped: Deck | None) -> Deck:
+    """The scene's deck, or the shipped one with the names that the scene gives its results."""
+    if shipped is None:
+        return own
+    text = {name: getattr(shipped, name) for name in ("name", "text", "more")}
+    return replace(own, **text, parts=(), blocks=(), options=())
 
 
 def _until(waves: Waveforms, end: float | None) -> Waveforms:
@@ -360,13 +318,7 @@ def _libraries(deck: Deck) -> tuple[Subcircuit, ...]:
 
 
 def _record(found: Findings) -> dict[str, Any]:
-    return {
-        "passed": found.passed,
-        "checks": [{**asdict(check), "passed": check.passed} for check in found.checks],
-        "errors": found.errors,
-        "metrics": found.metrics,
-        "left_out": list(found.left_out),
-        "outputs": [asdict(output) for output in found.outputs],
-        "wall_s": found.wall_s,
-        "notes": list(found.notes),
-    }
+    record = {key: value for key, value in vars(found).items() if key != "figures"}
+    checks = [{**asdict(check), "passed": check.passed} for check in found.checks]
+    outputs = [asdict(output) for output in found.outputs]
+    return {"passed": found.passed, **record, "checks": checks, "outputs": outputs}

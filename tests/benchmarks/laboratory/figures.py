@@ -8,14 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.report.plots import (
-    BLACK,
-    GREY,
-    PALETTE,
-    legend_beside,
-    name_axes,
-    sheet,
-)
+from kc2spice.report.figures import BESIDE, BLACK, GREY, PALETTE, sheet
 
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")
 _LEAST = 1e-16  # an error of zero is drawn here
@@ -31,7 +24,8 @@ def bench_figures(directory: Path, record: Mapping[str, Any]) -> None:
 def _plane(path: Path, points: list[Mapping[str, Any]], words: Mapping[str, Any]) -> None:
     """Lower left is better; circled points are beaten by none in both, the lower bound aside."""
     families = list(dict.fromkeys(point["family"] for point in points))
-    with sheet(path, size=(9.5, 4.6)) as axes:
+    with sheet(path, size=(9.5, 4.6)) as page:
+        axes = page.subplots()
         front = sorted((p for p in points if p["pareto"]), key=lambda p: p["error"])
         axes.step(
             [max(p["error"], _LEAST) for p in front], [p["time_s"] for p in front], where="post",
@@ -54,5 +48,5 @@ def _plane(path: Path, points: list[Mapping[str, Any]], words: Mapping[str, Any]
             )  # fmt: skip
         axes.set_xscale("log")
         axes.set_yscale("log")
-        name_axes(axes, words["error"], words["time"], words["title"])
-        legend_beside(axes)
+        axes.set(xlabel=words["error"], ylabel=words["time"], title=words["title"])
+        axes.legend(**BESIDE)

@@ -11,8 +11,8 @@ from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
-from kc2spice.sim.loop import run_shared
 from kc2spice.sim.ngspice import run_deck
+from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.circuit import solve
 from laboratory.distance import compare

@@ -1,46 +1,53 @@
-"""Random devices under error budgets: ``python tests/spice/hard_cases/budgets.py [FIRST LAST]``.
+"""Random devices under error budgets: ``python tests/spice/hard_cases/budgets.py FIRST LAST``.
 
-A chip's kick, a buzzer's current and a bimorph's step in turn. Each is run as ``kc2spice run`` runs
-it and judged by what shares no code with it: the kick by an own integrator on 480 modes, the
-current by a sparse solution of the full model on a finer mesh, the step by 60 of that one's modes.
-The budget holds, or the run says that it does not.
+Six families in turn. Each is run as ``kc2spice run`` runs it and judged by what shares no code with
+it: a chip's kick by an own integrator on all modes of the full matrices, a buzzer's current by a
+sparse solution on a finer mesh, a bimorph's step by 60 modes of that, and oscillators, rectifiers
+and voice coils by the plain equations of ``test_random_parts.py``. The budget holds, or the run
+says that it does not. One line of JSON for every draw, so that ranges can be resumed.
 """
 
 from __future__ import annotations
 
+import json
+import random
 import sys
 import tempfile
+import time
+import tomllib
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import signal, sparse
+from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.progress import Clock, silent
-from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.judge import metrics
-from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import Completed, complete
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from drawn_devices import voice
 from hard_cases.modal_kick import Kick
+from test_random_parts import Drawn, motion, patience, rectifier
 
-COUNT = 20
+Draw, Judge = Callable[[np.random.Generator], dict[str, Any]], Callable[[Completed], float]
+COUNT = 50
+PATIENCE = 120  # s of this process' time, for a draw
 FINER = {"disc": 3, "beam": 2}  # cells of the oracle along the edge of one of the scene
 STEP_END = 2e-3  # s
-MODES = 60  # of a bimorph; what others add at rest is added
+MODES = 20  # of a bimorph; what others add at rest is added
 START, FLIGHT = 5e-6, 35e-6  # s: the kick, and what follows it
 LATEST = 20e-6  # s after its start a kick has thrown
-EXACT = {"order": 480, "band": [0.0, 2e6]}
+POINTS = 20_001  # of plain equations
+OWN = 1e-5  # of the oracles' errors
 STEP = 0.5e-9  # s of the oracle's steps
 
 
@@ -68,40 +75,36 @@ def between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def kick(rng: np.random.Generator) -> dict[str, Any]:
-    """The paper's chip, damped by 1 % or 0.3 %, under a sphere and a pulse."""
-    width, damping = between(rng, 5e-6, 5e-5), float(rng.choice([1e-2, 3e-3]))
+    """A small chip, damped by 1 % or 0.3 %, under a sphere and a pulse."""
+    width, damping = between(rng, 2e-6, 2e-5), float(rng.choice([1e-2, 3e-3]))
     edge = min(between(rng, 1e-8, 2e-6), width)
     drive = {"voltage": between(rng, 40, 120), "width": width, "edge": edge, "start": START}
     return {
         "gravity": 9.81, "error_budget": between(rng, 2e-4, 1e-2),
-        "kick": {"drive": drive, "damping": {"ratio": damping}},
-        "contact": {"penalty": between(rng, 1e7, 1e9)},
+        "kick": {
+            "layers": 3, "height": 1e-3, "side": between(rng, 1.5e-3, 3e-3), "drive": drive,
+            "damping": {"ratio": damping}, "mesh": {"sectors": 6, "outer_rings": 6, "rings": 3},
+        },
+        "contact": {"penalty": between(rng, 1e7, 3e8), "rings": "all"},
         "sphere": {"radius": between(rng, 0.5e-3, 1.5e-3), "density": between(rng, 3e3, 15e3)},
         "solver": {"stop": START + min(width, LATEST) + FLIGHT},
     }  # fmt: skip
-
-
-@cache
-def _chip(damping: float) -> Any:
-    """Its modes, all rings as ports, before the residual ones lose their inertia."""
-    found = load_scene({
-        "kick": {"damping": {"ratio": damping}}, "contact": {"rings": 6, "inertia": "lumped"},
-        "sphere": {}, "rom": EXACT,
-    })  # fmt: skip
-    return resonators(build_models(found, Clock(silent)).models["kick"])
 
 
 def kick_error(done: Completed) -> float:
     """Relative error of the launch velocity."""
     waves, scene = done.outcome.waves, done.build.scene
     time, ball, chip = waves["time"], scene.parts["sphere"].keys, scene.parts["kick"].keys
-    model = _chip(chip.damping.zeta)
+    tables = {k: v for k, v in scene.tables.items() if k not in ("error_budget", "rom")}
+    model = kc.build(load_scene(tables))["kick"]
+    whole = np.eye(model.order)
+    squares, modes = eigh(model.K @ whole, model.M @ whole)
     pulse = chip.drive
     corners = np.array([0.0, pulse.edge, pulse.width, pulse.width + pulse.edge]) + pulse.start
     volts = pulse.voltage * np.array([0.0, 1.0, 1.0, 0.0])
     weight = np.array([[0.0, -ball.mass * 9.81], [time[-1], -ball.mass * 9.81]])
     oracle = Kick(
-        model.omega, chip.damping.beta * model.omega**2, model.gain, chip.mesh.ring_spacing,
+        np.sqrt(squares), chip.damping.beta * squares, modes.T @ model.B, chip.mesh.ring_spacing,
         ball.radius, ball.mass, 4 * scene.parts["contact"].keys.penalty,
         np.stack([corners, volts], axis=1), weight,
     )  # fmt: skip
@@ -226,13 +229,46 @@ def bimorph_error(done: Completed) -> float:
     return float(abs(metrics(done.outcome.waves, done.build)["stroke_m"] / exact - 1))
 
 
+# --- plain equations -----------------------------------------------------------------------------
+
+
+def drawn(family: Callable[[Drawn], Any]) -> tuple[Draw, Judge]:
+    """A family of ``test_random_parts.py`` with a budget for the peak to peak of a wave, which its
+    own equations have too."""
+
+    def under_way(seed: int) -> Drawn:
+        found = Drawn(random.Random(seed), Path("."))
+        family(found)
+        return found
+
+    def draw(rng: np.random.Generator) -> dict[str, Any]:
+        seed, budget = int(rng.integers(2**31)), between(rng, 1e-4, 2e-2)
+        d = under_way(seed)
+        return tomllib.loads("\n".join(d.text)) | {
+            "error_budget": budget, "title": str(seed),
+            "analysis": {"type": "transient", "stop": float(d.stop)},
+            "probes": {"range": {"of": next(iter(d.compared)), "take": "peak_to_peak"}},
+        }  # fmt: skip
+
+    def judge(done: Completed) -> float:
+        d = under_way(int(done.build.scene.tables["title"]))
+        points = np.linspace(0.0, d.stop, POINTS)
+        _, wave = d.solve(points) if hasattr(d, "solve") else d.own.solve(d.stop, points)
+        exact = np.ptp(wave(next(iter(d.compared.values()))))
+        return float(abs(metrics(done.outcome.waves, done.build)["range"] / exact - 1))
+
+    return draw, judge
+
+
 # --- all of them ---------------------------------------------------------------------------------
 
-Draw, Judge = Callable[[np.random.Generator], dict[str, Any]], Callable[[Completed], float]
 FAMILIES: dict[str, tuple[Draw, Judge]] = {
     "kick": (kick, kick_error),
     "buzzer": (buzzer, buzzer_error),
     "bimorph": (bimorph, bimorph_error),
+    "oscillator": drawn(motion),
+    "rectifier": drawn(rectifier),
+    "voice_coil": drawn(voice),
 }
 METRICS = {"kick": "launch_velocity_m_s", "buzzer": "current_a", "bimorph": "stroke_m"}
 
@@ -242,41 +278,38 @@ def judged(number: int) -> Budgeted:
     family = list(FAMILIES)[number % len(FAMILIES)]
     draw, judge = FAMILIES[family]
     tables = {"name": f"drawn_{number}", **draw(np.random.default_rng((7, number)))}
-    budget = tables["error_budget"]
+    budget, why = tables["error_budget"], "timed out"
     try:
-        with tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
+        with patience(PATIENCE), tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             done = complete(load_scene(tables), Path(work))
-    except (UsageError, SimulationError) as error:
-        why = f"refused: {error.message} {error.got or ''}"
-        return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
-    found = done.converged
-    assert found is not None
-    error = judge(done)
-    outcome = "said" if not found.check.passed else "holds" if error <= budget else "SILENT"
-    stated = found.taken.errors.get(METRICS[family], np.nan)
-    worst = f"{found.check.name.removeprefix('error of ')} {found.check.value:.1e}"
-    return Budgeted(family, outcome, budget, error, stated, worst, len(found.tried), tables)
-
-
-def budgets(first: int = 0, last: int = COUNT) -> Iterator[Budgeted]:
-    """The draws ``first`` to ``last``."""
-    return map(judged, range(first, last))
+            found, error = done.converged, judge(done)
+    except (UsageError, SimulationError) as failed:
+        why = f"refused: {failed.message} {failed.got or ''}"
+    except TimeoutError:
+        pass
+    else:
+        assert found is not None
+        stated = found.taken.errors.get(METRICS.get(family, "range"), np.nan)
+        right = error <= budget and error <= 3 * stated + OWN
+        outcome = "said" if not found.check.passed else "holds" if right else "SILENT"
+        worst = f"{found.check.name.removeprefix('error of ')} {found.check.value:.1e}"
+        return Budgeted(family, outcome, budget, error, stated, worst, len(found.tried), tables)
+    return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
 
 
 def main() -> None:
-    """Print every draw, then how many budgets held."""
-    count = Counter[tuple[str, str]]()
-    first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, COUNT)
-    print("     family   budget   error    stated   estimates  outcome")
-    for number, found in enumerate(budgets(first, last), first):
-        count[found.family, found.outcome.partition(":")[0]] += 1
-        print(f"{number:3d}  {found.family:7s}  {found.budget:.1e}  {found.error:.1e}  "
-              f"{found.stated:.1e}  {found.runs:9d}  {found.outcome}; {found.worst}",
-              flush=True)  # fmt: skip
-        if found.outcome == "SILENT":
-            print("    ", found.scene, flush=True)
-    print(dict(count))
+    """Every draw, then how many budgets held."""
+    count = Counter[str]()
+    for number in range(*map(int, sys.argv[1:3])):
+        begun = time.monotonic()
+        line = asdict(judged(number))
+        if line["outcome"] in ("holds", "said"):
+            del line["scene"]
+        count[line["outcome"].partition(":")[0]] += 1
+        spent = round(time.monotonic() - begun, 1)
+        print(json.dumps({"draw": number, **line, "time_s": spent}), flush=True)
+    print(json.dumps(count))
 
 
 if __name__ == "__main__":

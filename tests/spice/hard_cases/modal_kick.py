@@ -32,6 +32,7 @@ class Kick:
     penalty: float
     pulse: np.ndarray
     other: np.ndarray
+    start: tuple[float, float] | None = None  # height [m] and velocity [m/s]; at rest on the chip
 
     def flight(self, step: float, stop: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Times [s], heights [m] over the plane of contact, velocities [m/s] up to ``stop``, and
@@ -55,8 +56,10 @@ class Kick:
         stroke = AWAY * float(np.abs((anode * residue / -poles).real @ rings[:, 0])) * np.ptp(volts)
         weight = -pushed[0]
         state = (-(rings[:, 0] * weight) + anode * volts[0]) / -poles
+        if self.start is not None:
+            state = 0 * state
         top = _flat(state) @ see
-        y, v = top[0] - weight / self.penalty, 0.0
+        y, v = self.start or (top[0] - weight / self.penalty, 0.0)
         up = top - y - gap
         heights, speeds = np.empty((2, times.size))
         heights[0], speeds[0] = y, v
@@ -74,7 +77,7 @@ class Kick:
             mean = (up + top - free - gap) / 2
             y, v = free, v + step * a
             if mean.max() > 0:
-                force = _pressed(mean, soft)
+                force = pressed(mean, soft)
                 touched = float(times[k + 1])
                 new += (force @ give).view(complex)
                 y += step**2 / 2 * force.sum() / self.mass
@@ -103,7 +106,7 @@ class Kick:
         )  # fmt: skip
 
 
-def _pressed(mean: np.ndarray, soft: np.ndarray) -> np.ndarray:
+def pressed(mean: np.ndarray, soft: np.ndarray) -> np.ndarray:
     """Ring forces, none negative, with ``soft force = mean`` where they are closed."""
     closed, force = mean > 0, np.zeros_like(mean)
     for _ in range(2 * mean.size):

@@ -1,0 +1,474 @@
+"""Circuits of users are programs: read here before a simulator does, refused if they could act.
+
+The simulator is never left to find a file: names, continuation and comments are read under its own
+rules, and what is written is one text with one spelling. Lines end in a line feed, blanks are
+blanks, a comment begins with ``*`` or behind ``;``, a line that goes on has a ``+`` in front, and
+no include is left.
+
+Nothing is let through because it was not recognised: commands, element letters, options and file
+names are allowed by name, in the text that is written. A circuit that needs more can be trusted by
+its user, word for word.
+
+A part keeps to its subcircuits. What stands outside of every one is everybody's: a function
+``max`` there replaces that of all other cards, an option changes the accuracy of the run, an
+element sits on whatever node of the deck has the name of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import name_threat, plain_name, read_bounded
+from kc2spice.netlist.cards import comment
+from kc2spice.netlist.statements import OPTION_CARDS, Statement, split_comment, statements
+
+LARGEST = 4_000_000  # bytes of one file, and characters of the whole text
+MOST = 64  # files of one circuit
+# The simulator takes any word that begins like this, behind blanks or not.
+_INCLUDE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
+_TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
+_END = re.compile(r"(?i)\.end(?=\s|$)")
+_GOES_ON = "\\\\"  # two backslashes at the end of a line
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line as it will be written, ``file:line`` of where it comes from, and how it stood."""
+
+    text: str
+    where: str
+    raw: str
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A circuit with all that it includes as one text; ``file`` is its name in a deck."""
+
+    file: str
+    lines: tuple[Line, ...]
+
+    @property
+    def text(self) -> str:
+        """The lines as one text."""
+        return "\n".join(line.text for line in self.lines)
+
+    def cards(self, *, title: bool = False) -> Iterator[tuple[Statement, str]]:
+        """Every card, its continuation lines joined, with ``file:line`` of where it begins."""
+        for card in statements(self.text, "", title=title):
+            if card.text:
+                yield card, self.lines[card.line - 1].where
+
+
+def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
+    """``path`` with what it includes from below ``home``, in its place.
+
+    ``trust`` takes lines as they stand and includes from anywhere; an include that cannot be read
+    is then left to the simulator. With ``inside`` as well lines are taken as they stand, but only
+    files below ``home`` are opened: for a look at a circuit that nobody trusted yet.
+
+    Raises
+    ------
+    UsageError : not readable as text, too large or too many, an include in a circle, or one that
+        leads out of ``home``.
+    """
+    lines = _Reader(path, home, trust, inside).lines(path.name, path, str(path), ())
+    return Flat(plain_name(path.name), tuple(lines))
+
+
+@dataclass
+class _Reader:
+    main: Path
+    home: Path
+    trust: bool
+    inside: bool
+    files: int = 0
+    size: int = 0
+
+    def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
+        """Lines of the file ``path``, which is called ``name``, named at ``where``."""
+        real = path.resolve()
+        if real in chain:
+            got = " -> ".join(file.name for file in (*chain, real))
+            raise UsageError("include goes in a circle", where=where, got=got)
+        goes_on = False
+        for number, raw in enumerate(self._text(name, real, where).split("\n"), 1):
+            place = f"{name}:{number}"
+            if match := _INCLUDE.match(raw):
+                if goes_on and not self.trust:
+                    raise refusal("goes on in an include", self.main, place, raw)
+                target = self._target(match[1], place, raw)
+                yield from self._included(target, raw, name, path, place, (*chain, real))
+                continue
+            line = raw
+            if not self.trust:
+                line, goes_on = _canonical(raw, goes_on)
+            yield Line(line, place, raw)
+
+    def _included(
+        self, target: str, raw: str, name: str, path: Path, where: str, chain: tuple[Path, ...]
+    ) -> Iterator[Line]:
+        file = path.parent / target
+        if self.trust and (not target or not _readable(file) or self._forbidden(file)):
+            yield Line(raw, where, raw)
+            return
+        inner = target if self.trust else str(PurePosixPath(name).parent / target)
+        begin, end = f"* begin of {comment(inner)}", f"* end of {comment(inner)}"
+        yield Line(begin, where, begin)
+        yield from self.lines(inner, file, where, chain)
+        yield Line(end, where, end)
+
+    def _forbidden(self, file: Path) -> bool:
+        """Whether it is none of those below ``home``, which alone may be opened."""
+        outside = not file.resolve().is_relative_to(self.home.resolve())
+        return outside and (self.inside or not self.trust)
+
+    def _target(self, rest: str, where: str, raw: str) -> str:
+        """The file that an include names: one word, or one text in quotes."""
+        rest = split_comment(rest)[0].strip()
+        found = _TARGET.fullmatch(rest)
+        target = next((text for text in found.groups() if text), "") if found else ""
+        if not self.trust:
+            reason = "more than one word" if rest and found is None else name_threat(target)
+            if reason:
+                raise refusal(f"includes {reason}", self.main, where, raw)
+        return target
+
+    def _text(self, name: str, real: Path, where: str) -> str:
+        self.files += 1
+        if self.files > MOST:
+            expected = f"at most {MOST}"
+            raise UsageError("includes too many files", where=str(self.main), expected=expected)
+        if self._forbidden(real):
+            message = "the include leads out of the circuit's directory"
+            raise UsageError(message, where=where, got=name)
+        try:
+            data = read_bounded(real, LARGEST - self.size)
+            self.size += len(data)
+            return _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            expected = f"a text file, at most {LARGEST} bytes with all that it includes"
+            raise UsageError(
+                "cannot include this", where=where, got=f"{name}: {reason}", expected=expected
+            ) from None
+
+
+def refusal(reason: str, path: Path, where: str, text: str) -> UsageError:
+    """The error for a line ``text`` at ``where`` of the circuit ``path``."""
+    return UsageError(
+        f"the included circuit {reason}",
+        where=f"{path} ({where})" if where not in str(path) else str(path),
+        got=text[:120],
+        expected="subcircuits, models, parameters and elements only",
+        hint="read the file; if you trust every line of it, repeat with --trust",
+    )
+
+
+def _canonical(raw: str, goes_on: bool) -> tuple[str, bool]:
+    """A line in the one spelling that every reader understands alike, and whether it goes on."""
+    line = raw.replace("\t", " ").strip(" ")
+    if not line or line.startswith("*"):
+        return line, goes_on
+    card, note = split_comment(line)
+    follows = card.endswith(_GOES_ON)
+    if follows:
+        card = card[: -len(_GOES_ON)].rstrip()
+    if _END.match(card):
+        card, note = "", f"{card} {note}".rstrip()  # the deck ends where we say
+    if goes_on and card and not card.startswith("+"):
+        card = f"+ {card}"
+    if not card:
+        return f"* {note}".rstrip(), follows or goes_on
+    return f"{card} ; {note}" if note else card, follows
+
+
+def _readable(path: Path) -> bool:
+    try:
+        return path.is_file() and path.stat().st_size <= LARGEST
+    except OSError:  # a name too long, a directory that is closed
+        return False
+
+
+def _decoded(data: bytes) -> str:
+    """UTF-8, else the Windows code page in which many vendors write their micro signs."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
+
+
+# --- cards that act on a whole deck ---
+
+# fmt: off
+FUNCTIONS = frozenset((
+    "abs", "acos", "acosh", "agauss", "arctan", "asin", "asinh", "atan", "atan2", "atanh", "aunif",
+    "buf", "ceil", "cos", "cosh", "db", "ddt", "exp", "floor", "gauss", "hypot", "i", "if", "int",
+    "inv", "limit", "ln", "log", "log10", "max", "min", "nint", "pow", "pwl", "pwr", "pwrs", "sgn",
+    "sign", "sin", "sinh", "sqr", "sqrt", "stp", "table", "tan", "tanh", "ternary_fcn", "u", "u2",
+    "unif", "uramp", "v",
+))
+CONSTANTS = frozenset(("boltz", "c", "e", "echarge", "false", "gmin", "hertz", "kelvin", "pi",
+                       "planck", "temp", "temper", "time", "true", "vt"))
+# Options that change what is printed and nothing that is computed.
+HARMLESS = frozenset(("acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post",
+                      "probe", "warn", "width"))
+ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".pz", ".sens", ".disto",
+                      ".sp", ".pss", ".hb", ".four"))
+_OUTPUTS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure", ".width"))
+# fmt: on
+_FUNCTION = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
+_PARTS = "a file of subcircuits with their models, parameters and functions"
+
+
+def refuse_in_part(cards: Iterable[tuple[Statement, str]]) -> None:
+    """Nothing, if a part's netlist keeps to itself; ``cards`` come with ``file:line`` of each.
+
+    Raises
+    ------
+    UsageError : an analysis, an output, a global node, a temperature, an option that is more than
+        one of printing, a built-in function or constant that is defined again, or an element or
+        initial condition outside of every subcircuit; it names file and line.
+    """
+    _refuse(cards, _of_part)
+
+
+def refuse_in_deck(cards: Iterable[tuple[Statement, str]]) -> None:
+    """Nothing, if an edited deck of ours leaves its parts what they are.
+
+    Raises
+    ------
+    UsageError : a global node, a built-in function or constant that is defined again, or results
+        at interpolated times; it names file and line.
+    """
+    _refuse(cards, _of_deck)
+
+
+_Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
+
+
+def _refuse(
+    cards: Iterable[tuple[Statement, str]],
+    reasons: Callable[[Statement, bool], Iterator[_Reason]],
+) -> None:
+    depth, commands = 0, False
+    for card, where in cards:
+        key = card.keyword
+        if commands or key == ".control":  # only a trusted netlist has any
+            commands = key != ".endc"
+            continue
+        depth += (key == ".subckt") - (key == ".ends")
+        for what, expected, hint in reasons(card, depth == 0):
+            raise UsageError(
+                f"the netlist {what}",
+                where=where,
+                got=card.text[:120],
+                expected=expected,
+                hint=hint,
+            )
+
+
+def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
+    key = card.keyword
+    if key in ANALYSES | _OUTPUTS:
+        what = "asks for an analysis" if key in ANALYSES else "asks for an output"
+        hint = "drop this line: the scene has analysis and results"
+        yield f"{what} of its own", _PARTS, hint
+    yield from _global(card)
+    if key == ".temp" or (given := _inexact(card)):
+        what = "temperature" if key == ".temp" else f"option {given[0]}"
+        hint = (
+            "drop this line; accuracy is set by the scene's [solver], the temperature of a "
+            "device by temp=… on its own card"
+        )
+        yield f"sets the {what} of the whole deck", _PARTS, hint
+    if outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
+        what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
+        yield what, _PARTS, "put it into the .subckt or drop it"
+    if outside:
+        yield from _built_in(card)
+
+
+def _of_deck(card: Statement, outside: bool) -> Iterator[_Reason]:
+    yield from _global(card)
+    if "interp" in _inexact(card):
+        hint = "drop it: events lie between the points that it keeps"
+        yield "sets the option interp", "results at every time point", hint
+    if outside:
+        yield from _built_in(card)
+
+
+def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
+    """Values of the options that change what is computed; ``""`` of a flag, the last one counts."""
+    found: dict[str, str] = {}
+    for card in cards:
+        for word in _inexact(card, whole=True):
+            name, _, value = word.partition("=")
+            found[name.lower()] = value.strip()
+        if card.keyword == ".temp":
+            found["temp"] = " ".join(card.words[1:])
+    return found
+
+
+def _global(card: Statement) -> Iterator[_Reason]:
+    if card.keyword.startswith(".global"):
+        hint = "make it a pin: it would be one with any node of its name"
+        yield "makes nodes global", "nodes of subcircuits", hint
+
+
+def _built_in(card: Statement) -> Iterator[_Reason]:
+    """What replaces a name that other cards use."""
+    match = _FUNCTION.match(card.text)
+    again = match is not None and match[1].lower() in FUNCTIONS
+    if card.keyword in (".param", ".params"):
+        names = (word.partition("=")[0].lower() for word in card.words[1:])
+        again = again or any(name in CONSTANTS for name in names)
+    if again:
+        hint = "rename it, or put it into the .subckt that uses it"
+        yield "defines a built-in name for the whole deck", "a name of its own", hint
+
+
+def _inexact(card: Statement, *, whole: bool = False) -> list[str]:
+    """Names (or words) of the options of a card that change what is computed."""
+    if card.keyword not in OPTION_CARDS:
+        return []
+    named = [(word.partition("=")[0].lower(), word) for word in card.words[1:]]
+    return [word if whole else name for name, word in named if name not in HARMLESS]
+
+
+# --- what could act on the machine ---
+
+# fmt: off
+COMMANDS = frozenset((
+    ".subckt", ".ends", ".model", ".param", ".params", ".func", ".global", ".ic", ".nodeset",
+    ".temp", ".options", ".option", ".opt", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf",
+    ".noise", ".four", ".meas", ".measure", ".save", ".print", ".plot", ".probe", ".width", ".if",
+    ".elseif", ".else", ".endif",
+))
+OPTIONS = frozenset((
+    "abstol", "acct", "autostop", "badmos3", "bypass", "chgtol", "convabsstep", "convstep",
+    "cshunt", "defad", "defas", "defl", "defnrd", "defnrs", "defw", "ebdw", "gmin", "gminsteps",
+    "interp", "itl1", "itl2", "itl3", "itl4", "itl5", "itl6", "keepopinfo", "list", "maxevtiter",
+    "maxopalter", "maxord", "method", "minbreak", "mu", "noacct", "noinit", "node", "nomod",
+    "nopage", "noopac", "noopalter", "noopiter", "numdgt", "opts", "oldlimit", "pivrel", "pivtol",
+    "post", "probe", "ramptime", "reltol", "rseries", "rshunt", "savecurrents", "scale", "seed",
+    "sparse", "srcsteps", "temp", "tnom", "trtol", "trytocompact", "vntol", "warn", "xmu",
+))
+_ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
+_SHELL_WORDS = frozenset((
+    "shell", "system", "codemodel", "source", "load", "exec", "alias", "osdi", "write", "wrdata",
+    "hardcopy", "cd", "set", "unset", "pre_codemodel", "pre_osdi", "quit", "exit",
+))
+# fmt: on
+_FILES = re.compile(
+    r"(?i)\b(\w*file|simulation|lib|library|process)\s*=|\b\w*file\s*\(|"
+    r"\b(table|spline|fasttable)\s*\(\s*[\"']"
+)
+_HIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
+_STRANGE_BLANK = re.compile(r"[^\S \t]")
+_DISGUISED = re.compile(r"(?i)^[\s+;$/#&]*\.(control|endc|exec|inc|lib|codemodel)")
+_COMMAND_COMMENT = re.compile(r"(?i)^\s*\*(#|ng_script)")
+_PROGRAMS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
+
+
+def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
+    """A circuit with all that it includes, once nothing in it could act on the machine.
+
+    Parameters
+    ----------
+    trust : take the circuit as it is; its user answers for it.
+    home : directory that the circuit and its includes are in; that of ``path`` unless given.
+
+    Raises
+    ------
+    UsageError : not readable as text, too large, or a line that could run a program, read or
+        write a file, or reach outside the circuit's own directory.
+    """
+    found = flatten(path, home or path.parent, trust=trust)
+    for where, reason, text in () if trust else _threats(found):
+        raise refusal(reason, path, where, text)
+    return found
+
+
+def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
+    """The file ``name`` beside a scene in ``home`` with all that it includes.
+
+    Raises
+    ------
+    UsageError : a file that is not there, that could act on the machine (unless ``trust``), or that
+        acts on the deck beyond its own subcircuits.
+    """
+    reason = None if trust else name_threat(name)
+    if reason:
+        raise UsageError(
+            f"includes {reason}",
+            where="include",
+            got=repr(name[:120]),
+            expected="names of files beside the scene: letters, digits, blanks and _ . + -",
+            hint="copy the netlist beside the scene, or repeat with --trust",
+        )
+    found = checked(home / name, trust=trust, home=home)
+    refuse_in_part(found.cards())
+    return found
+
+
+def looked_at(name: str, home: Path) -> Flat:
+    """The file ``name`` as it stands, with what it includes from ``home`` or below: its pins and
+    nodes can be known before anybody trusts it to be run.
+
+    Raises
+    ------
+    UsageError : as :func:`included_netlist`, but for what could act on the machine.
+    """
+    path = home / name
+    found = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
+    refuse_in_part(found.cards())
+    return found
+
+
+def _threats(found: Flat) -> Iterator[tuple[str, str, str]]:
+    """``file:line``, reason and text of what could act; first of lines as they stood: cards are
+    what they seem only if there is none."""
+    for line in found.lines:
+        text = line.raw.rstrip("\r")
+        shown = repr(text) if _HIDDEN.search(text) else text
+        yield from ((line.where, reason, shown) for reason in _raw_reasons(text))
+    for card, where in found.cards():
+        yield from ((where, reason, card.text) for reason in _reasons(card))
+
+
+def _raw_reasons(text: str) -> Iterator[str]:
+    """What is wrong with a line as it stood in its file, whatever it continues or comments on."""
+    if _HIDDEN.search(text) or "\r" in text:
+        yield "has control characters that can hide text"
+    if _COMMAND_COMMENT.match(text):
+        yield "has a comment that the simulator runs as a command"
+    if text.lstrip(" \t").startswith("*"):
+        return
+    if match := _DISGUISED.match(text):
+        yield f"has a {match[1].lower()} command"
+    if _STRANGE_BLANK.search(split_comment(text)[0]):
+        yield "has blanks that the simulator does not take for any"
+    if "`" in text:
+        yield "has a back quote, which runs a program"
+
+
+def _reasons(card: Statement) -> Iterator[str]:
+    """What is wrong with a card once its continuation lines are joined."""
+    key = card.keyword
+    if key.startswith(".") or key in _SHELL_WORDS:
+        if key not in COMMANDS:
+            yield f"has the command {key}"
+    elif key[0] not in _ELEMENTS:
+        yield "has a card that is no element"
+    if key in OPTION_CARDS:
+        names = (word.partition("=")[0].lower() for word in card.words[1:])
+        for unknown in (name for name in names if name not in OPTIONS):
+            yield f"sets the option {unknown[:40]}, which is more than one of accuracy"
+    if _FILES.search(card.text):
+        yield "reads or writes a file"
+    if _PROGRAMS.search(card.text):
+        yield "uses a code model that can run programs"

@@ -1,0 +1,195 @@
+"""Changes of decks and libraries: helpers brought along, other parameters, many copies."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.words import did_you_mean
+from kc2spice.netlist.cards import number
+from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, Subcircuit
+from kc2spice.netlist.deck import Block, Deck
+from kc2spice.netlist.printers.ngspice import printed
+from kc2spice.netlist.vectors import added, terms, vector
+
+Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
+MOST = 10_000  # copies
+_ORIGIN = ("* tool:", "* scene:", "* licence:", "* sign:", "* validity:", "* rating:", "* @")
+
+
+def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
+    """``part`` with the ``helpers`` that it instantiates behind it, as ``PART_HELPER``.
+
+    One library file then is all that a user includes, and two of them never define one name twice.
+    """
+    tree = part.circuit
+    for helper in helpers:
+        names = {helper.name: f"{part.name}_{helper.name}"}
+        inner = tuple(_without_origin(item) for item in renamed(helper.circuit, names).items)
+        tree = renamed(tree, names)
+        tree = replace(tree, items=tree.items + inner)
+    return printed(part, tree)
+
+
+def _without_origin(item: Item) -> Item:
+    kept = (line for line in item.notes if not line.startswith(_ORIGIN))
+    return replace(item, notes=("", *kept)) if item.notes else item
+
+
+def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
+    """``circuit`` with other names of subcircuits, where they are defined and where they are
+    instantiated."""
+    new = {old.lower(): name for old, name in names.items()}
+
+    def item(each: Item) -> Item:
+        if isinstance(each, Circuit):
+            name = new.get(each.name.lower(), each.name)
+            return replace(each, name=name, items=tuple(map(item, each.items)))
+        if isinstance(each, Element) and each.kind == "x":
+            return replace(each, model=new.get(each.model.lower(), each.model))
+        return each
+
+    return replace(circuit, items=tuple(map(item, circuit.items)))
+
+
+# --- parameters without a new netlist: param.PART.NAME ---
+
+
+def library_of(part: Subcircuit) -> str:
+    return part.filename.rpartition(".")[0] or part.filename
+
+
+def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
+    """Every subcircuit of a library and its name in ``param.NAME.…``.
+
+    The part itself goes by its file, whatever helper it brings along by the helper's own name:
+    ``opamp`` is the amplifier in all libraries that have one.
+    """
+    for each in part.circuit.subcircuits:
+        own = each.name.lower() == part.name.lower()
+        yield (library_of(part) if own else each.name.removeprefix(f"{part.name}_")), each
+
+
+def declared(deck: Deck) -> dict[str, float]:
+    """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
+    found = {}
+    for part in deck.parts:
+        for library, each in cards(part):
+            for name, text in each.defaults.items():
+                with contextlib.suppress(ValueError):  # an expression: nothing to replace
+                    found[f"{library}.{name}"] = float(text)
+    return found
+
+
+def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
+    """``deck`` with other defaults for ``("PART.NAME", value)``, in the card and in the header.
+
+    Raises
+    ------
+    UsageError : no part of the deck has that parameter, or not with that value.
+    """
+    known, parts = declared(deck), list(deck.parts)
+    for key, value in values:
+        if key not in known:
+            raise UsageError(
+                "no part of this scene has such a parameter",
+                where=f"param.{key}",
+                expected=", ".join(known),
+                hint=did_you_mean(key, known),
+            )
+        library, _, name = key.partition(".")
+        parts = [_changed(part, library, name, value) for part in parts]
+    return replace(deck, parts=tuple(parts))
+
+
+def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
+    own = library == library_of(part)
+    for param in part.params if own else ():
+        if param.name.lower() == name.lower():
+            _require_within(param, library, value)
+    mine = [each for where, each in cards(part) if where == library and name in each.defaults]
+    items = tuple(
+        _with_default(each, name, value) if any(each is other for other in mine) else each
+        for each in part.circuit.items
+    )
+    return printed(part, replace(part.circuit, items=items)) if mine else part
+
+
+def _with_default(circuit: Item, name: str, value: float) -> Item:
+    """A subcircuit with another default, in its card and in its head."""
+    assert isinstance(circuit, Circuit)
+    head = f"* @param {name}="
+    notes = tuple(
+        f"{head}{number(value)} {line.partition(' unit=')[1].strip()}{line.partition(' unit=')[2]}"
+        if line.startswith(head)
+        else line
+        for line in circuit.notes
+    )
+    return replace(circuit, defaults={**circuit.defaults, name: number(value)}, notes=notes)
+
+
+def _require_within(param: Param, library: str, value: float) -> None:
+    """A mass of zero or a negative stiffness has no solution, or a wrong one."""
+    least, most = param.low, param.high
+    if least <= value <= most and math.isfinite(value):
+        return
+    expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
+    if most == math.inf and least > -math.inf:
+        expected = "above zero" if least == LEAST else f"at least {least:g}"
+    raise UsageError(
+        "outside the range of this parameter",
+        where=f"param.{library}.{param.name}",
+        got=f"{value:g} {param.unit}",
+        expected=expected,
+    )
+
+
+# --- an array of actuators, each with its own drive ---
+
+
+def array_deck(deck: Deck, count: int) -> Deck:
+    """``count`` copies of all instances of ``deck``: subcircuits ``X1``, ``X2``, … around node 0.
+
+    Results of copy k are called ``k.NAME``.
+
+    Raises
+    ------
+    UsageError : a number of copies out of range, or a sweep, which moves one source only.
+    """
+    if not 1 <= count <= MOST:
+        raise UsageError(
+            "number of copies", where="--count", got=str(count), expected=f"1 to {MOST}"
+        )
+    if deck.command.kind == "dc":
+        raise UsageError(
+            "a dc sweep moves one source, not one of each copy",
+            where="--count",
+            got=deck.command.card,
+            expected="a scene with a transient or an ac analysis",
+        )
+    unit = f"{deck.name}_unit"
+    title, last = Block("one copy", (f".subckt {unit} common",)), Block("", (f".ends {unit}",))
+    copies = Block(f"{count} copies", tuple(f"X{k} 0 {unit}" for k in range(1, count + 1)))
+    numbers = range(1, count + 1)
+    vectors = {
+        f"{k}.{name}": (_within(text, k), factor)
+        for k in numbers
+        for name, (text, factor) in deck.vectors.items()
+    }
+    return replace(
+        deck,
+        title=f"{deck.title}, {count} copies",
+        blocks=(title, *deck.blocks, last, copies),
+        vectors=vectors,
+        units={f"{k}.{name}": unit for k in numbers for name, unit in deck.units.items()},
+        initial={f"x{k}.{node}": value for k in numbers for node, value in deck.initial.items()},
+    )
+
+
+def _within(expression: str, k: int) -> str:
+    """An expression of copy ``k``."""
+    found = ((sign, text, vector(text)) for sign, text in terms(expression))
+    return added([(s, str(each.within(f"x{k}")) if each else text) for s, text, each in found])

@@ -1,0 +1,166 @@
+"""The same netlist for other tools: a printer for each writes the tree anew, or draws symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import Directive, Subcircuit
+from kc2spice.netlist.deck import ANALYSES, Deck, retold
+from kc2spice.netlist.printers import ltspice
+from kc2spice.netlist.printers.box import layout
+from kc2spice.netlist.printers.dialect import Dialect, Setup
+from kc2spice.netlist.printers.kicad import project
+from kc2spice.netlist.printers.osdi import testbench
+from kc2spice.netlist.printers.verilog_a import library
+from kc2spice.netlist.printers.xyce import Xyce
+from kc2spice.netlist.read import read
+from kc2spice.netlist.scope import GROUND
+from kc2spice.netlist.vectors import added, terms
+
+PRINTERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": ltspice.LTspice}
+DECKS = ("ngspice", *PRINTERS)
+DIALECTS = (*DECKS, "verilog-a")
+
+
+def translate(deck: Deck, dialect: str) -> Deck:
+    """``deck`` with all its files in the words of ``dialect``; ``ngspice`` leaves it alone.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or a construct that it cannot say.
+    """
+    if dialect == "ngspice":
+        return deck
+    if dialect not in PRINTERS:
+        raise UsageError(
+            "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
+        )
+    kind = PRINTERS[dialect]
+    printer = kind(_setup(deck))
+    main = retold(deck.trees[deck.main], f"* Run it with:  {kind.command} {deck.main}")
+    trees = {**deck.trees, deck.main: main}
+    files = {name: printer.file(tree) for name, tree in trees.items()}
+    vectors = {
+        key: (added([(sign, printer.vector(each)) for sign, each in terms(expression)]), factor)
+        for key, (expression, factor) in deck.vectors.items()
+    }
+    text = files.pop(deck.main)
+    return replace(deck, text=text, more=files, parts=(), options=(), vectors=vectors)
+
+
+def translate_text(text: str, name: str, dialect: str) -> str:
+    """One library file in the words of ``dialect``.
+
+    Raises
+    ------
+    UsageError : a construct that the dialect cannot say.
+    """
+    return PRINTERS[dialect](Setup()).file(read(text, name))
+
+
+def dialect_files(
+    deck: Deck | None, subcircuits: Iterable[Subcircuit], dialect: str
+) -> dict[str, str]:
+    """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
+
+    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors)
+    comes along as the library that it is, and ``verilog-a.txt`` says which and why. A testbench
+    ``NAME_osdi.cir`` runs the compiled modules in ngspice.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, a construct that it cannot say, or not one module.
+    """
+    if dialect != "verilog-a":
+        return dict(translate(deck, dialect).files) if deck else {}
+    parts = tuple(subcircuits)
+    files: dict[str, str] = {}
+    left_out: list[UsageError] = []
+    modules: list[Subcircuit] = []
+    for part in parts:
+        try:
+            files |= library([part], parts)
+            modules.append(part)
+        except UsageError as error:
+            left_out.append(error)
+    if left_out and not files:
+        raise left_out[0]
+    if left_out:
+        files["verilog-a.txt"] = (
+            "Not written as modules:\n\n" + "\n\n".join(map(str, left_out)) + "\n"
+        )
+    return files | (testbench(deck, modules) if deck else {})
+
+
+def _setup(deck: Deck) -> Setup:
+    cards = [c for c in deck.trees[deck.main].items if isinstance(c, Directive)]
+    analysis = min({c.keyword for c in cards} & ANALYSES, default=".tran")
+    uic = any(c.keyword == ".tran" and "uic" in map(str.lower, c.words) for c in cards)
+    starting = () if uic or analysis != ".tran" else tuple(dict.fromkeys(_starting(deck)))
+    return Setup(analysis, uic, deck.controlled, starting)
+
+
+def _starting(deck: Deck) -> Iterator[str]:
+    """Nodes of the deck at which a part within an instance has an initial state."""
+    try:
+        top = deck.scope
+    except UsageError:  # a deck that is not whole, which lint says better
+        return
+    for instance in (each for each in top.elements if each.kind == "x"):
+        called = top.find(instance.model)
+        for part in called.elements if called else ():
+            if called and "ic" in part.settings:
+                joined = dict(zip(called.pins, instance.ends, strict=False))
+                yield from (joined[n] for n in part.ends if joined.get(n, "0") not in GROUND)
+
+
+def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
+    """``{file name: text}`` of the symbols of ``deck``, whose libraries are written in ``dialect``.
+
+    KiCad simulates with ngspice: a project of the whole deck with its symbol library. LTspice
+    needs its own words: its symbols name ``NAME.lib`` where the libraries are written in its
+    dialect, else ``NAME.ltspice.lib``, which come along.
+
+    Raises
+    ------
+    UsageError : a part that LTspice cannot be told, a card that KiCad has no symbol for.
+    """
+    files = project(deck) if dialect == "ngspice" else {}
+    if dialect in ("ngspice", "ltspice"):
+        for part in deck.parts:
+            stem = part.filename.removesuffix(".lib")
+            library = f"{stem}.lib" if dialect == "ltspice" else f"{stem}.ltspice.lib"
+            files[f"{stem}.asy"] = ltspice.symbol(layout(part), library)
+            if dialect == "ngspice":
+                files[library] = translate_text(part.text, part.filename, "ltspice")
+    return files
+
+
+CURVES = 6  # of one window
+_PREFIX = {1e-6: "u", 1e-3: "m", 1.0: ""}
+_AXIS = {"tran": "", "ac": " xlog", "dc": ""}
+
+
+def plot_script(deck: Deck) -> dict[str, str]:
+    """``{"NAME_plot.sp": text}``: one window for each unit of the results; empty without curves.
+
+    ngspice runs a file whose first line is ``*ng_script`` as commands.
+    """
+    axis = _AXIS.get(deck.command.kind)
+    windows: dict[str, list[str]] = {}
+    for name, (expression, factor) in deck.vectors.items():
+        if len(terms(expression)) == 1 and abs(factor) in _PREFIX:
+            unit = _PREFIX[abs(factor)] + deck.units.get(name, "1")
+            windows.setdefault(unit, []).append(expression)
+    if axis is None or not windows:
+        return {}
+    wrap = "db({})" if deck.command.kind == "ac" else "{}"
+    lines = [
+        f"plot {' '.join(wrap.format(v) for v in list(dict.fromkeys(vectors))[:CURVES])}{axis} "
+        f"ylabel '{'dB of ' if deck.command.kind == 'ac' else ''}{unit}' title '{deck.name}'"
+        for unit, vectors in windows.items()
+    ]
+    head = ["*ng_script", f"* Run it with:  ngspice {deck.name}_plot.sp", f"source {deck.main}"]
+    return {f"{deck.name}_plot.sp": "\n".join([*head, "run", *lines]) + "\n"}
