@@ -4,15 +4,16 @@ with errors that name the key.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict, ValidationError
 from pydantic_core import PydanticCustomError
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.findings import dotted, told
 from kc2spice.core.units import quantity
 
 
@@ -152,35 +153,11 @@ def validated(
     """
     if isinstance(table, schema):
         return table
+    given = dict(table) if isinstance(table, Mapping) else table
     try:
-        return schema.model_validate(
-            dict(table) if isinstance(table, Mapping) else table, context=context
-        )
+        return schema.model_validate(given, context=context)
     except ValidationError as error:
-        found = error.errors()
-        first = next((each for each in found if each["type"] == "extra_forbidden"), found[0])
-        key = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in first["loc"])
-        key = key.removeprefix(".")
-        inside = f"{where} {key}" if where.endswith(":") else f"{where}.{key}"
-        raise UsageError(
-            first["msg"].removeprefix("Value error, "),
-            where=inside if key else where.removesuffix(":"),
-            got=None if first["type"] == "missing" or not key else str(first["input"])[:200],
-            expected=first.get("ctx", {}).get("expected"),
-            hint=f"keys: {', '.join(_table(schema, first['loc']).model_fields)}",
-        ) from None
-
-
-def _table(schema: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel]:
-    """The innermost schema on the way to ``location``."""
-    for step in location[:-1]:
-        if step in schema.model_fields:
-            schema = next(_schemas(schema.model_fields[str(step)].annotation), schema)
-    return schema
-
-
-def _schemas(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _schemas(inner)
+        path, words = told(error, schema)
+        inside = f"{where} " if where.endswith(":") else f"{where}."
+        place = inside + dotted(path) if path else where.removesuffix(":")
+        raise UsageError(where=place, **words) from None

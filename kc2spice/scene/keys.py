@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, get_args
 
-from pydantic import BaseModel, BeforeValidator
-from pydantic.fields import FieldInfo
+from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from kc2spice.core.findings import entries, unit_of
 from kc2spice.scene.model import Frame, Probe, Scene
 from kc2spice.scene.parttype import part_types
 from kc2spice.scene.short import SHORT
@@ -32,23 +31,6 @@ class Key:
     mixed: bool = False
 
 
-def submodel(annotation: Any) -> type[BaseModel] | None:
-    """The section behind a field's annotation (``Kick`` for ``Kick | None``), if it is one."""
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
-
-
-def _unit(field: FieldInfo) -> str | None:
-    """SI unit that the validator of a number (or of each number of a list) converts to."""
-    nested = [meta for arg in get_args(field.annotation) for meta in get_args(arg)[1:]]
-    for meta in (*field.metadata, *nested):
-        if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
-            return str(meta.func.args[0])
-    return None
-
-
 def _choices(annotation: Any) -> tuple[str, ...]:
     return tuple(arg for arg in get_args(annotation) if isinstance(arg, str))
 
@@ -61,17 +43,13 @@ def _kinds(annotation: Any) -> Iterator[Any]:
 
 def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """All keys of a schema in its order, those of its tables by dotted names."""
-    for name, field in model.model_fields.items():
-        section = submodel(field.annotation)
-        dotted = f"{prefix}{field.alias or name}"
-        if section is not None:
-            yield from model_keys(section, f"{dotted}.")
-            continue
+    for path, field in entries(model):
         default = None if field.default is PydanticUndefined else field.default
         choices, doc = _choices(field.annotation), field.description or ""
         kinds = set(_kinds(field.annotation))
         whole, mixed = any(k is int or type(k) is int for k in kinds), {float, str} <= kinds
-        yield Key(dotted, _unit(field), default, choices, doc, whole, mixed)
+        name = prefix + ".".join(path)
+        yield Key(name, unit_of(field), default, choices, doc, whole, mixed)
 
 
 def scene_keys() -> Iterator[Key]:

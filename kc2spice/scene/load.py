@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib import resources
 from importlib.resources.abc import Traversable
 from itertools import chain
@@ -13,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.findings import KeyPath, clipped, dotted, entries, shown, told
 from kc2spice.core.foreign import (
     DEEPEST,
     LONGEST_KEY,
@@ -28,7 +27,6 @@ from kc2spice.core.foreign import (
 from kc2spice.core.words import did_you_mean
 from kc2spice.scene.checks import problems
 from kc2spice.scene.compose import allocated, composed
-from kc2spice.scene.keys import model_keys, scene_keys, submodel
 from kc2spice.scene.model import GROUND, Frame, Part, Scene
 from kc2spice.scene.parttype import Build, PartType, part_type, type_names
 from kc2spice.scene.plausible import drives, judged
@@ -40,8 +38,6 @@ _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
 _GRAMMAR = ("part", "pins")  # keys of every part table
-
-KeyPath = tuple[str | int, ...]
 
 
 def gallery() -> dict[str, Traversable]:
@@ -109,7 +105,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     try:
         scene = Scene(Frame.model_validate(frame), {}, home=source.folder)
     except ValidationError as error:
-        raise _explain(_first(error), (), Frame, source) from None
+        raise source.refusal(error, Frame) from None
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -191,15 +187,18 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
         if name in Frame.model_fields:
             continue
         if not isinstance(table, Mapping) and name in SHORT:
-            raise source.error((name,), "not a table", _shown(table), f"a table, [{name}]")
+            raise source.error((name,), "not a table", shown(table), f"a table, [{name}]")
         if not isinstance(table, Mapping):
-            near = did_you_mean(name, Frame.model_fields)
-            near = near or did_you_mean(name, [key.name for key in scene_keys()])
+            parts = [each for each in data if isinstance(data[each], Mapping)]
+            parts = [each for each in parts if each not in Frame.model_fields]
+            own = (dotted((each, *key)) for each in parts for key in _keys(each, data[each]))
+            near = did_you_mean(name, Frame.model_fields) or did_you_mean(name, own)
             expected = ", ".join(Frame.model_fields) + ", or a table with part = TYPE"
-            raise source.error((name,), "unknown key", None, expected, near)
+            hint = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
+            raise source.error((name,), "unknown key", None, expected, near or hint)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             expected = "a letter, then letters, digits and _, at most 48 in all; not gnd"
-            raise source.error((name,), "not a name for a part", repr(_short(name)), expected)
+            raise source.error((name,), "not a name for a part", repr(clipped(name)), expected)
         first = taken.setdefault(name.lower(), name)
         if first != name:
             raise source.error(
@@ -209,6 +208,13 @@ def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str
                 "netlists do not tell case apart",
             )
         yield name, table
+
+
+def _keys(name: str, table: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Keys that the table of a part may have."""
+    kind = table.get("part", SHORT.get(name))
+    found = part_type(kind) if isinstance(kind, str) else None
+    return (path for path, _ in entries(found.schema)) if found else iter(())
 
 
 def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
@@ -225,7 +231,7 @@ def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
     if found is None:
         names = type_names()
         expected, near = "one of " + ", ".join(names), did_you_mean(str(chosen), names)
-        raise source.error((name, "part"), "unknown part type", _shown(chosen), expected, near)
+        raise source.error((name, "part"), "unknown part type", shown(chosen), expected, near)
     return found
 
 
@@ -243,13 +249,13 @@ def _part(
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         expected = 'pins = { PIN = "part.pin" } or "gnd"'
         message = "pins is no table of names"
-        raise source.error((name, "pins"), message, _short(repr(pins)), expected)
+        raise source.error((name, "pins"), message, clipped(repr(pins)), expected)
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
     keys = _completed(keys, kind.schema)
     try:
         checked = kind.schema.model_validate(keys, context={"home": source.folder, "short": short})
     except ValidationError as error:
-        raise _explain(_first(error), at or (name,), kind.schema, source) from None
+        raise source.refusal(error, kind.schema, at or (name,)) from None
     return Part(name, kind, checked, dict(pins), at)
 
 
@@ -283,17 +289,17 @@ class _Source:
         except ValueError as error:
             hint = "strings, quantities with units among them, stand in double quotes"
             raise UsageError(
-                "not valid TOML", where=self.label, got=_short(str(error)), hint=hint
+                "not valid TOML", where=self.label, got=clipped(str(error)), hint=hint
             ) from None
 
     def where(self, path: KeyPath) -> str:
         names = tuple(str(part) for part in path)
         for key, text in self.overrides.items():
             if key[: len(names)] == names or names[: len(key)] == key:
-                return f"--set {_short(text)!r}"
+                return f"--set {clipped(text)!r}"
         line = _line_of(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
-        return f"{place}, key {_dotted(path)}"
+        return f"{place}, key {dotted(path)}"
 
     def error(
         self,
@@ -305,6 +311,13 @@ class _Source:
     ) -> UsageError:
         """The error of a key."""
         return UsageError(message, where=self.where(path), got=got, expected=expected, hint=hint)
+
+    def refusal(
+        self, error: ValidationError, schema: type[BaseModel], at: KeyPath = ()
+    ) -> UsageError:
+        """What the ``schema`` of the table ``at`` finds wrong with it."""
+        path, words = told(error, schema, at, _GRAMMAR if at else ())
+        return UsageError(where=self.where(path), **words)
 
 
 def _open(name_or_path: str | Path) -> _Source:
@@ -344,7 +357,7 @@ def _override(data: dict[str, Any], text: str, source: _Source) -> None:
 
 def _no_override(text: str) -> UsageError:
     example = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
-    return UsageError("not an override", where="--set", got=repr(_short(text)), expected=example)
+    return UsageError("not an override", where="--set", got=repr(clipped(text)), expected=example)
 
 
 def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source) -> None:
@@ -354,7 +367,7 @@ def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source
     if long or not _KEY.fullmatch(name):
         raise _no_override(text)
     path: list[str] = []  # as the schema has it: entries of lists counted from their beginning
-    where, so_far = f"--set {_short(text)!r}", ""
+    where, so_far = f"--set {clipped(text)!r}", ""
     holder: Any = data
     key: str | int = ""
     for step in steps:
@@ -401,104 +414,6 @@ def override_value(text: str) -> Any:
     except ValueError:
         return text
     return table["value"] if set(table) == {"value"} else text
-
-
-def _first(error: ValidationError) -> ErrorDetails:
-    """The finding to tell: an unknown key before one that is missing, which it may stand for."""
-    found = error.errors()
-    return next((each for each in found if each["type"] == "extra_forbidden"), found[0])
-
-
-def _explain(
-    error: ErrorDetails, prefix: KeyPath, schema: type[BaseModel], source: _Source
-) -> UsageError:
-    """One finding of a schema in the words of a scene's author."""
-    path, context = (*prefix, *error["loc"]), error.get("ctx", {})
-    told = partial(source.error, path, got=_shown(error["input"]))
-    match error["type"]:
-        case "extra_forbidden":
-            return _unknown_key(error["loc"], schema, prefix, source)
-        case "missing":
-            return source.error(path, f"{_dotted(path)} is missing")
-        case "string_pattern_mismatch":
-            expected = "a letter, then letters, digits and _, at most 64 in all"
-            if path[0] in ("title", "include"):  # it ends up in the netlist: a line is a command
-                expected = "one line of text without control characters"
-            return told("not allowed", expected=expected)
-        case "quantity":
-            return told(context["reason"], expected=context["expected"])
-        case "literal_error":
-            choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
-            near = did_you_mean(str(error["input"]), choices)
-            return told("no such choice", expected=f"one of {', '.join(choices)}", hint=near)
-        case "int_type":
-            return told("not a whole number", expected="a whole number, without quotes")
-        case "model_type" | "dict_type":
-            entry = isinstance(path[-1], int)  # of a list
-            table = "{ KEY = VALUE, … }" if entry else f"[{_dotted(path)}]"
-            return told("not a table", expected=f"a table, {table}")
-        case "tuple_type" | "list_type":
-            expected = f"a list, {path[-1]} = [{_entry(error['input'])}]"
-            return told("not a list", expected=expected)
-        case "too_short" | "too_long" as kind:
-            few = kind == "too_short"
-            count = context["min_length" if few else "max_length"]
-            expected = f"{'least' if few else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
-            message = f"too {'few' if few else 'many'} entries"
-            return told(message, expected=f"a list of at {expected}")
-        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
-            sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-            limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
-            return told("out of range", expected=limit + _in_unit(error["loc"], schema))
-        case "value_error":  # of keys that contradict each other: what is wrong with them
-            contradict = isinstance(error["input"], Mapping)
-            message = str(context["error"])
-            return source.error(path, message) if contradict else told(message)
-    return told(error["msg"])
-
-
-def _unknown_key(
-    path: KeyPath, schema: type[BaseModel], prefix: KeyPath, source: _Source
-) -> UsageError:
-    model: Any = schema
-    for part in path[:-1]:
-        if isinstance(part, str) and part in model.model_fields:
-            model = submodel(model.model_fields[part].annotation) or model
-    fields = [*model.model_fields, *(_GRAMMAR if prefix and len(path) == 1 else ())]
-    near = did_you_mean(str(path[-1]), fields)
-    near = near or did_you_mean(str(path[-1]), [key.name for key in model_keys(schema)])
-    expected = "one of " + ", ".join(fields)
-    return source.error((*prefix, *path), "unknown key", None, expected, near)
-
-
-def _entry(value: Any) -> str:
-    """How one entry of a list is written that stands there without its brackets."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = …" for key in value) + " }"
-    return " … "
-
-
-def _in_unit(path: KeyPath, schema: type[BaseModel]) -> str:
-    names = [str(part) for part in path if isinstance(part, str)]
-    unit = {key.name: key.unit for key in model_keys(schema)}.get(".".join(names))
-    return f" {unit}" if unit else ""
-
-
-def _dotted(path: KeyPath) -> str:
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return text.removeprefix(".")
-
-
-def _shown(value: Any) -> str:
-    """``repr``, or what can be said of a number of more digits than Python prints."""
-    try:
-        return _short(repr(value))
-    except ValueError:
-        return f"a {type(value).__name__} that is too long to print"
-
-
-def _short(text: str, limit: int = 120) -> str:
-    return text if len(text) <= limit else text[:limit] + " …"
 
 
 def _line_of(text: str, path: tuple[str, ...]) -> int | None:
