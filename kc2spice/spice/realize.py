@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.cards import distinct
+from kc2spice.netlist.cards import comment, distinct, number
 from kc2spice.netlist.cards import name as checked_name
 from kc2spice.netlist.circuit import Param, Pin, Subcircuit
-from kc2spice.netlist.render import render
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.spice.header import OUTWARDS, Header, parameter_list, part_header, rom_line
@@ -31,14 +30,15 @@ FREE = 1e-11
 # Cross terms of D this far below the diagonal are rounding.
 CROSS = 1e-13
 JUMP = 1e-9  # of C B by its summands: a rate that jumps with an input; less is rounding
-_INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of the templates
+_INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+"  # nodes of our own
 _MOVING = ("mechanical", "rotational")
 _DRIVES = {"mechanical": "f", "rotational": "f", "electrical": "v", "acceleration": "s"}
 
 
 @dataclass(frozen=True)
 class Watch:
-    """What step control sees of a body: an error of charge is its error of motion, see kick.j2.
+    """What step control sees of a body: an error of charge is its error of motion
+    (:func:`_resonators`).
 
     Modes below ``full`` times the lowest frequency sit on less than a microfarad by the ``power``
     of their frequency; a ``share`` of the clamped capacitance is one, whose charge is the modes'.
@@ -52,6 +52,55 @@ class Watch:
 FOLLOWED = Watch(3.0, 2, 0.01)  # the body's own ringing is a result
 STRIKING = Watch(3.0, 6, 0.01)  # until it has struck: a quarter fewer points at an equal launch
 COARSE = Watch(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
+_NOTES = "docs/notes/netlist.md"
+_PIVOTS = f"""
+* Three breakpoints at a picosecond fix the pivots: {_NOTES}#pivots
+Vtick tick {{base}} PWL(0 0 1e-12 0 2e-12 0)
+Rtick tick {{base}} 1"""
+_OUTWARDS = (
+    "* Positive um points along a port's outward direction; current into its pin is force on the "
+    "body along",
+    "* that direction (rotations: right-hand rule of the port's axis).",
+)
+_RESONATORS = f"""{_OUTWARDS[0]}
+{_OUTWARDS[1]}
+* Every mode of the reduced model is two integrators, q (displacement) and p (q'/omega), both
+* scaled so that 1 V is the mode's largest displacement of a ring in um:
+*
+*     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
+*
+* Modes from {{full}} times the lowest frequency on sit on 1 uF, slower ones on less by its power \
+{{power}}: {_NOTES}#capacitances-of-modes
+* The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
+_STATES = """\
+* Linear state-space model: signal inputs are sensed and load nothing, signal outputs are ideal
+* sources, 1 V is one unit of the pin. In blocks of coupled states z on {farad} F each,
+*
+*     z' = A z + B u                y = C z + D u
+*
+* scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference of all
+* pins that are not electrical: wire it to node 0."""
+_FREE_STATE = f"* The leak gives a free integrator its operating point: {_NOTES}#leaks"
+_CLAMPED = f"""
+* Electrical port{{name}}: the clamped capacitance of {{farad:.6g}} F in series with a voltage, \
+-charge/capacitance,
+* of the charge that the modes set free (1 V on charge = 1 uC).
+* Cclamped has {{share}} of it, Gmore adds the rest of its current: {_NOTES}#clamped-capacitance
+* The node current has the cathode's current as its value: {_NOTES}#conservative-ports
+* Gleak gives a floating anode its operating point: {_NOTES}#leaks"""
+_UNCLAMPED = f"""
+* Electrical port {{name}} has no capacitance of its own: its current is the rate of the charge
+* that the states move.
+* Gleak gives a floating pin its operating point: {_NOTES}#leaks"""
+_MOTION = f"""
+* Port {{pin}}: the modes sum to its displacement u (1 V = 1 um).
+* The node f has the force that makes pin = u as its value (1 V = 1 N): \
+{_NOTES}#conservative-ports"""
+_ROTATION = """
+* Rotation {pin}: as a displacement port, 1 V = 1 rad and 1 A = 1 N m."""
+_SHAKEN = """
+* Acceleration {pin} of the frame that the body is fixed to (1 V = 1 m/s2); the force that it
+* takes to move the body flows into the pin (1 A = 1 N)."""
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
@@ -64,10 +113,14 @@ class _Card:
     minus: str
     value: float
 
+    def onto(self, a: str, b: str, prefix: str = "") -> str:
+        """The card with its current from ``a`` to ``b``."""
+        return f"{prefix}{self.label} {a} {b} {self.plus} {self.minus} {number(self.value)}"
+
 
 @dataclass(frozen=True)
 class _Terminal:
-    """A port as the templates see it: ``column`` of B and ``row`` of C, ``clamped`` farad.
+    """A port as its cards need it: ``column`` of B and ``row`` of C, ``clamped`` farad.
 
     ``sums`` are its output by states, ``through`` by the inputs of ports.
     """
@@ -177,33 +230,32 @@ def subcircuit(
     if isinstance(form, Resonators):
         if np.any(form.damp > 0):
             params = (Param("damping", 1.0, "-", "scale of the damping of all modes"),)
-        template, values = "kick.j2", _resonators(form, rom, terminals, base, watch)
+        about, body = _resonators(form, rom, terminals, base, watch)
     else:
-        template, values = "rom.j2", _blocks(form, rom, terminals, base)
+        about, body = _blocks(form, rom, terminals, base)
         if base == "ref":
             title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
     certificate = rom.certificate
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
-    text = render(
-        template,
-        header=part_header(
-            header,
-            f"{name}: {title}",
-            pins,
-            params,
-            rom=rom_line(rom.order, certificate) if certificate else "",
-            sign=OUTWARDS,
-            rating=rating,
-            validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
-            "built-in materials); no hysteresis, depolarisation or heating",
-        ),
-        name=checked_name(name),
-        pins=[pin.name for pin in pins],
-        base=base,
-        parameters=parameter_list(params),
-        leak=LEAK,
-        **values,
+    head = part_header(
+        header,
+        f"{name}: {title}",
+        pins,
+        params,
+        rom=rom_line(rom.order, certificate) if certificate else "",
+        sign=OUTWARDS,
+        rating=rating,
+        validity=f"small signals{band} at the temperature of its data (20 to 25 C, of "
+        "built-in materials); no hysteresis, depolarisation or heating",
     )
+    words = [
+        checked_name(name),
+        *(pin.name for pin in pins),
+        *([parameter_list(params)] * bool(params)),
+    ]
+    start = _PIVOTS.format(base=base)
+    lines = ["", *about, f".subckt {' '.join(words)}", start, *body, f".ends {name}"]
+    text = head + "\n".join(lines) + "\n"
     return Subcircuit(name, pins, params, text)
 
 
@@ -353,12 +405,51 @@ def _wired(
     return [wired(t) for t in terminals]
 
 
+def _conservative(terminals: Iterable[_Terminal], base: str, share: float) -> list[str]:
+    """Cards of the ports: electrical ones, motions, accelerations of the frame."""
+    order = (("electrical",), _MOVING, ("acceleration",))
+    ports = [t for kinds in order for t in terminals if t.kind in kinds]
+    return [line for t in ports for line in _port(t, base, share)]
+
+
+def _port(t: _Terminal, base: str, share: float) -> Iterator[str]:
+    pin, tag = t.pins[0], t.tag
+    if t.kind == "acceleration":
+        yield _SHAKEN.format(pin=pin)
+        yield from (card.onto(pin, base, f"Ga{pin}_") for card in t.sums + t.through)
+    elif t.kind in _MOVING:
+        yield (_ROTATION if t.kind == "rotational" else _MOTION).format(pin=pin)
+        yield f"Ru{pin} u{pin} {base} 1"
+        yield f"Gf{pin} {base} f{pin} {pin} u{pin} 1"
+        yield f"Gp{pin} {pin} {base} f{pin} {base} 1"
+        yield from (card.onto(base, f"u{pin}", f"Gu{pin}_") for card in t.sums)
+        yield from (card.onto(base, f"u{pin}", f"Gt{pin}_") for card in t.through)
+    elif t.clamped:
+        words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
+        yield _CLAMPED.format(**words)
+        a, b = t.pins
+        yield f"Cclamped{tag} {a} inner{tag} {number(share * t.clamped)}"
+        yield f"Gmore{tag}    {a} {b} current{tag} {base} {number(1 - share)}"
+        yield f"Gleak{tag}    {a} {b} {a} inner{tag} {number(LEAK)}"
+        yield f"Ginner{tag}   {base} current{tag} inner{tag} {b} 1"
+        yield f"Gcharge{tag}  {base} current{tag} charge{tag} {base} {number(1e-6 / t.clamped)}"
+        yield f"Gcurrent{tag} inner{tag} {b} current{tag} {base} {number(share)}"
+        yield f"Rcharge{tag}  charge{tag} {base} 1"
+        yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
+    else:
+        a, b = t.pins
+        yield _UNCLAMPED.format(name=t.label)
+        yield f"Gleak{tag} {a} {b} {a} {b} {number(LEAK)}"
+        for card in t.sums:
+            yield replace(card, label=f"{card.label}{tag}").onto(a, b, "Gc")
+
+
 # -------------------------------------------------------------------------------- resonators
 
 
 def _resonators(
     model: Resonators, rom: LinearModel, terminals: list[_Terminal], base: str, watch: Watch
-) -> dict[str, object]:
+) -> tuple[list[str], list[str]]:
     """With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
     model without mechanical ports, in uC)::
@@ -397,35 +488,52 @@ def _resonators(
     farad = STATE * np.minimum(1.0, (omega / (watch.full * slowest)) ** watch.power)
     siemens = np.where(heavy, farad * omega, SIEMENS)
     drive = siemens[:, None] * scale * gain / (omega[:, None] ** 2 * MICRO)
-    modes = [
-        {
-            "index": j + 1,
-            "hertz": omega[j] / (2 * np.pi),
-            "ratio": damp[j] / (2 * omega[j]) if heavy[j] else damp[j] / omega[j] ** 2,
-            "farad": farad[j] if heavy[j] else SIEMENS * damp[j] / omega[j] ** 2,
-            "stiffness": siemens[j],
-            "damping": farad[j] * damp[j],
-            "massless": not heavy[j],
-            "drives": _drives(j + 1, drive[j], terminals, base),
-            "charges": [
-                _Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", f"charge{t.tag}", gain[j, k] / scale[j, 0])
-                for k, t in enumerate(terminals)
-                if t.clamped  # uC per um
-            ],
-        }
-        for j in range(kept.order)
-    ]
-    return {
-        "ports": [
-            replace(t, sums=()) if t.clamped else t
-            for t in _wired(terminals, states, rom.D, rom, base)
-        ],
-        "modes": modes,
-        "silent": model.order - kept.order,
-        "full": watch.full,
-        "power": watch.power,
-        "share": watch.share,
-    }
+    about = _RESONATORS.format(full=watch.full, power=watch.power).split("\n")
+    if kept.order < model.order:
+        silent = (
+            f"* Left out: {model.order - kept.order} of the reduced model's modes, which no port"
+        )
+        about.insert(-2, f"{silent} moves or feels.")
+    wired = _wired(terminals, states, rom.D, rom, base)
+    body = _conservative(
+        [replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share
+    )
+    for j in range(kept.order):
+        make = _mode if heavy[j] else _relaxation
+        body += make(j + 1, omega[j], damp[j], farad[j], base)
+        node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
+        body += [card.onto(base, node) for card in _drives(j + 1, drive[j], terminals, base)]
+        body += [
+            _Card(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0]).onto(
+                base,
+                f"charge{t.tag}",  # uC per um
+            )
+            for k, t in enumerate(terminals)
+            if t.clamped
+        ]
+    return about, body
+
+
+def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[str]:
+    """Two integrators of one mode."""
+    turn, lost = number(farad * omega), farad * damp
+    ratio = damp / (2 * omega)
+    yield f"\n* Mode {j}: {omega / (2 * np.pi):.6g} Hz, damping ratio {ratio:.6g}"
+    yield f"Cq{j} q{j} {base} {number(farad)}"
+    yield f"Cp{j} p{j} {base} {number(farad)}"
+    yield f"Gq{j} {base} q{j} p{j} {base} {turn}"
+    yield f"Gp{j} p{j} {base} q{j} {base} {turn}"
+    if lost > 0:
+        yield f"Gd{j} p{j} {base} p{j} {base} {{damping*{number(lost)}}}"
+
+
+def _relaxation(j: int, omega: float, damp: float, _: float, base: str) -> Iterator[str]:
+    """One state without inertia."""
+    hertz, time = omega / (2 * np.pi), damp / omega**2
+    yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
+    if time > 0:
+        yield f"Cq{j} q{j} {base} {{damping*{number(SIEMENS * time)}}}"
+    yield f"Gq{j} q{j} {base} q{j} {base} {number(SIEMENS)}"
 
 
 def _drives(index: int, row: np.ndarray, terminals: list[_Terminal], base: str) -> list[_Card]:
@@ -464,7 +572,7 @@ def _observable(model: Resonators) -> Resonators:
 
 def _blocks(
     model: BlockModel, rom: LinearModel, terminals: list[_Terminal], base: str
-) -> dict[str, object]:
+) -> tuple[list[str], list[str]]:
     """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
     A block is scaled to about 1 V for a constant input of 1 V.
@@ -488,33 +596,42 @@ def _blocks(
     states = _States(
         [f"z{k}" for k in numbers], numbers, block_diag(*scaled), B, C / np.array(units)
     )
-    blocks, at = [], 0
+    wired = _wired(terminals, states, model.D, rom, base)
+    ports = [t for t in wired if t.port.conservative]
+    body = _signals(terminals, base) + _conservative(ports, base, FOLLOWED.share)
+    for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
+        body += [
+            f"\n* Output {t.pins[0]}",
+            f"E{index} {t.pins[0]} {base} sum{index} {base} 1",
+            f"Rsum{index} sum{index} {base} 1",
+            *(card.onto(base, f"sum{index}", f"Gc{index}_") for card in t.sums),
+            *(card.onto(base, f"sum{index}", f"Gt{index}_") for card in t.through),
+        ]
+    at = 0
     for block, free in zip(scaled, held, strict=True):
         first, at = at, at + len(block)
-        found = [
-            {
-                "index": k + 1,
-                "cards": states.cards(farad * states.A[k], base),
-                "drives": [
-                    t.driven(f"{t.column + 1}", farad * B[k], base)
-                    for t in terminals
-                    if t.column is not None and B[k, t.column]
-                ],
-                "held": free,
-            }
-            for k in range(first, at)
-        ]
-        told = {"first": first + 1, "last": at, "what": _description(block)}
-        blocks.append(told | {"states": found})
-    wired = _wired(terminals, states, model.D, rom, base)
-    return {
-        "inputs": [t.pins[0] for t in terminals if t.kind == "input"],
-        "ports": [t for t in wired if t.port.conservative],
-        "outputs": [t for t in wired if t.kind == "output"],
-        "blocks": blocks,
-        "farad": farad,
-        "share": FOLLOWED.share,
-    }
+        body.append(f"\n* States {first + 1} to {at}: {comment(_description(block))}")
+        for k in range(first, at):
+            index, node = k + 1, f"z{k + 1}"
+            body.append(f"C{node} {node} {base} {number(farad)}")
+            if free:
+                body += [_FREE_STATE, f"G{node} {node} {base} {node} {base} {number(LEAK)}"]
+            cards = states.cards(farad * states.A[k], base)
+            body += [card.onto(base, node, f"Ga{index}_") for card in cards]
+            body += [
+                t.driven(f"{t.column + 1}", farad * B[k], base).onto(base, node, f"Gb{index}_")
+                for t in terminals
+                if t.column is not None and B[k, t.column]
+            ]
+    about = _STATES.format(farad=number(farad), base=base).split("\n")
+    return ([*_OUTWARDS, *about] if ports else about), body
+
+
+def _signals(terminals: list[_Terminal], base: str) -> list[str]:
+    """Leaks of the signal inputs."""
+    pins = [t.pins[0] for t in terminals if t.kind == "input"]
+    leaks = [f"Gleak{k} {p} {base} {p} {base} {number(LEAK)}" for k, p in enumerate(pins, 1)]
+    return ["* An input that is left open is zero.", *leaks] if pins else []
 
 
 def _balanced(
