@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
-from kc2spice.netlist.cards import number, tidy
+from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.read import LARGEST, read
-from kc2spice.netlist.render import render
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit
 from kc2spice.netlist.statements import beside, statements
 from kc2spice.netlist.vectors import terms
@@ -36,6 +35,11 @@ class Option:
     key: str
     value: str
     reason: str
+
+    @property
+    def card(self) -> str:
+        """The card."""
+        return f".options {self.key}={self.value}" if self.value else f".options {self.key}"
 
 
 @dataclass(frozen=True)
@@ -150,9 +154,35 @@ class Deck:
     @cached_property
     def _main(self) -> str:
         if self.text is not None:
-            entries = (_entry(option) for option in self.options)
-            return _inserted(self.text, "".join(f".options {entry}\n" for entry in entries))
-        return render("deck.j2", deck=self, files=[part.filename for part in self.parts])
+            return _inserted(self.text, "".join(f"{each.card}\n" for each in self.options))
+        return "\n".join([*self._head(), *self._cards(), ".end", ""])
+
+    def _head(self) -> Iterator[str]:
+        raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
+        yield f"* {comment(self.title)}"
+        yield self.notes
+        yield f"* Run it with:  ngspice -b {self.main}             (prints what .print asks for)"
+        yield f"*           or  ngspice -b -r {raw}  (keeps every vector saved below)"
+        yield f"*           or  ngspice {plot}          (plots the main curves)"
+        yield (
+            "* Units of the nodes: 1 V = 1 um (displacements), 1 V = 1 m/s (velocities), "
+            "1 A = 1 N (forces)."
+        )
+
+    def _cards(self) -> Iterator[str]:
+        yield from (f".include {part.filename}" for part in self.parts)
+        for block in self.blocks:
+            yield from ("", f"* {comment(block.title)}", *block.cards)
+        yield ""
+        if self.initial:
+            yield "* Nothing holds these nodes before the run begins."
+            yield " ".join((".ic", *(f"v({n})={number(v)}" for n, v in self.initial.items())))
+            yield ""
+        for option in self.options:
+            yield from (f"* {option.key}: {comment(option.reason)}", option.card)
+        yield self.command.card
+        yield from (f".save {vector}" for vector in self.saved)
+        yield " ".join((".print", self.command.kind, *self.saved[:2]))
 
     def option(self, key: str) -> str | None:
         """The value of an option, None where the deck says nothing."""
@@ -233,7 +263,3 @@ def _inserted(text: str, lines: str) -> str:
         return text
     kept = text.splitlines(keepends=True)
     return "".join([*kept[: at - 1], lines, *kept[at - 1 :]])
-
-
-def _entry(option: Option) -> str:
-    return f"{option.key}={option.value}" if option.value else option.key
