@@ -320,7 +320,8 @@ def reduce(
             metavar="MODEL",
             help="NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A "
             ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
-            "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body. NAME.toml "
+            "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body; a measured "
+            "impedance of one port (.s1p, .csv, .txt), which becomes a passive circuit. NAME.toml "
             "beside it names ports, units, supports and band; docs/matrices.md lists its keys.",
         ),
     ],
@@ -350,7 +351,7 @@ def reduce(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Reduce matrices of another tool to a model of certified error.
+    """Reduce matrices of another tool, or a measured impedance, to a model of stated error.
 
     An unstable model ends with exit code 4.
     """

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.foreign import identifier
@@ -19,6 +20,7 @@ from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.measured import one_port
 from kc2spice.rom.reduce import default_norm
 from kc2spice.rom.reduce import reduce as reduce_model
 from kc2spice.scene.load import gallery, load_scene
@@ -44,17 +46,20 @@ def reduce(
     The band is the one given, else that of ``NAME.toml``, else up to the fifth natural frequency.
     Without tolerance and order, the tolerance is 1e-4.
     ``norm`` is 'pointwise' or 'peak', for models whose ports are all signals unless told.
-    ``SCENE:PART`` instead of a path is the full model of a scene's body.
+    ``SCENE:PART`` instead of a path is the full model of a scene's body. A measured one-port
+    (``.s1p``, ``.ts``, ``.csv``, ``.txt``, ``.tsv``) becomes the passive circuit of
+    :func:`kc2spice.rom.measured.one_port`; its order and band follow from the data.
 
     Raises
     ------
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
     """
+    if is_measured(Path(path)):
+        told = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
+        return _reduce_measured(Path(path), out, told, progress)
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_model(path)
-    name = f"{model.name}_rom"
-    directory = Path(name) if out is None else Path(out)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     progress("reduce", None, f"{model.order} equations")
@@ -65,14 +70,42 @@ def reduce(
         order=order,
         norm=norm or default_norm(model),  # type: ignore[arg-type]
     )
+    return _written(model.name, model.order, reduced, out)
+
+
+def _reduce_measured(
+    path: Path, out: Path | None, told: dict[str, Any], progress: Progress
+) -> dict[str, Any]:
+    """A measured one-port as the passive circuit that comes nearest."""
+    for option, value in told.items():
+        if value is not None:
+            expected = "nothing: noise decides the order of a measured response, its file the band"
+            raise UsageError("is not for measurements", where=option, got=value, expected=expected)
+    progress("reduce", None, "reading the measurement")
+    data = read_measured(path)
+    if data.Y.shape[1] != 1:
+        got = f"{data.Y.shape[1]} ports"
+        raise UsageError("has several ports", where=data.where, got=got, expected="one port")
+    progress("reduce", None, f"fitting {len(data.f)} frequencies")
+    reduced = one_port(data.f, data.Y[:, 0, 0], data.noise, data.where)
+    found = _written(data.name, len(data.f), reduced, out)
+    return found | {"notes": list(data.notes), "noise": data.noise}
+
+
+def _written(
+    model_name: str, unknowns: int, reduced: LinearModel, out: Path | None
+) -> dict[str, Any]:
+    """The files of a reduced model, and what ``reduce --json`` says of it."""
+    name = f"{model_name}_rom"
+    directory = Path(name) if out is None else Path(out)
     subcircuit(reduced, identifier(name, "rom"))  # what cannot be exported is not certified
     with staged(directory) as work:
         files = write_rom(reduced, work, name)
     certificate = reduced.certificate
     assert certificate is not None
     return {
-        "model": model.name,
-        "unknowns": model.order,
+        "model": model_name,
+        "unknowns": unknowns,
         "form": "first order" if reduced.first_order else "second order",
         "order": reduced.order,
         **certificate.record(),

@@ -36,21 +36,6 @@ def test_rings_follow_the_scene(scene, override, rings):
     assert rings_of(loaded) == rings
 
 
-@pytest.mark.parametrize(("voltage", "rings"), [(20, 1), (26, 1), (27, 2), (106, 2), (107, 3)])
-def test_without_a_catch_the_kick_alone_decides(voltage, rings):
-    """ring1 closes at 1.2508 um and ring2 at 5.0126 um, twice the strokes at 26.6 and 106.6 V."""
-    loaded = load_scene({"kick": {"drive": {"voltage": voltage}}, "contact": {}, "sphere": {}})
-    assert rings_of(loaded) == rings
-    fed = {
-        "part": "source",
-        "pulse": {"high": voltage, "width": 25e-6, "edge": 1e-7},
-        "pins": {"out": "stack.anode"},
-    }
-    stack = {"part": "piezo_stack"}
-    free = load_scene({"stack": stack, "supply": fed, "contact": {}, "sphere": {}})
-    assert rings_of(free, "stack") == rings
-
-
 @pytest.mark.parametrize("rings", ["0", "-1", "2.5", "some", "[]", "true"])
 def test_a_wrong_choice_is_refused_with_the_right_ones(rings):
     with pytest.raises(UsageError, match="needed, all, or a whole number"):

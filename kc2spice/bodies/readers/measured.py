@@ -1,0 +1,267 @@
+"""Measured responses: Touchstone files of version 1 and 2, and tables of impedance analysers.
+
+A table has a header whose words say what its columns are, in any order and with units in brackets
+or behind an underscore: frequency, and one of the pairs of :data:`_PAIRS`. Fields lie between
+semicolons, tabs, commas or blanks; a decimal comma is read where commas do not separate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kc2spice.bodies.readers.limits import guarded, present, refused
+from kc2spice.core.errors import UsageError
+from kc2spice.core.foreign import read_bounded
+
+MAX_BYTES = 50_000_000
+FEWEST = 12  # frequencies: four numbers of one resonance and its noise
+ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points is no noise
+HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
+_TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
+_TABLES = (".csv", ".txt", ".tsv")
+_MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
+# Words of a header without its units, by what they say.
+_WORDS = {
+    "f": "f|freq|frequency|frequenz",
+    "z": r"\|?z\|?|\|?impedance\|?|magnitude|mag|abs|zmag|absz|zabs|magz",
+    "y": r"\|y\||y|admittance|yabs|ymag",
+    "phase": "phase|theta|θ|φ|phi|arg|angle|argz|zphase|phasez|thetaz",
+    "r": "r|rs|resistance|real|re|rez|zreal|realz|zre",
+    "x": "x|xs|reactance|imag|imaginary|im|imz|zimag|imagz|zim",
+    "g": "g|gp|conductance|rey|yreal|realy|yre",
+    "b": "b|bp|susceptance|imy|yimag|imagy|yim",
+    "c": "cp|c|capacitance",
+    "d": "d|df|tand|tanδ|dissipation|lossfactor",
+}
+_PREFIX = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6,
+           "G": 1e9, "": 1.0}  # fmt: skip
+_UNIT = re.compile(r"([pnuµμmkMG]?)(hz|ohms?|Ω|Ω|s|siemens|f|farad)|(dB|deg|degrees|°|rad)", re.I)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
+Columns = dict[str, np.ndarray]
+# Admittance [S] of two columns, angles in rad, w in rad/s.
+_PAIRS: dict[tuple[str, str], Callable[[Columns, np.ndarray], np.ndarray]] = {
+    ("r", "x"): lambda v, w: 1 / (v["r"] + 1j * v["x"]),
+    ("g", "b"): lambda v, w: v["g"] + 1j * v["b"],
+    ("z", "phase"): lambda v, w: np.exp(-1j * v["phase"]) / v["z"],
+    ("y", "phase"): lambda v, w: np.exp(1j * v["phase"]) * v["y"],
+    ("c", "d"): lambda v, w: w * v["c"] * (v["d"] + 1j),
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Admittance ``Y`` (n, ports, ports) [S] at the increasing frequencies ``f`` (n,) [Hz], and in
+    ``notes`` what its reader took for granted."""
+
+    name: str
+    where: str
+    f: np.ndarray
+    Y: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def noise(self) -> float:
+        """Relative standard deviation of one component of Y: the median size of third differences
+        of log Y, which a smooth response does not have."""
+        y = self.Y.reshape(len(self.f), -1)
+        steps = np.diff(y, 3, axis=0) / np.abs(y[1:-2])
+        return float(np.median(np.abs(np.r_[steps.real, steps.imag])) / (0.6745 * np.sqrt(20)))
+
+
+def is_measured(path: Path) -> bool:
+    """Whether a path is that of a measured response."""
+    named = _TOUCHSTONE.fullmatch(path.suffix) or (
+        path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
+    )
+    return bool(named) and present(path)
+
+
+def read_measured(path: Path) -> Measured:
+    """The response in a Touchstone file or a table.
+
+    Raises
+    ------
+    UsageError : no such file, damaged, too large, too few points, columns that are not known, or
+        that make a passive part give power.
+    """
+    match = _TOUCHSTONE.fullmatch(path.suffix)
+    expected = "a Touchstone file" if match else f"a table of an impedance analyser; {HINT}"
+
+    def read() -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        data = read_bounded(path, MAX_BYTES)
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("latin-1")
+        return _touchstone(text, int(match[2] or 0)) if match else _table(text)
+
+    f, Y, notes = guarded(path, expected, read)
+    if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
+        raise refused(path, "NaN, infinity or a frequency below zero", "finite numbers", HINT)
+    f, kept = np.unique(f, return_index=True)  # increasing, each once
+    Y, kept = Y[kept], np.flatnonzero(f > 0)
+    if len(kept) < FEWEST:
+        raise refused(path, f"{len(kept)} frequencies", f"at least {FEWEST}", "measure more points")
+    found = Measured(path.stem, str(path), f[kept], Y[kept], notes)
+    _require_passive(found)
+    return found
+
+
+def _require_passive(data: Measured) -> None:
+    """Of a passive part the real part of Y has no negative eigenvalue; noise may."""
+    size = np.linalg.norm(data.Y, 2, axis=(1, 2))
+    least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]
+    bad = least < -max(ACTIVE, 5 * data.noise) * size
+    if np.mean(bad) < 0.1:
+        return
+    hint = "are two columns swapped, is the phase that of Y, is its sign turned? Or is it active?"
+    if data.Y.shape[1] == 1 and (data.Y.imag[bad] > 0).mean() < 0.5:
+        hint = "real and imaginary part may be swapped; " + hint
+    raise UsageError(
+        "gives power: no passive part measures so",
+        where=data.where,
+        got=f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
+        f"first at {data.f[bad][0]:g} Hz",
+        expected="Re Z >= 0 but for noise",
+        hint=hint,
+    )
+
+
+def _touchstone(text: str, ports: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB."""
+    unit, kind, form, reference = "ghz", "s", "ma", [50.0]
+    words: list[str] = []
+    keys: dict[str, str] = {}
+    taking, waiting = True, 0
+    for raw in text.splitlines():
+        line = raw.partition("!")[0].strip()
+        if line.startswith("["):
+            key, _, value = line[1:].partition("]")
+            key = key.strip().lower()
+            keys[key] = value.strip().lower()
+            taking = key not in ("noise data", "end", "begin information")
+            if key == "reference":
+                reference, waiting = [float(w) for w in value.split()], 1
+        elif line.startswith("#"):
+            option = line[1:].lower().split()
+            if "r" in option:
+                reference = [float(w) for w in option[option.index("r") + 1 :]] or reference
+            for word in option:
+                unit = word if word in ("hz", "khz", "mhz", "ghz") else unit
+                kind = word if word in "syzgh" and word != "r" else kind
+                form = word if word in ("ri", "ma", "db") else form
+        elif waiting and len(reference) < int(keys.get("number of ports", ports)):
+            reference += [float(w) for w in line.split()]
+        elif taking:
+            words += line.split()
+    n = int(keys.get("number of ports", ports))
+    if kind in "gh" or not 1 <= n <= 64 or keys.get("matrix format", "full") != "full":
+        raise ValueError(f"{kind.upper()} parameters of {n} ports, {keys.get('matrix format', '')}")
+    width = 1 + 2 * n * n
+    values = np.array([float(w) for w in words])
+    table = values[: len(values) // width * width].reshape(-1, width)
+    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
+    if len(values) % width and not back.size:
+        raise ValueError(f"{len(values)} numbers, not {width} a frequency")
+    table = table[: back[0] + 1] if back.size else table
+    a, b = table[:, 1::2], table[:, 2::2]
+    polar = np.deg2rad(b)
+    size = 10 ** (a / 20) if form == "db" else a
+    P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
+    if n == 2 and keys.get("two-port data order", "21_12") == "21_12":
+        P = P.swapaxes(1, 2)
+    z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
+    one, old = np.eye(n), "version" not in keys
+    if kind == "s":
+        root = np.diag(1 / np.sqrt(z0))
+        P = root @ np.linalg.solve(one + P, one - P) @ root
+    elif kind == "z":
+        P = np.linalg.inv(P * (z0[0] if old else 1.0))  # version 1 normalises
+    elif old:
+        P = P / z0[0]
+    factor = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}[unit]
+    return factor * table[:, 0], P, ()
+
+
+def _table(text: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    header, rows = _rows(text)
+    columns, notes = _columns(header, rows)
+    pair = next((pair for pair in _PAIRS if set(pair) <= set(columns)), None)
+    if "f" not in columns or pair is None:
+        raise ValueError(f"columns {', '.join(header) or 'without a header'}")
+    f = columns.pop("f")
+    steps = np.diff(f)
+    if not ((steps >= 0).all() or (steps <= 0).all()):
+        raise ValueError("the frequency column goes up and down: is it another one?")
+    return f, _PAIRS[pair](columns, 2 * np.pi * f)[:, None, None], tuple(notes)
+
+
+def _rows(text: str) -> tuple[list[str], np.ndarray]:
+    """The longest run of lines with as many numbers, at least three, and the words above it."""
+    best: tuple[list[str], list[list[float]]] = ([], [])
+    for sign in (";", "\t", ",", None):
+        above: list[str] = []
+        run: list[list[float]] = []
+        for line in text.splitlines():
+            fields = [w.strip().strip('"') for w in line.strip().split(sign)]
+            while fields and not fields[-1]:
+                fields.pop()
+            plain = [w if sign == "," else w.replace(",", ".") for w in fields]
+            if len(plain) >= 3 and all(_NUMBER.fullmatch(w) for w in plain):
+                if run and len(plain) != len(run[0]):
+                    run = []
+                run.append([float(w) for w in plain])
+                if len(run) > len(best[1]):
+                    best = (above, run)
+            elif fields:
+                above, run = [w.lstrip("#%! ") for w in fields], []
+    return best[0], np.array(best[1])
+
+
+def _columns(header: list[str], rows: np.ndarray) -> tuple[Columns, list[str]]:
+    """What the words of a header say, in SI and rad."""
+    found: Columns = {}
+    notes = []
+    if len(header) != rows.shape[-1]:
+        raise ValueError(f"{len(header)} words above {rows.shape[-1]} columns of numbers")
+    for word, values in zip(header, rows.T, strict=True):
+        stem, unit = _split(word)
+        name = next((k for k, w in _WORDS.items() if re.fullmatch(w, stem, re.I)), None)
+        if name is None or name in found:
+            continue
+        low = unit.lower()
+        if name == "phase":  # without a unit
+            small = np.abs(values).max(initial=0.0) <= 0.51 * np.pi and np.ptp(values) > 0.5
+            turned = low == "rad" or (not unit and small)
+            if not unit:
+                notes.append(f"{word}: no unit, taken as {'rad' if turned else 'degrees'}")
+            values = values if turned else np.deg2rad(values)
+        elif low == "db":
+            values = 10 ** (values / 20)
+        elif unit:
+            match = _UNIT.fullmatch(unit)
+            prefix = (match and match[1]) or ""
+            if name == "f":
+                prefix = {"m": "M", "g": "G"}.get(prefix, prefix)  # there are no millihertz
+            values = values * _PREFIX["k" if prefix == "K" else prefix]
+        elif name == "f":
+            notes.append(f"{word}: no unit, taken as Hz")
+        found[name] = values
+    return found, notes
+
+
+def _split(word: str) -> tuple[str, str]:
+    """``frequency_hz``, ``f (kHz)``, ``R/Ohm`` as a word without marks and its unit."""
+    match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]?\s*", word.strip())
+    stem, unit = (match[1], match[2]) if match else (word.strip(), "")
+    tail = re.fullmatch(r"(.+?)[\s_/,]+(\S+)", stem) if not unit else None
+    if tail and _UNIT.fullmatch(tail[2]):
+        stem, unit = tail[1], tail[2]
+    if unit and not _UNIT.fullmatch(unit):  # Re(Z), phase(Z), Rs(series)
+        stem, unit = stem + unit if len(unit) == 1 else stem, ""
+    return re.sub(r"[\s_\-.'()]", "", stem), unit
