@@ -26,17 +26,14 @@ def library(
 ) -> Subcircuit:
     """``templates/TEMPLATE.j2`` under its head, see :func:`kc2spice.spice.header.part_header`.
 
-    Besides ``values`` the template has ``header``, ``name``, the names of its ``pins`` and its
-    ``parameters`` with their defaults.
+    Besides ``values`` the template has the names of its ``pins`` and the ``card`` behind
+    ``.subckt``: name, pins and parameters with their defaults.
     """
     pins = tuple(Pin(each.name, each.unit, each.flow) for each in terminals)
     words = {"rating": rating, "validity": validity, "sign": sign}
-    text = render(
-        f"{template}.j2",
-        header=part_header(header, f"{name}: {title}", pins, params, **words),
-        name=name,
-        pins=[pin.name for pin in pins],
-        parameters=parameter_list(params),
-        **values,
-    )
+    names = [pin.name for pin in pins]
+    card = " ".join((name, *names, parameter_list(params)))
+    head = part_header(header, f"{name}: {title}", pins, params, **words)
+    cards = render(f"{template}.j2", card=card, pins=names, **values)
+    text = f"{head}\n{cards}.ends {name}\n"
     return Subcircuit(name, pins, params, text, no_module=no_module)
