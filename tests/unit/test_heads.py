@@ -1,15 +1,12 @@
 """Heads of libraries and decks: signs, units, ranges, bounds, what is left out."""
 
 import math
-from dataclasses import replace
 
 import pytest
 
 from kc2spice.netlist.circuit import Param, Pin, positive
 from kc2spice.rom.linear import Certificate
-from kc2spice.scene.parttype import Neglected
-from kc2spice.scene.plan import Modelled, Plan, Setting
-from kc2spice.spice.header import Header, parameter_list, part_header, plan_lines, rom_line
+from kc2spice.spice.header import Header, parameter_list, part_header, rom_line
 
 
 @pytest.mark.parametrize(
@@ -48,21 +45,3 @@ def test_the_head_of_a_library():
     assert "* sign: 1 V counts from the reference, 1 A into the pin\n" in thermal
     assert parameter_list(params) == "k=2.0 c=1e-09 x=0.0"
     assert (params[0].low, params[0].high) == (-math.inf, math.inf)
-
-
-def test_the_head_of_a_deck_tells_its_parts_and_errors_in_lines_of_98_columns():
-    parts = (Modelled("chip", "", ""), Modelled("ball", "", ""))
-    settings = (Setting("rom.order", 30, None), Setting("solver.reltol", 1e-4, None))
-    left = (Neglected("heat", "", ""), Neglected("air\n.exec", "", ""))
-    found = Plan(parts, (), left, 0.05, settings)
-    assert plan_lines(found).splitlines() == [
-        "* modelled: chip, ball",
-        "* numerical settings (error budget 0.05): rom.order 30, solver.reltol 0.0001",
-        "* left out (sizes: kc2spice explain): heat; air .exec",
-    ]
-    short = plan_lines(replace(found, error_budget=None, left_out=()))
-    assert short.splitlines()[1].startswith("* numerical settings (error not estimated): rom")
-    assert "left out" not in short
-    long = plan_lines(Plan((), (), (Neglected("xx" + 200 * " x", "", ""),), None, ())).splitlines()
-    assert [len(line) for line in long[:-1]] == [98, 97, 97, 97]  # an even number, an odd one
-    assert all(line.startswith("*   x x") for line in long[1:])
