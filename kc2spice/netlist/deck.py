@@ -177,7 +177,6 @@ class Deck:
         if self.initial:
             yield "* Nothing holds these nodes before the run begins."
             yield " ".join((".ic", *(f"v({n})={number(v)}" for n, v in self.initial.items())))
-            yield ""
         for option in self.options:
             yield from (f"* {option.key}: {comment(option.reason)}", option.card)
         yield self.command.card
