@@ -370,6 +370,40 @@ def reduce(
 
 
 @app.command(cls=_Command)
+def fit(
+    target: Annotated[str, typer.Argument(metavar="SCENE:PART", help="A body of a scene.")],
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt.")
+    ],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY[=LOW:HIGH]",
+            help="A key below the part, such as layers[0].thickness or damping.quality, and its "
+            "range in SI; else 30 % about the scene's value, ten times of losses. Repeatable.",
+        ),
+    ] = None,
+    out: Out = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Vary keys of a body until its impedance is the measured one.
+
+    Every evaluation is a finite element model, so a fit takes minutes. Writes fit.toml with the
+    values into DIR (default: ./PART_fit).
+    """
+    from kc2spice.cli.tables import show_fit
+    from kc2spice.workflow.fit import fit as fit_study
+
+    with shown_progress(quiet) as progress:
+        found = fit_study(target, data, vary or (), out, progress)
+    if as_json:
+        print(json.dumps(found))
+    elif not quiet:
+        show_fit(found)
+
+
+@app.command(cls=_Command)
 def bench(
     scene: Scene,
     error: Annotated[

@@ -202,3 +202,25 @@ def show_findings(findings: Iterable[Finding]) -> None:
         for f in findings
     ]
     print_table("doctor", rows, header=("", "what", "found", "fix"))
+
+
+def show_fit(found: Mapping[str, Any]) -> None:
+    """What ``fit`` found."""
+    rows = [
+        (
+            key,
+            f"{each['value']:.6g} +- {each['sigma']:.2g}" + " at its bound" * each["at_bound"],
+        )
+        for key, each in found["parameters"].items()
+    ]
+    print_table("fitted", rows)
+    rows = [
+        ("deviation of |Z|", f"{found['error']['rms']:.2g} rms, {found['error']['largest']:.2g}"),
+        ("noise of the data", f"{found['noise']:.2g}"),
+        ("ends of all starts", ", ".join(f"{each['cost']:.4g}" for each in found["starts"])),
+        ("values", str(found["overrides"])),
+    ]
+    for each in found["undetermined"]:
+        told = ", ".join(f"{weight:+.2f} log {key}" for key, weight in each.items())
+        rows.append(("not determined", told))
+    print_table("fit", rows)

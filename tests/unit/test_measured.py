@@ -10,6 +10,7 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
+from kc2spice.workflow.fit import fit
 from kc2spice.workflow.reduce import first_deck, reduce
 
 F = np.linspace(40e3, 80e3, 401)
@@ -110,3 +111,27 @@ def test_a_measurement_becomes_a_circuit_within_its_stated_deviation(tmp_path):
     assert np.abs(waves["anode.current"] / Y - 1).max() == pytest.approx(
         found["error_estimate"], rel=1e-3
     )
+
+
+@pytest.mark.slow
+def test_a_fit_finds_the_values_that_made_the_data(tmp_path, monkeypatch):
+    monkeypatch.setattr("kc2spice.workflow.fit.STARTS", 1)  # three take a minute
+    true = {"layers[0].thickness": 0.21e-3, "damping.quality": 70.0}
+    scene = tmp_path / "buzzer.toml"
+    scene.write_text(
+        '[disc]\npart = "disc"\n'
+        'layers = [{ material = "brass", diameter = 20e-3, thickness = 0.2e-3 },'
+        ' { material = "PZT-5A", diameter = 14e-3, thickness = 0.22e-3 }]\n'
+        "damping = { quality = 50 }\n"
+    )
+    model = kc.build(kc.load_scene(scene, {f"disc.{k}": v for k, v in true.items()}))["disc"]
+    f = np.linspace(3e3, 9e3, 60)
+    Y = 2j * np.pi * f * model.select(["anode"]).transfer(f)[:, 0, 0]
+    draw = np.random.default_rng(3).normal(size=(2, 60))
+    Y = Y * (1 + 0.01 * (draw[0] + 1j * draw[1]))
+    path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", f, Y.real, Y.imag)
+    found = fit(f"{scene}:disc", path, list(true), tmp_path / "out")
+    assert found["identifiable"]
+    for key, value in true.items():
+        one = found["parameters"][key]
+        assert abs(one["value"] - value) < 3 * one["sigma"] < 0.1 * value

@@ -18,7 +18,8 @@ from kc2spice.bodies.readers.limits import guarded, present, refused
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded
 
-MAX_BYTES = 50_000_000
+MAX_BYTES = 20_000_000
+MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
 FEWEST = 12  # frequencies: four numbers of one resonance and its noise
 ACTIVE = 0.05  # of |Z|: a resistance so far below zero at a tenth of the points is no noise
 HINT = "name the columns in a header, such as: frequency_hz, real_ohm, imag_ohm"
@@ -108,6 +109,9 @@ def read_measured(path: Path) -> Measured:
     if len(kept) < FEWEST:
         raise refused(path, f"{len(kept)} frequencies", f"at least {FEWEST}", "measure more points")
     found = Measured(path.stem, str(path), f[kept], Y[kept], notes)
+    if len(kept) > MOST:
+        hint = "leave out points between resonances"
+        raise refused(path, f"{len(kept)} frequencies", f"at most {MOST}", hint)
     _require_passive(found)
     return found
 
