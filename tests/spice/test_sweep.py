@@ -180,6 +180,3 @@ def test_a_killed_worker_loses_no_point(undisturbed, tmp_path):
     said = process.communicate(timeout=240)[1]
     assert process.returncode == 0, said
     assert (out / "sweep.csv").read_bytes() == undisturbed
-
-
-# --- what travels -------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """What a sweep would run: ranges in their units, draws, points in order, shared models."""
 
-import itertools
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -105,16 +103,6 @@ def test_mistakes_are_found_before_anything_is_run(sets, options, word):
 
 
 # --- points -------------------------------------------------------------------------------------
-
-
-def test_crossing_is_the_product_with_the_last_key_fastest():
-    found = points("control.kp=1,2", "control.kd=1,2,3")
-    assert found == list(itertools.product((1.0, 2.0), (1.0, 2.0, 3.0)))
-
-
-def test_zipping_steps_together():
-    found = points("control.kp=1,2,3", "control.kd=4:6:3", zipped=True)
-    assert found == [(1.0, 4.0), (2.0, 5.0), (3.0, 6.0)]
 
 
 def test_draws_are_joint_and_crossed_with_grids():

@@ -3,8 +3,6 @@
 import contextlib
 import csv
 import sqlite3
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -52,26 +50,6 @@ def test_rows_are_sorted_and_exact(tmp_path):
     assert [row["status"] for row in rows] == ["ok"] * 2 + ['failed: stopped, at "x" 2'] + [
         "ok"
     ] * 3
-
-
-def test_rows_survive_a_process_that_is_killed(tmp_path):
-    """A writer that ends without closing anything leaves whole rows, all of them."""
-    path = tmp_path / "rows"
-    code = (
-        "import os\nfrom pathlib import Path\n"
-        "from kc2spice.workflow.sweep.point import Outcome\n"
-        "from kc2spice.workflow.sweep.table import RowStore\n"
-        f"store = RowStore(Path({str(path)!r}), 6, 'd')\n"
-        "for k in range(4):\n"
-        "    store.record(k, Outcome({'x': 0.1 * k}, {}, 'no' if k == 2 else None))\n"
-        "os.kill(os.getpid(), 9)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
-    with opened(path) as store:
-        assert list(np.flatnonzero(store.state == MISSING)) == [4, 5]
-        found = [(each.metrics["x"], each.failure) for _, each in store.outcomes()]
-        assert found == [(0.0, None), (0.1, None), (0.2, "no"), (0.1 * 3, None)]
-        assert store.failed == 1
 
 
 def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
