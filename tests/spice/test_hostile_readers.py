@@ -54,7 +54,9 @@ def test_small_files_that_declare_too_much_end_in_time_and_memory(rest, tmp_path
     }
     assert not wrong, json.dumps(wrong, indent=1)[:4000]
     assert len(last["found"]) > 3 * len(names)
-    assert last["memory"] < 1e9
+    # All commands in one process: their libraries and what they leave behind take up to 1.1 GB
+    # where other tests run beside; what a file declares would be tens of times as much.
+    assert last["memory"] < 2e9
 
 
 @pytest.mark.slow
