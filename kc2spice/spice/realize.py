@@ -69,6 +69,7 @@ _RESONATORS = f"""{_OUTWARDS[0]}
 *
 *     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
 *
+* A mode below {{silent:g}} of every port's largest share is left out: no port moves or feels it.
 * Modes from {{full}} times the lowest frequency on sit on 1 uF, slower ones on less by its power \
 {{power}}: {_NOTES}#capacitances-of-modes
 * The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
@@ -488,12 +489,7 @@ def _resonators(
     farad = STATE * np.minimum(1.0, (omega / (watch.full * slowest)) ** watch.power)
     siemens = np.where(heavy, farad * omega, SIEMENS)
     drive = siemens[:, None] * scale * gain / (omega[:, None] ** 2 * MICRO)
-    about = _RESONATORS.format(full=watch.full, power=watch.power).split("\n")
-    if kept.order < model.order:
-        silent = (
-            f"* Left out: {model.order - kept.order} of the reduced model's modes, which no port"
-        )
-        about.insert(-2, f"{silent} moves or feels.")
+    about = _RESONATORS.format(full=watch.full, power=watch.power, silent=SILENT).split("\n")
     wired = _wired(terminals, states, rom.D, rom, base)
     body = _conservative(
         [replace(t, sums=()) if t.clamped else t for t in wired], base, watch.share
