@@ -35,7 +35,7 @@ from kc2spice.scene.parttype import (
     Rest,
     Surface,
     Vector,
-    time_scales,
+    numerics,
 )
 from kc2spice.scene.plausible import dimensions, layers
 from kc2spice.scene.settings import Rom
@@ -223,14 +223,14 @@ class LinearBody(PartType):
         """Where nothing is said: a tolerance over the band that the analysis sees.
 
         That is the range of ``ac`` and a fifth more. In a transient it is what the scene excites,
-        see :meth:`PartType.time_scales`, as far as the body's first :data:`MOTIONS` natural
+        see :meth:`PartType.numerics`, as far as the body's first :data:`MOTIONS` natural
         frequencies reach. A thousandth is a tenth of what meshes are off, and above what rounding
         does to a thin plate that is free to move (some 1e-4 at its resonances).
         """
         if scene.analysis.type == "ac":
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             return Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
-        rows = time_scales(scene)
+        rows = numerics(scene)
         content = max((row.content for row in rows), default=0.0)
         return Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
 
@@ -240,7 +240,7 @@ class LinearBody(PartType):
         chosen = getattr(part.keys, "rom", None) or "rom" in scene.frame.model_fields_set
         if chosen or scene.analysis.type != "transient":
             return None
-        rows = time_scales(scene)
+        rows = numerics(scene)
         return max([LEAST, *(row.content for row in rows if math.isfinite(row.step))])
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
@@ -332,7 +332,7 @@ class LinearBody(PartType):
         except UsageError:  # no resonance in the range: nothing to read off but the curve
             return figures
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         model: LinearModel = build.model(part)
         found = model.certificate
         if found is not None:
@@ -343,6 +343,9 @@ class LinearBody(PartType):
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
         if "time" not in waves:
             return
+        if (known := self._recorded(part, build, waves)) is not None:
+            pressed = self.coarse(part, build.scene)
+            yield chipbook.balance(part.name, *known, pressed=pressed)
         if found is not None:
             yield from self._excited(part, build, waves, found)
         yield from _charge_kept(part, build)
@@ -362,7 +365,7 @@ class LinearBody(PartType):
         of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
         excites more than any drive."""
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
-        rows = time_scales(scene)
+        rows = numerics(scene)
         if any(row.decides for row in rows):
             lowest = build.model(part).facts.get("resonance_short_hz")
             if lowest is not None:
@@ -382,17 +385,10 @@ class LinearBody(PartType):
             content = float(slope / (np.pi * np.ptp(voltage)))
             yield Check(name, content, high, "Hz", STEEP, "warn")
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
-        found = self._recorded(part, build, waves)
-        pressed = self.coarse(part, build.scene)
-        return None if found is None else chipbook.balance(part.name, *found, pressed=pressed)
-
     def _recorded(
         self, part: Part, build: Build, waves: Waveforms
     ) -> tuple[Resonators, Waveforms, dict[str, np.ndarray]] | None:
-        """Its modes, the run and the forces on its ports, where all loads were recorded."""
-        if "time" not in waves:
-            return None
+        """Its modes, the transient and the forces on its ports, where all loads were recorded."""
         modal = modal_form(build.model(part))
         kinds = {port.kind for port in self.kept(part, build.scene)}
         if modal is None or not kinds <= {"electrical", "mechanical"}:
@@ -559,10 +555,13 @@ def aim(rom: Rom) -> str:
 def wanted(part: Part, scene: Scene) -> set[str]:
     """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
     prefix = f"{part.name}."
+    assert isinstance(part.type, LinearBody)
     found = set(part.pins)
     for other in scene.parts.values():
-        names = (*other.pins.values(), *other.type.required_joins(other, scene))
+        names = (*other.pins.values(), *other.type.default_joins(other, scene).values())
         found |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+        if part.name in other.type.replaces(other, scene):  # copies of it, with loads on all ports
+            found |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
         if probe.of.startswith((f"{prefix}u.", f"{prefix}angle.", f"{prefix}a.")):
             found.add(probe.of.rpartition(".")[2])
@@ -571,8 +570,9 @@ def wanted(part: Part, scene: Scene) -> set[str]:
 
 def massless(part: Part, scene: Scene) -> bool:
     """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
-    rows = (row for p in scene.parts.values() for row in p.type.required_joins(p, scene).items())
-    return any(without and port.startswith(f"{part.name}.") for port, without in rows)
+    found = (c for c in scene.of("contact") if c.keys.inertia == "massless")
+    targets = (target for c in found for target in c.type.default_joins(c, scene).values())
+    return any(target.startswith(f"{part.name}.") for target in targets)
 
 
 def part_starts_moving(part: Part, scene: Scene) -> bool:

@@ -26,7 +26,7 @@ from kc2spice.parts import _chipbook as chipbook
 from kc2spice.parts._linear_body import BodyKeys, LinearBody
 from kc2spice.parts._pictures import deformed, shapes
 from kc2spice.rom.linear import LinearModel
-from kc2spice.scene.judge import Check
+from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
 
@@ -124,7 +124,7 @@ class MeshedBody(LinearBody):
                 found[f"{quantity}_limit_{_slug(each.material)}_{unit}"] = each.limit
         return found | {"worst_stress_time_s": recovered.worst.instant}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
         recovered = self.recovered(part, build, waves)
         for each in recovered.extremes if recovered else ():

@@ -36,11 +36,11 @@ from kc2spice.scene.parttype import (
     Build,
     LocalCompliance,
     Neglected,
+    Numerics,
     PartType,
     Penetration,
     Rest,
     Surface,
-    TimeScale,
     Vector,
     begins,
     mover,
@@ -140,11 +140,6 @@ class Contact(PartType):
         joins = _meets(first, a, scene) | _meets(("v", "bottom") if b.rigid else ("b",), b, scene)
         return joins | ({CARRIED: f"{b.elastic}.{PATCH}"} if b.elastic else {})
 
-    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
-        return dict.fromkeys(
-            self.default_joins(part, scene).values(), part.keys.inertia == "massless"
-        )
-
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         a, b = sides(part, scene)
@@ -153,13 +148,13 @@ class Contact(PartType):
             held += [(port, "b") for port in kept_ports(part, scene)]
         return Rest(tuple(held))
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
         that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = DAMPED if part.keys.damping else CURVED if curved else 1.0
         what = "contact, as far as a body has motions"
-        yield TimeScale(what, content=EXCITED, reltol=reltol)
+        yield Numerics(what, content=EXCITED, reltol=reltol)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         a, b = sides(part, scene)
@@ -232,16 +227,14 @@ class Contact(PartType):
             "launch_time_s": launch[0] if launch else None,
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
         if "time" in waves:
+            yield from _balance(part, build, waves)
             yield from _start(part, build, waves)
             yield from _penetration(part, build, waves)
             yield from _events(part, build, waves)
         yield from _open_ports(part, build, waves)
         yield from _within_law(part, build, waves)
-
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
-        return _balance(part, build, waves) if "time" in waves else None
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         force = waves.data.get(f"{part.name}.force")
@@ -682,7 +675,7 @@ def _place(part: Part, build: Build, waves: Waveforms) -> np.ndarray | None:
     return None if dent_ is None else found + dent_
 
 
-def _balance(part: Part, build: Build, waves: Waveforms) -> Balance | None:
+def _balance(part: Part, build: Build, waves: Waveforms) -> Iterator[Balance]:
     """Work that closes the springs against what they store, and what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
@@ -692,7 +685,7 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> Balance | None:
     place, ports = _place(part, build, waves), kept_ports(part, build.scene)
     heights = [each for port in ports if (each := _height(a, port, waves)) is not None]
     if place is None or len(heights) < len(ports):
-        return None
+        return
     closing = np.array(heights) - place  # as all of these (ports, n)
     force, p = np.array([waves[f"{part.name}.force.{port}"] for port in ports]), own.power
     elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * own.stiffness ** (1 / p))
@@ -708,7 +701,7 @@ def _balance(part: Part, build: Build, waves: Waveforms) -> Balance | None:
         entries["damped in the contact"] = float(lost.sum())
     scale = max(turnover, resting, _kinetic(b.part, build, waves))
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-    return Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
+    yield Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
 
 
 def _kinetic(other: str, build: Build, waves: Waveforms) -> float:

@@ -43,7 +43,6 @@ class PointMass(PartType):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
     source = "closed form"
     fixed = (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
-    heavy = True
     example = """
 [mass]
 part = "mass"

@@ -191,9 +191,6 @@ class Pid(PartType):
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
-    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
-        return dict.fromkeys(self.default_joins(part, scene).values(), False)
-
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         keys, coils = part.keys, _coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max

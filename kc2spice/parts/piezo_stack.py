@@ -28,9 +28,9 @@ from kc2spice.scene.parttype import (
     Build,
     LocalCompliance,
     Neglected,
+    Numerics,
     Penetration,
     Surface,
-    TimeScale,
     register,
 )
 from kc2spice.scene.plausible import within
@@ -201,7 +201,7 @@ class PiezoStack(MeshedBody):
             modulus=modulus,
         )
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.
 
         A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
@@ -218,7 +218,7 @@ class PiezoStack(MeshedBody):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
-        yield TimeScale(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
+        yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
     def coarse(self, part: Part, scene: Scene) -> bool:
         """Its ringing is what strikes the sphere if the kick begins downwards."""

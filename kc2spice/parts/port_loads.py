@@ -46,12 +46,6 @@ class PortLoads(PartType):
     def excites(self, part: Part, scene: Scene) -> bool:
         return True
 
-    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
-        body = body_of(part, scene)
-        surface = body.type.surface(body, scene)
-        ports = surface.ports if surface else ()
-        return {f"{body.name}.{port}": False for port in ports}
-
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:

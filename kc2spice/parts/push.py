@@ -15,7 +15,7 @@ from kc2spice.parts.contact import unresolved
 from kc2spice.parts.throw import sectors, sphere
 from kc2spice.scene.judge import Gate, Measure
 from kc2spice.scene.model import Analysis, Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Penetration, Swept, Vector, register
+from kc2spice.scene.parttype import Build, Numerics, PartType, Penetration, Swept, Vector, register
 
 
 class PushKeys(Section):
@@ -68,17 +68,15 @@ class Push(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.depth": Vector(f"v({build.net(part, 'bottom')})", -1e-6, "m")}
 
-    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         contact = scene.only("contact")
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if contact is not None and contact.keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"
         pivots = "rings close during the sweep; pivots of an open ring lose half the digits"
-        return {
-            "reltol": last,
-            "vntol": ("1e-12", "displacements to a picometre's millionth"),
-            "pivrel": ("0.9", pivots),
-        }
+        near = "1e-12", "displacements to a picometre's millionth"
+        options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
+        yield Numerics("imprint", options=options)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         """Force of one symmetry sector at each depth, and the largest."""

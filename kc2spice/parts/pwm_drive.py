@@ -16,7 +16,7 @@ from kc2spice.parts._drivers import CARRIER, CoilDriver, Load, parameters
 from kc2spice.parts.pid import SENSE
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, TimeScale, register
+from kc2spice.scene.parttype import Build, Numerics, register
 from kc2spice.spice.header import Header
 
 SHUNT = 1.0  # Ohm, in the return
@@ -55,9 +55,9 @@ class PwmDrive(CoilDriver):
             c1=load.inductance / resistance / r2,
         )
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
+    def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
-        return (TimeScale(f"a tenth of a period of the carrier of {part.name}", 0.1 / f, 1 / edge),)
+        return (Numerics(f"a tenth of a period of the carrier of {part.name}", 0.1 / f, 1 / edge),)
 
     def limits(
         self, part: Part, build: Build, time: np.ndarray, wave: Mapping[str, np.ndarray]

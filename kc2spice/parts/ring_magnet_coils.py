@@ -615,7 +615,8 @@ def _driven(part: Part, scene: Scene) -> bool:
     joined = (
         target
         for other in scene.parts.values()
-        for target in (*other.pins.values(), *other.type.required_joins(other, scene))
+        if other is not part
+        for target in (*other.pins.values(), *other.type.default_joins(other, scene).values())
     )
     return bool(part.pins) or any(target in targets for target in joined)
 

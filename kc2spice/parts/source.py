@@ -24,10 +24,10 @@ from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
+    Numerics,
     PartType,
     Rest,
     Swept,
-    TimeScale,
     Vector,
     register,
 )
@@ -139,7 +139,7 @@ class Source(PartType):
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         return () if part.keys.file is None else (part.keys.file,)
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
 
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
@@ -225,17 +225,17 @@ class Source(PartType):
         return f"{part.keys.kind}, {shape}"
 
 
-def drive_scales(name: str, wave: Waveform) -> Iterator[TimeScale]:
+def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
     """A sine that is switched on excites more than its own frequency; of an edge see ``EDGE``."""
     if wave.kind == "sine":
         f = wave.frequency
         what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
-        yield TimeScale(what, 1 / (PER_PERIOD * f), HARMONICS * f)
+        yield Numerics(what, 1 / (PER_PERIOD * f), HARMONICS * f)
     elif wave.kind == "linear":
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]
         if moving.size:
-            yield TimeScale(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
+            yield Numerics(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
 
 
 def _unloaded(part: Part, build: Build) -> bool:

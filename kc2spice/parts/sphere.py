@@ -89,7 +89,6 @@ class Sphere(PartType):
         Terminal("y", "um", "-", signal_out=True),
         Terminal("base", "um", "N", "gnd"),
     )
-    heavy = True
 
     def expand(self, part: Part, data: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
         if (given := part.keys.elastic) is None:
@@ -138,7 +137,7 @@ class Sphere(PartType):
     def at_rest(self, part: Part, scene: Scene, model: Any | None = None) -> Rest:
         if _moved(part, scene):
             return Rest()
-        return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else ())
+        return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
         if _moved(part, build.scene):
@@ -171,20 +170,20 @@ class Sphere(PartType):
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
         return found | {"still_rising": True} if rising else found
 
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance]:
         """Work of all forces on the sphere against its kinetic energy.
 
         The scale is all work that was turned over, in whichever direction.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
-            return None
+            return
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         for name, pin in build.scene.joined(part.name, "v"):
             other = build.scene.parts[name]
             found = other.type.force_on(other, pin, build, waves)
             if found is None:
-                return None
+                return
             forces[name] = found
         work = {name: running(f * v, t) for name, f in forces.items()}
         kinetic = mass * (v**2 - v[0] ** 2) / 2
@@ -193,7 +192,7 @@ class Sphere(PartType):
         gap = kinetic - sum(work.values())
         entries["kinetic"] = float(kinetic[-1])
         advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-        return Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
+        yield Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")

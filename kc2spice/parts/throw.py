@@ -23,7 +23,7 @@ from kc2spice.parts.contact import (
 )
 from kc2spice.scene.judge import PAIRS, Gate
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.parttype import Build, PartType, Penetration, State, TimeScale, register
+from kc2spice.scene.parttype import Build, Numerics, PartType, Penetration, State, register
 
 
 class ThrowKeys(Section):
@@ -56,11 +56,11 @@ class Throw(PartType):
     def moves(self, part: Part, scene: Scene) -> Mapping[str, State]:
         return {sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
-    def time_scales(self, part: Part, scene: Scene) -> Iterator[TimeScale]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """What a step may miss shrinks with the speed of the impact."""
         drop = 2.0 * max(scene.gravity, 0.0) * part.keys.gap
         speed = max(1e-3, math.sqrt(part.keys.velocity**2 + drop))
-        yield TimeScale(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
+        yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(self, part: Part, scene: Scene) -> Iterator[Penetration]:
         speed = math.hypot(part.keys.velocity, fall(part.keys.gap, scene.gravity))

@@ -20,7 +20,7 @@ from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, PartType, Rest, Vector
+from kc2spice.scene.parttype import Build, Neglected, Numerics, PartType, Rest, Vector
 
 if TYPE_CHECKING:
     from kc2spice.spice.header import Header
@@ -102,11 +102,11 @@ class DeclaredPart(PartType):
         cards = f".subckt {name} {pins} {parameter_list(params)}\n{body(d)}.ends {name}\n"
         return (Subcircuit(name, self._pins, params, head + cards),)
 
-    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
+    def numerics(self, part: Part, scene: Scene) -> Iterator[Numerics]:
         """Where a sweep begins each point at the one before, Newton's method stops at once."""
-        if self.declaration.linear or scene.analysis.type not in ("dc", "op"):
-            return {}
-        return {"reltol": ("1e-6", "change at which Newton's method stops: nonlinear parts")}
+        if scene.analysis.type in ("dc", "op") and not self.declaration.linear:
+            change = "1e-6", "change at which Newton's method stops: nonlinear parts"
+            yield Numerics(part.name, options={"reltol": change})
 
     # --- results ----------------------------------------------------------------------------
 
@@ -157,7 +157,8 @@ class DeclaredPart(PartType):
 
     # --- what a run says --------------------------------------------------------------------
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        """Its limits, strikes, and what pins bring in against what is stored and lost."""
         d = self.declaration
         known = {} if "frequency" in waves else self._seen(part, waves)
         for what, tree in d.bounds.items():
@@ -172,15 +173,12 @@ class DeclaredPart(PartType):
                 )
 
         if "time" in waves:
+            yield from energies(d, part, known, waves)
             edges = {e for b in d.branches for e in kinks(d.direct(b)) if names(e) & set(known)}
             for tree in edges:
                 met = evaluated(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
-
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
-        """What the pins bring in against what is stored and lost, by the declared physics."""
-        return energies(self.declaration, part, self._seen(part, waves), waves)
 
     def _seen(self, part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates over time, as far as the run has them."""
@@ -204,16 +202,14 @@ def across_pins(build: Build, part: Part, branch: Branch) -> str:
 
 def energies(
     declaration: Declaration, part: Part, seen: Mapping[str, np.ndarray], waves: Waveforms
-) -> Balance | None:
+) -> Iterator[Balance]:
     """The balance of a transient, where all coordinates were recorded and something moves.
 
     What a voltage brings in is ``int v dq``, a current ``int i dl``, and what both turn into heat.
     """
-    if "time" not in waves or set(seen) != set(declaration.coordinates):
-        return None
     time, moved = waves["time"], [b for b in declaration.branches if b.kind == "displacement"]
-    if not moved:
-        return None
+    if not moved or set(seen) != set(declaration.coordinates):
+        return
     rates = {b.name + RATE: np.gradient(seen[b.name], time) for b in declaration.damped}
     known = declaration.values(part.keys) | dict(seen) | rates
 
@@ -234,4 +230,4 @@ def energies(
         "heat": float(heat[-1]),
         "stored": float(stored[-1] - stored[0]),
     }
-    return Balance(entries, float(np.abs(missing).max()), turned, _UNEXPLAINED)
+    yield Balance(entries, float(np.abs(missing).max()), turned, _UNEXPLAINED)

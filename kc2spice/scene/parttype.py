@@ -171,11 +171,12 @@ class StepLimit:
 
 
 @dataclass(frozen=True)
-class TimeScale:
+class Numerics:
     """What a part does in time by itself: the longest ``step`` [s] that resolves it, and the
     ``content`` [Hz] up to which it excites others. A step that ``decides`` stands whatever else the
     scene has. ``reltol`` and ``chgtol`` are factors, 1 or less, of the solver's tolerances that it
-    needs to be as exact as anything else."""
+    needs to be as exact as anything else, ``options`` the simulator's by name: value and reason.
+    """
 
     what: str
     step: float = math.inf
@@ -183,6 +184,7 @@ class TimeScale:
     decides: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
+    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -250,8 +252,6 @@ class PartType:
     reduced: ClassVar[bool] = False
     #: whether its ports are those that the scene's author declares, which an export all keeps
     declares: ClassVar[bool] = False
-    #: whether it has inertia, so that it moves on where nothing holds it
-    heavy: ClassVar[bool] = False
     #: whether it measures a motion and acts on it, which closes a loop
     controls: ClassVar[bool] = False
 
@@ -275,11 +275,6 @@ class PartType:
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
         """Names of the files beside the scene that it reads."""
         return ()
-
-    def required_joins(self, part: Part, scene: Scene) -> Mapping[str, bool]:
-        """Pins of other parts (``"part.pin"``) that :meth:`default_joins` needs, and whether
-        the bodies that they belong to meet something without inertia there."""
-        return {}
 
     def moves(self, part: Part, scene: Scene) -> Mapping[str, State | None]:
         """Parts whose motion it decides: all of it (None), so that they have none of their own, or
@@ -319,16 +314,12 @@ class PartType:
 
     # --- models and netlist --------------------------------------------------------------------
 
-    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any] | None:
-        """What its model depends on; parts with equal keys share a model. None: no model."""
-        return None
-
     def reduction(self, part: Part, scene: Scene) -> Rom | None:
         """Settings of its reduction, None where its model is not a reduced one."""
         return None
 
     def build(self, part: Part, scene: Scene, clock: Any) -> Any:
-        """Its model: fields, reduced matrices, tables; cached by :meth:`model_key`."""
+        """Its model: fields, reduced matrices, tables; cached by all that it depends on."""
         return None
 
     def library(self, part: Part, scene: Scene) -> str:
@@ -364,13 +355,9 @@ class PartType:
         and the function that runs beside the simulator."""
         return {}
 
-    def options(self, part: Part, scene: Scene) -> Mapping[str, tuple[str, str]]:
-        """Simulator options that it needs, with the reason."""
-        return {}
-
-    def time_scales(self, part: Part, scene: Scene) -> Iterable[TimeScale]:
-        """What it does in time: a source's frequency and edges, a carrier, a contact; and how
-        close steps must follow it."""
+    def numerics(self, part: Part, scene: Scene) -> Iterable[Numerics]:
+        """What the simulator needs for it: a source's frequency and edges, a carrier, a contact,
+        how close steps must follow it, and options."""
         return ()
 
     def initial(self, part: Part, build: Build) -> Mapping[str, float]:
@@ -395,22 +382,15 @@ class PartType:
         """Numbers that describe what it did."""
         return {}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check]:
-        """Physics that the simulator was not told."""
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check | Balance]:
+        """Physics that the simulator was not told; after a transient its energy balance too, where
+        the run has all that it needs."""
         return ()
-
-    def energy(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
-        """Its energy balance over a transient, where the run has all that it needs."""
-        return None
 
     def write(self, part: Part, build: Build, waves: Waveforms, folder: Path) -> Iterable[str]:
         """Further files of a run, arrays or fields; writes them into ``folder`` and gives their
         names."""
         return ()
-
-    def sources(self) -> tuple[str, ...]:
-        """Modules whose text its models depend on, for the cache."""
-        return (type(self).__module__,)
 
     def law(self, part: Part, build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
@@ -464,9 +444,9 @@ def begins(scene: Scene) -> dict[str, State]:
     return found
 
 
-def time_scales(scene: Scene) -> list[TimeScale]:
-    """What all parts of a scene do in time."""
-    return [row for part in scene.parts.values() for row in part.type.time_scales(part, scene)]
+def numerics(scene: Scene) -> list[Numerics]:
+    """What all parts of a scene need of the simulator."""
+    return [row for part in scene.parts.values() for row in part.type.numerics(part, scene)]
 
 
 _types: dict[str, PartType] = {}

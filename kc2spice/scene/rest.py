@@ -132,12 +132,13 @@ def _groups(
 def _free(group: frozenset[str], scene: Scene) -> Free:
     ends = (key for key, pin in scene.terminals.items() if pin.moving and scene.nets[key] in group)
     parts = {name: scene.parts[name] for name, _ in ends}
+    rests = {name: part.type.at_rest(part, scene) for name, part in parts.items()}
     pushed = tuple(
         name
-        for name, part in parts.items()
-        if any(scene.nets[name, pin] in group for pin in part.type.at_rest(part, scene).pushed)
+        for name, rest in rests.items()
+        if any(scene.nets[name, pin] in group for pin in rest.pushed)
     )
     bodies = tuple(name for name, part in parts.items() if part.type.reduced)
     nets = tuple(n for n, unit in _moving(scene).items() if n in group and unit == "um")
-    heavy = tuple(name for name, part in parts.items() if part.type.heavy)
+    heavy = tuple(name for name, rest in rests.items() if rest.inert)
     return Free(nets, tuple(parts), heavy, pushed, bodies)

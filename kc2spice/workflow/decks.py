@@ -14,7 +14,7 @@ from kc2spice.netlist.deck import Block, Command, Deck, Option, ac, dc, transien
 from kc2spice.scene.compose import allocated
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import Build, begins, time_scales
+from kc2spice.scene.parttype import Build, begins, numerics
 from kc2spice.scene.plan import plan
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.rest import free, without_equilibrium, without_finite_force
@@ -158,14 +158,10 @@ def _blocks(build: Build) -> Iterator[Block]:
 
 def _options(build: Build) -> Iterable[Option]:
     scene = build.scene
-    own = [
-        Option(key, value, reason)
-        for part in scene.parts.values()
-        for key, (value, reason) in part.type.options(part, scene).items()
-    ]
+    solver, rows = scene.solver, numerics(scene)
+    own = [Option(key, *why) for row in rows for key, why in row.options.items()]
     if scene.analysis.type != "transient":
         return own
-    solver, rows = scene.solver, time_scales(scene)
     reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
     chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
     return [

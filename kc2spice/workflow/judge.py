@@ -23,9 +23,9 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     """The checks that apply to the parts of a scene, without those that it turns off."""
     scene = build.scene
     parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
-    checks = [check for part in parts for check in part.type.checks(part, build, waves)]
-    drawn = {part.name: part.type.energy(part, build, waves) for part in parts}
-    balances = {name: found for name, found in drawn.items() if found is not None}
+    rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
+    checks = [row for _, row in rows if isinstance(row, Check)]
+    balances = {name: row for name, row in rows if isinstance(row, Balance)}
     checks += step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}

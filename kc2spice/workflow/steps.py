@@ -21,7 +21,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.words import quantity
 from kc2spice.scene.judge import Balance, Check
-from kc2spice.scene.parttype import Build, StepLimit, Vector, time_scales
+from kc2spice.scene.parttype import Build, StepLimit, Vector, numerics
 from kc2spice.workflow.meters import result_vectors
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def largest_step(build: Build) -> StepLimit:
     scene = build.scene
     if scene.solver.max_step is not None:
         return StepLimit(scene.solver.max_step, "set by solver.max_step")
-    scales = time_scales(scene)
+    scales = numerics(scene)
     decided = [row for row in scales if row.decides]
     if decided:
         row = min(decided, key=lambda row: row.step)
@@ -190,7 +190,7 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
-    decided = any(row.decides for row in time_scales(scene))
+    decided = any(row.decides for row in numerics(scene))
     known = not decided and not build.unjudged
     worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:

@@ -10,6 +10,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.reference.integrate import transient
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import Build
+from kc2spice.workflow.judge import verdict
 from kc2spice.workflow.verify.circuit import circuits, solve
 
 EPS = 8.8541878188e-12
@@ -123,10 +124,11 @@ def test_a_force_that_is_off_is_in_the_balance():
     """Of the stop of a plate, by a hundredth; the run itself keeps 1e-3 of what is turned over."""
     scene = load_scene("plate_pull_in", {"solver.stop": "6 ms"})
     waves = kc.run(scene).waves
-    part, build = scene.parts["plate"], Build(scene, {})
-    good = part.type.energy(part, build, Waveforms(dict(waves), {}))
+    build = Build(scene, {})
     wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
-    bad = part.type.energy(part, build, Waveforms(wrong, {}))
+    good, bad = (
+        dict(verdict(Waveforms(data, {}), build).balances)["plate"] for data in ({**waves}, wrong)
+    )
     assert good.share < good.limit < bad.share
 
 

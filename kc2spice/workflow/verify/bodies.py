@@ -15,6 +15,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Subcircuit
 from kc2spice.netlist.deck import Block, Deck, ac
+from kc2spice.parts._linear_body import LinearBody
 from kc2spice.report.verify_page import Findings, responses
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.rom.modal import resonators
@@ -270,7 +271,8 @@ def _copy(
 
 def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
     """The full model's response, kept for scenes that share the body."""
-    key = part.type.model_key(part, build.scene) or {}
+    assert isinstance(part.type, LinearBody)
+    key = part.type.model_key(part, build.scene)
     depends = {
         "body": {k: v for k, v in key.items() if k != "rom"},
         "frequency": at.tolist(),
