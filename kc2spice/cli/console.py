@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -25,6 +28,32 @@ if TYPE_CHECKING:  # rich is imported where it is used, to keep --help quick
 COLUMNS = 80  # of what is piped
 _EVERY = 10.0  # s between two lines of progress of one stage
 INTERRUPTED = 130  # what a shell reports after Ctrl-C
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who gave a command: a program that asked for JSON, a person, or one who wants it quiet."""
+
+    as_json: bool
+    quiet: bool
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """Shows the progress of a block."""
+        return shown_progress(self.quiet)
+
+    def note(self, text: str) -> None:
+        """A line beside the answer."""
+        if not self.quiet:
+            print(text, file=sys.stderr)
+
+    def answer(self, record: Any, show: Callable[[], None], out: Path | None = None) -> None:
+        """``record`` and its directory ``out`` as JSON, or what ``show`` prints of it."""
+        if self.as_json:
+            print(
+                json.dumps(record if out is None else {**record, "directory": str(out.absolute())})
+            )
+        elif not self.quiet:
+            show()
 
 
 @contextmanager

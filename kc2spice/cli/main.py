@@ -5,31 +5,21 @@ reason no annotation here is postponed: typer evaluates each such text three tim
 """
 
 import gc
-import json
+import inspect
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
-from kc2spice.cli.console import INTERRUPTED, print_table, reported_errors, shown_progress
-from kc2spice.cli.options import AnyScene, AsJson, Out, Quiet, Scene, Set, Trust
-from kc2spice.core.errors import GateMissedError, SimulationError, UsageError
+from kc2spice.cli.console import INTERRUPTED, Caller, print_table, reported_errors
+from kc2spice.cli.options import PARAMETERS
+from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.version import __version__
-
-
-class _Command(TyperCommand):
-    """A command whose exceptions become one message and an exit code."""
-
-    def invoke(self, ctx: Any) -> Any:
-        with reported_errors():
-            return super().invoke(ctx)
-
 
 app = typer.Typer(
     name="kc2spice",
@@ -90,41 +80,40 @@ def _common(
     pass
 
 
-def _answer(
-    record: Mapping[str, Any], out: Path, as_json: bool, quiet: bool, show: Callable[[], None]
-) -> None:
-    """The record of a command as JSON, or what ``show`` prints of it."""
-    if as_json:
-        print(json.dumps({**record, "directory": str(out.absolute())}))
-    elif not quiet:
-        show()
+def _command(function: Callable[..., None]) -> Callable[..., None]:
+    """Makes a command of ``function(caller, …)``: its options are those of ``PARAMETERS`` and the
+    caller's ``--json`` and ``--quiet``, its exceptions one message and an exit code."""
+
+    def call(as_json: bool, quiet: bool, **words: Any) -> None:
+        with reported_errors():
+            function(Caller(as_json, quiet), **words)
+
+    name = call.__name__ = function.__name__
+    call.__doc__ = function.__doc__
+    _, *own = inspect.signature(function).parameters.values()
+    flags = inspect.signature(call).parameters
+    common = [flags[each].replace(default=False) for each in ("as_json", "quiet")]
+    call.__annotations__ = {}
+    parameters = []
+    for each in (*own, *common):
+        info = PARAMETERS.get(f"{name}.{each.name}") or PARAMETERS[each.name]
+        call.__annotations__[each.name] = Annotated[each.annotation, info]
+        parameters.append(each.replace(annotation=Annotated[each.annotation, info]))
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    app.command()(call)
+    return function
 
 
-@app.command(cls=_Command)
+@_command
 def run(
-    scene: Scene,
-    out: Out = None,
-    set_: Set = None,
-    deck: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Run this netlist, edited by hand, instead of SCENE's own; same metrics, checks "
-            "and plots.",
-        ),
-    ] = None,
-    png: Annotated[
-        bool, typer.Option("--png", help="Write the report's figures as PNG files too.")
-    ] = False,
-    keep: Annotated[
-        bool,
-        typer.Option(
-            "--keep", help="Keep the simulator's raw file, for waveform viewers, and its log."
-        ),
-    ] = False,
-    trust: Trust = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    scene: str,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    deck: Path | None = None,
+    png: bool = False,
+    keep: bool = False,
+    trust: bool = False,
 ) -> None:
     """Build, reduce, export and simulate SCENE.
 
@@ -136,36 +125,23 @@ def run(
 
     loaded = load_scene(scene, set_ or [])
     out = out or Path(loaded.name)
-    with shown_progress(quiet) as progress:
+    with caller.progress() as progress:
         found = study.run(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
-    _answer(found, out, as_json, quiet, lambda: show_result(found, out))
+    caller.answer(found, lambda: show_result(found, out), out)
 
 
-@app.command(cls=_Command)
+@_command
 def export(
-    scene: AnyScene = None,
-    out: Out = None,
-    set_: Set = None,
-    dialect: Annotated[
-        str, typer.Option(help="Language to write: ngspice, xyce, ltspice or verilog-a.")
-    ] = "ngspice",
-    trust: Trust = False,
-    tolerance: Annotated[
-        float | None, typer.Option(help="Short for --set rom.tolerance=X.", metavar="X")
-    ] = None,
-    count: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="An array: N copies of SCENE in one deck, no symbols."),
-    ] = None,
-    rom: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Reduced model of 'reduce' instead of a scene."),
-    ] = None,
-    dense: Annotated[
-        bool, typer.Option("--dense", help="With --rom: couple all states instead of blocks.")
-    ] = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    scene: str | None = None,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    dialect: str = "ngspice",
+    trust: bool = False,
+    tolerance: float | None = None,
+    count: int | None = None,
+    rom: Path | None = None,
+    dense: bool = False,
 ) -> None:
     """Write netlists of SCENE, or of a reduced model; no simulation."""
     if rom is not None:
@@ -184,34 +160,23 @@ def export(
         short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         loaded = load_scene(scene, [*(set_ or []), *short])
         out, head = out or Path(loaded.name), {"scene": loaded.name}
-        with shown_progress(quiet) as progress:
+        with caller.progress() as progress:
             files = write(loaded, out, dialect, progress, trust=trust, count=count)
     record = {**head, "files": [path.name for path in files]}
     rows = [(str(path),) for path in files]
-    _answer(record, files[0].parent, as_json, quiet, lambda: print_table("files", rows))
+    caller.answer(record, lambda: print_table("files", rows), files[0].parent)
 
 
-@app.command(cls=_Command)
+@_command
 def verify(
-    scene: AnyScene = None,
-    all_: Annotated[bool, typer.Option("--all", help="Verify every built-in scene.")] = False,
-    full: Annotated[
-        bool,
-        typer.Option(
-            "--full",
-            help="Follow full models 100 times as long, if need be to the scene's end, and solve "
-            "large ones at all frequencies.",
-        ),
-    ] = False,
-    deck: Annotated[
-        Path | None,
-        typer.Option("--deck", metavar="FILE", help="Take SCENE's deck from disk, as it stands."),
-    ] = None,
-    out: Out = None,
-    set_: Set = None,
-    trust: Trust = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    scene: str | None = None,
+    all_: bool = False,
+    full: bool = False,
+    deck: Path | None = None,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    trust: bool = False,
 ) -> None:
     """Check SCENE three ways: full model, reduced model, emitted netlist.
 
@@ -227,17 +192,17 @@ def verify(
     loaded = [load_scene(name, set_ or []) for name in ([scene] if scene else gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     shipped = None if deck is None else read_deck(deck)
-    with shown_progress(quiet) as progress:
+    with caller.progress() as progress:
         found = verify_scenes(loaded, out, full=full, deck=shipped, trust=trust, progress=progress)
     passed = all(record["passed"] for record in found.values())
     record = {"passed": passed, "scenes": found} if all_ else next(iter(found.values()))
-    _answer(record, out, as_json, quiet, lambda: show_verdicts(found, out))
+    caller.answer(record, lambda: show_verdicts(found, out), out)
     if not passed:
         raise typer.Exit(GateMissedError.exit_code)
 
 
-@app.command(cls=_Command)
-def explain(scene: Scene, set_: Set = None, as_json: AsJson = False) -> None:
+@_command
+def explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """Say what is modelled, its numerical settings, what was left out and why."""
     from dataclasses import asdict
 
@@ -249,28 +214,16 @@ def explain(scene: Scene, set_: Set = None, as_json: AsJson = False) -> None:
     from kc2spice.workflow.models import build_models
 
     loaded = load_scene(scene, set_ or [])
-    timed = loaded.analysis.type == "transient"
-    build = build_models(loaded, Clock()) if timed else None
+    build = build_models(loaded, Clock()) if loaded.analysis.type == "transient" else None
     limit = None if build is None else build.largest
     found, digest = plan(loaded, build), scene_hash(loaded)
-    if as_json:
-        step = None if limit is None else {"s": limit.step, "why": limit.why}
-        head = {"scene": loaded.name, "hash": digest, "largest_step": step}
-        print(json.dumps({**head, **asdict(found)}))
-    else:
-        show_plan(loaded, digest, found, limit)
+    step = None if limit is None else {"s": limit.step, "why": limit.why}
+    record = {"scene": loaded.name, "hash": digest, "largest_step": step, **asdict(found)}
+    caller.answer(record, lambda: show_plan(loaded, digest, found, limit))
 
 
-@app.command(cls=_Command)
-def scenes(
-    keys: Annotated[
-        bool, typer.Option("--keys", help="List every key that a scene may have instead.")
-    ] = False,
-    parts: Annotated[
-        bool, typer.Option("--parts", help="List part types with their pins and keys instead.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
+@_command
+def scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, all scene keys, or all part types."""
     from dataclasses import asdict
 
@@ -283,20 +236,15 @@ def scenes(
         raise UsageError("give either --keys or --parts", where="scenes")
     if keys or parts:
         found: list[Any] = list(scene_keys() if keys else part_docs())
-        if as_json:
-            print(json.dumps([asdict(each) for each in found]))
-        else:
-            (show_keys if keys else show_parts)(found)
+        show = show_keys if keys else show_parts
+        caller.answer([asdict(each) for each in found], lambda: show(found))
         return
     titles = {name: load_scene(name).title for name in gallery()}
-    if as_json:
-        print(json.dumps(titles))
-    else:
-        print_table("scenes", list(titles.items()))
+    caller.answer(titles, lambda: print_table("scenes", list(titles.items())))
 
 
-@app.command(cls=_Command)
-def doctor(as_json: AsJson = False) -> None:
+@_command
+def doctor(caller: Caller) -> None:
     """Check ngspice and libraries; print the fix for what is missing."""
     from dataclasses import asdict
 
@@ -304,52 +252,21 @@ def doctor(as_json: AsJson = False) -> None:
     from kc2spice.cli.tables import show_findings
 
     findings = list(examine())
-    if as_json:
-        print(json.dumps({"findings": [asdict(finding) for finding in findings]}))
-    else:
-        show_findings(findings)
+    record = {"findings": [asdict(finding) for finding in findings]}
+    caller.answer(record, lambda: show_findings(findings))
     if any(finding.needed and not finding.ok for finding in findings):
-        raise typer.Exit(3)
+        raise typer.Exit(MissingToolError.exit_code)
 
 
-@app.command(cls=_Command)
+@_command
 def reduce(
-    model: Annotated[
-        str,
-        typer.Argument(
-            metavar="MODEL",
-            help="NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A "
-            ".B .C .D .E; heat .E .K), also NAME_K.mtx; a .npz or .mat file with such matrices; "
-            "files of Abaqus, CalculiX, Nastran, Ansys; SCENE:PART for a scene's body; a measured "
-            "impedance of one port (.s1p, .csv, .txt), which becomes a passive circuit. NAME.toml "
-            "beside it names ports, units, supports and band; docs/matrices.md lists its keys.",
-        ),
-    ],
-    out: Out = None,
-    band: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="F0 F1",
-            help="Hz; default: that of NAME.toml, else up to the fifth natural frequency.",
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="Largest relative error over the band; default: 1e-4."),
-    ] = None,
-    order: Annotated[
-        int | None, typer.Option(metavar="Q", help="Number of states instead of a tolerance.")
-    ] = None,
-    norm: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NORM",
-            help="Of the error: pointwise (relative at every frequency, notches included) or peak "
-            "(relative to the largest value in the band; default where all ports are signals).",
-        ),
-    ] = None,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    model: str,
+    out: Path | None = None,
+    band: tuple[float, float] | None = None,
+    tolerance: float | None = None,
+    order: int | None = None,
+    norm: str | None = None,
 ) -> None:
     """Reduce matrices of another tool, or a measured impedance, to a model of stated error.
 
@@ -360,69 +277,43 @@ def reduce(
     from kc2spice.workflow.reduce import require_stable
 
     wanted: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
-    with shown_progress(quiet) as progress:
+    with caller.progress() as progress:
         found = reduce_study(model, out, **wanted, progress=progress)
-    if as_json:
-        print(json.dumps(found))
-    elif not quiet:
-        show_reduced(found)
+    caller.answer(found, lambda: show_reduced(found))
     require_stable(found)
 
 
-@app.command(cls=_Command)
+@_command
 def fit(
-    target: Annotated[str, typer.Argument(metavar="SCENE:PART", help="A body of a scene.")],
-    data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="Its measured impedance: .s1p, .csv, .txt.")
-    ],
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY[=LOW:HIGH]",
-            help="A key below the part, such as layers[0].thickness or damping.quality, and its "
-            "range in SI; else 30 % about the scene's value, ten times of losses. Repeatable.",
-        ),
-    ] = None,
-    out: Out = None,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    target: str,
+    data: Path,
+    vary: list[str] | None = None,
+    out: Path | None = None,
 ) -> None:
     """Vary keys of a body until its impedance is the measured one.
 
     Every evaluation is a finite element model, so a fit takes minutes. Writes fit.toml with the
-    values into DIR (default: ./PART_fit).
+    values into DIR.
     """
     from kc2spice.cli.tables import show_fit
     from kc2spice.workflow.fit import fit as fit_study
 
-    with shown_progress(quiet) as progress:
+    with caller.progress() as progress:
         found = fit_study(target, data, vary or (), out, progress)
-    if as_json:
-        print(json.dumps(found))
-    elif not quiet:
-        show_fit(found)
+    caller.answer(found, lambda: show_fit(found))
 
 
-@app.command(cls=_Command)
+@_command
 def bench(
-    scene: Scene,
-    error: Annotated[
-        float, typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept.")
-    ] = 1e-4,
-    metric: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Whose error counts, as in result.json; repeatable. Default: bench.metric of the "
-            "scene, else every number that converges.",
-        ),
-    ] = None,
-    out: Out = None,
-    set_: Set = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of each; the median counts.")] = 5,
-    trust: Trust = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    scene: str,
+    error: float = 1e-4,
+    metric: list[str] | None = None,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    repeats: int = 5,
+    trust: bool = False,
 ) -> None:
     """Measure SCENE's error against time over its settings; recommend the cheapest one.
 
@@ -437,71 +328,30 @@ def bench(
     loaded, names = load_scene(scene, set_ or []), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
     wanted: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
-    with shown_progress(quiet) as progress:
+    with caller.progress() as progress:
         record = measure(loaded, out, **wanted, progress=progress)
     given = shlex.join([scene, *(word for each in set_ or () for word in ("--set", each))])
-    _answer(record, out, as_json, quiet, lambda: show_bench(record, given, out))
+    caller.answer(record, lambda: show_bench(record, given, out), out)
     if record["recommended"] is None:
         raise typer.Exit(GateMissedError.exit_code)
 
 
-@app.command(cls=_Command)
+@_command
 def sweep(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE", help="Gallery name, study name, or path of a TOML file of either."
-        ),
-    ],
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=RANGE",
-            help="a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n), uniform(a,b,n) with or without "
-            "units, or one value. KEY is a scene key (beam.layers[0].thickness too), or "
-            "param.PART.NAME for a parameter of a subcircuit. Repeatable.",
-        ),
-    ] = None,
-    zipped: Annotated[
-        bool, typer.Option("--zip", help="Step through all ranges together; else they are crossed.")
-    ] = False,
-    latin: Annotated[
-        bool, typer.Option("--latin", help="Draw by Latin hypercube instead of independently.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
-    metric: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Column of the table, repeatable; default: all metrics. Any number of result.json "
-            "by its path: model.kick.resonance_short_hz, checks.NAME, rom.order.",
-        ),
-    ] = None,
-    out: Out = None,
-    table_format: Annotated[
-        str, typer.Option("--format", metavar="csv|parquet", help="Of the table.")
-    ] = "csv",
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Points at a time; default: all cores.")
-    ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Run on a Dask scheduler, or on 'local' workers."),
-    ] = None,
-    timeout: Annotated[
-        float, typer.Option(metavar="S", min=0.1, help="Longest time for one ngspice run.")
-    ] = 600.0,
-    retry_failed: Annotated[
-        bool,
-        typer.Option(
-            "--retry-failed",
-            help="Run all points again that failed; without it those whose run was interrupted.",
-        ),
-    ] = False,
-    dry_run: Annotated[bool, typer.Option(help="Say what would be run and stop.")] = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    caller: Caller,
+    scene: str,
+    set_: list[str] | None = None,
+    zipped: bool = False,
+    latin: bool = False,
+    seed: int = 0,
+    metric: list[str] | None = None,
+    out: Path | None = None,
+    table_format: str = "csv",
+    workers: int | None = None,
+    dask: str | None = None,
+    timeout: float = 600.0,
+    retry_failed: bool = False,
+    dry_run: bool = False,
 ) -> None:
     """Run SCENE over ranges of its keys; a table with a row for each point.
 
@@ -514,35 +364,24 @@ def sweep(
     from kc2spice.workflow.sweep import workers as pools
 
     table = study.table_name(table_format)
-    found = study.named_sweep(
-        scene,
-        set_ or (),
-        zipped=zipped,
-        latin=latin,
-        seed=seed,
-        metrics=metric or (),
-        timeout=timeout,
-    )
+    wanted: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
+    found = study.named_sweep(scene, set_ or (), metrics=metric or (), **wanted)
     out = out or Path(f"{found.scene.name}_sweep")
     count = workers or pools.cores()
     pool = pools.processes(count) if dask is None else pools.dask(dask, count)
-    if not quiet:
-        print(found.describe(), file=sys.stderr)
+    caller.note(found.describe())
     result = {"scene": found.scene.name, "points": found.plan.size, "failed": 0, "resumed": 0}
     result |= {"table": str((out / table).absolute()), "runs": found.runs}
     if not dry_run:
         again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
-            with shown_progress(quiet) as progress:
+            with caller.progress() as progress:
                 result = study.sweep(found, out, pool, progress, **again)
         except KeyboardInterrupt:
             told = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {told}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
-    if as_json:
-        print(json.dumps(result))
-    elif not quiet:
-        show_sweep(result)
+    caller.answer(result, lambda: show_sweep(result))
     if result["points"] == result["failed"]:
         hint = "the column status says why"
         raise SimulationError("every point failed", where=result["table"], hint=hint)
