@@ -12,42 +12,18 @@ from typing import TYPE_CHECKING, Any
 from kc2spice.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from kc2spice.api import (
-        Result,
-        Table,
-        build,
-        deck,
-        load_scene,
-        read_lib,
-        read_model,
-        reduce,
-        register_part,
-        run,
-        simulate,
-        subcircuit,
-        sweep,
-    )
+    from kc2spice.api import Result, Table, build, deck, reduce, register_part, run, simulate, sweep
+    from kc2spice.bodies.readers import read_model
     from kc2spice.core import errors
     from kc2spice.core.quantities import Section
     from kc2spice.netlist.circuit import Param, Pin, Subcircuit
     from kc2spice.netlist.deck import Deck
+    from kc2spice.netlist.read import read_lib
     from kc2spice.rom.linear import Certificate, LinearModel, Port
+    from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import Scene, Terminal
     from kc2spice.scene.parttype import PartType
-
-_API = (
-    "load_scene", "run", "build", "read_model", "reduce", "subcircuit", "read_lib", "deck",
-    "simulate", "sweep", "register_part", "Result", "Table",
-)  # fmt: skip
-_HOMES = {
-    **dict.fromkeys(_API, "kc2spice.api"),
-    **dict.fromkeys(("LinearModel", "Port", "Certificate"), "kc2spice.rom.linear"),
-    **dict.fromkeys(("Subcircuit", "Pin", "Param"), "kc2spice.netlist.circuit"),
-    **dict.fromkeys(("Scene", "Terminal"), "kc2spice.scene.model"),
-    "Deck": "kc2spice.netlist.deck",
-    "PartType": "kc2spice.scene.parttype",
-    "Section": "kc2spice.core.quantities",
-}
+    from kc2spice.spice.realize import subcircuit
 
 __all__ = [
     "Certificate",
@@ -76,14 +52,26 @@ __all__ = [
     "subcircuit",
     "sweep",
 ]
+_HOMES = {
+    **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear"),
+    **dict.fromkeys(("Subcircuit", "Pin", "Param"), "netlist.circuit"),
+    **dict.fromkeys(("Scene", "Terminal"), "scene.model"),
+    "Deck": "netlist.deck",
+    "PartType": "scene.parttype",
+    "Section": "core.quantities",
+    "load_scene": "scene.load",
+    "read_lib": "netlist.read",
+    "read_model": "bodies.readers",
+    "subcircuit": "spice.realize",
+}  # within the package; all others are of its module api
 
 
 def __getattr__(name: str) -> Any:
     if name == "errors":
         return import_module("kc2spice.core.errors")
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(f"kc2spice.{_HOMES.get(name, 'api')}"), name)
 
 
 def __dir__() -> list[str]:

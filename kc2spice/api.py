@@ -9,88 +9,63 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
+
+import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.files import staged
+from kc2spice.core.progress import Clock
+from kc2spice.core.units import quantity
 from kc2spice.core.version import __version__
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.lint import lint
+from kc2spice.rom.linear import LinearModel, Norm
+from kc2spice.scene.judge import Check
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+from kc2spice.scene.parttype import register as register_part
+from kc2spice.sim.ngspice import find_ngspice, write_deck
+from kc2spice.sim.retries import run_with_retries
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import build_models
+from kc2spice.workflow.results import write_record, write_waveforms
+from kc2spice.workflow.run import Completed, complete, run_record, write_run_files
+from kc2spice.workflow.simulate import kept_on_failure
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    import numpy as np
-
-    from kc2spice.core.figure import Figure
-    from kc2spice.core.waveforms import Waveforms
-    from kc2spice.netlist.circuit import Subcircuit
-    from kc2spice.netlist.deck import Deck
-    from kc2spice.rom.linear import LinearModel, Norm
-    from kc2spice.scene.judge import Check
-    from kc2spice.scene.model import Scene
-    from kc2spice.scene.parttype import PartType
-    from kc2spice.workflow.run import Completed
-
-_SCALES = {"time": "s", "frequency": "Hz"}
+__all__ = [
+    "Result",
+    "Table",
+    "build",
+    "deck",
+    "reduce",
+    "register_part",
+    "run",
+    "simulate",
+    "sweep",
+]
+AnyScene = Scene | str | Path | Mapping[str, Any]  # what :func:`kc2spice.load_scene` takes
 Function = Callable[[float, Mapping[str, float]], float]
+_SCALES = {"time": "s", "frequency": "Hz"}
 
 
-# ------------------------------------------------------------------------------------- scenes
-
-
-def load_scene(
-    scene: Scene | str | Path | Mapping[str, Any], overrides: Mapping[str, Any] | None = None
-) -> Scene:
-    """Read and check a scene.
-
-    Parameters
-    ----------
-    scene : name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the
-        tables of such a file as a mapping, or a scene to be changed.
-    overrides : dotted keys and their new values, ``{"kick.drive.voltage": 80}``; numbers are SI,
-        texts may carry a unit (``"80 V"``).
-
-    Raises
-    ------
-    UsageError : no such scene, an unknown key or part type, a bad value, pins that do not fit.
-    """
-    from kc2spice.scene import load
-
-    return load.load_scene(scene, overrides or {})
-
-
-def register_part(part_type: PartType) -> PartType:
-    """Make a part type of your own known; scenes then name it behind ``part =``.
-
-    A part type is an instance of a subclass of :class:`kc2spice.PartType`. A package offers its
-    types to every process through the entry point group ``kc2spice.parts``.
-
-    Raises
-    ------
-    UsageError : it has no name or no schema.
-    """
-    from kc2spice.scene.parttype import register
-
-    return register(part_type)
-
-
-# ------------------------------------------------------------------------------------- models
-
-
-def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearModel]:
+def build(scene: AnyScene) -> dict[str, LinearModel]:
     """The full model of every body of a scene, by the body's name.
 
-    The models have all ports that the bodies offer and as many unknowns as their meshes. Nothing
-    is reduced; :func:`reduce` does that. Parts that are no bodies (drivers, contacts, …) have no
-    entry.
+    The models have all ports that the bodies offer and as many unknowns as their meshes; nothing is
+    reduced. Parts that are no bodies (drivers, contacts, …) have no entry.
 
     Raises
     ------
-    UsageError : as :func:`load_scene`, or a model's file cannot be read.
+    UsageError : as :func:`kc2spice.load_scene`, or a model's file cannot be read.
     """
-    from kc2spice.core.progress import Clock
     from kc2spice.parts._linear_body import LinearBody
 
     loaded = load_scene(scene)
@@ -99,22 +74,6 @@ def build(scene: Scene | str | Path | Mapping[str, Any]) -> dict[str, LinearMode
         for part in loaded.parts.values()
         if isinstance(part.type, LinearBody)
     }
-
-
-def read_model(path: str | Path) -> LinearModel:
-    """Read matrices of another tool, with the ports that ``NAME.toml`` beside them names.
-
-    ``path`` is any file of the model: Matrix Market or Harwell-Boeing ``NAME.M .E .K .B .C``,
-    ``.npz``, ``.mat``, Abaqus, CalculiX, Nastran or Ansys output; see *Your own matrices*.
-
-    Raises
-    ------
-    UsageError : no such model, a damaged file, matrices or ports that do not fit together.
-    MissingToolError : the format needs a package that is not installed.
-    """
-    from kc2spice.bodies import readers
-
-    return readers.read_model(path)
 
 
 def reduce(
@@ -141,7 +100,6 @@ def reduce(
         unknown norm.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
     """
-    from kc2spice.core.units import quantity
     from kc2spice.rom import reduce as reduction
 
     if band is not None:
@@ -160,37 +118,7 @@ def reduce(
     return reduction.reduce(model, tolerance=tolerance, order=order, band=band, norm=norm)
 
 
-def subcircuit(rom: LinearModel, name: str) -> Subcircuit:
-    """A linear model as one ``.subckt`` with a pin or two for every port.
-
-    The result has ``.pins`` (name, unit of 1 V, unit of 1 A), ``.params``, ``.text`` and
-    ``.write(path)``. Electrical pins come first, then mechanical ones, ``base`` and signals.
-
-    Raises
-    ------
-    UsageError : not a name for a subcircuit, or a model without state-space form.
-    """
-    from kc2spice.spice import realize
-
-    return realize.subcircuit(rom, name)
-
-
-def read_lib(path: str | Path) -> list[Subcircuit]:
-    """The subcircuits of a library file, with the pins, units and parameters of their heads.
-
-    Raises
-    ------
-    UsageError : no such file, no subcircuit in it, or a head that does not fit its card.
-    """
-    from kc2spice.netlist import read
-
-    return read.read_lib(path)
-
-
-# ------------------------------------------------------------------------------------- running
-
-
-def deck(scene: Scene | str | Path | Mapping[str, Any], *, trust: bool = False) -> Deck:
+def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     """The netlist of a scene with its libraries; ``deck.files`` maps file names to texts.
 
     Builds and reduces what the scene needs, from the cache where it can. ``trust`` lets netlists
@@ -198,20 +126,15 @@ def deck(scene: Scene | str | Path | Mapping[str, Any], *, trust: bool = False) 
 
     Raises
     ------
-    UsageError : as :func:`load_scene`, or a circuit that is wired wrongly.
+    UsageError : as :func:`kc2spice.load_scene`, or a circuit that is wired wrongly.
     """
-    from kc2spice.core.progress import Clock
-    from kc2spice.netlist.lint import lint
-    from kc2spice.workflow.decks import make_deck
-    from kc2spice.workflow.models import build_models
-
     made = make_deck(build_models(load_scene(scene), Clock(), trust=trust))
     lint(made)
     return made
 
 
 def run(
-    scene: Scene | str | Path | Mapping[str, Any],
+    scene: AnyScene,
     out: str | Path | None = None,
     *,
     deck: str | Path | None = None,
@@ -228,18 +151,15 @@ def run(
     trust : let netlists and Python files that the scene names act on the machine.
     functions : ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI,
         instead of the Python file beside the scene.
-    overrides : as those of :func:`load_scene`.
+    overrides : as those of :func:`kc2spice.load_scene`.
 
     Raises
     ------
-    UsageError : as :func:`load_scene`; a ``deck`` that does not save what the metrics need.
+    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` that lacks what the metrics need.
     MissingToolError : no ngspice.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
     """
-    from kc2spice.workflow.run import complete
-    from kc2spice.workflow.simulate import kept_on_failure
-
     if out is not None and not isinstance(out, (str, Path)):
         raise UsageError(
             "not a directory",
@@ -248,21 +168,23 @@ def run(
             expected="a path",
             hint='other values of keys: kc.run(SCENE, overrides={"rom.order": 10})',
         )
-    loaded = load_scene(scene, overrides)
+    loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as name, ExitStack() as kept:
         work = Path(name)
         if out is not None:
             kept.enter_context(kept_on_failure(work, Path(out), loaded.name))
         done = complete(loaded, work, trust=trust, deck=edited, functions=functions)
-    result = _result(done)
+    found = done.outcome
+    more: dict[str, Any] = {"figures": {each.name: each for each in done.figures}, "_done": done}
+    result = _result(found.deck, found.waves, run_record(done), found.verdict.checks, **more)
     if out is not None:
         result.save(out)
     return result
 
 
 def simulate(
-    deck: Deck | Scene | str | Path | Mapping[str, Any],
+    deck: Deck | AnyScene,
     *,
     timeout: float | None = None,
     functions: Mapping[str, Function] | None = None,
@@ -279,9 +201,6 @@ def simulate(
     MissingToolError : no ngspice.
     SimulationError : ngspice failed or stopped early; the message says where.
     """
-    from kc2spice.netlist.deck import Deck
-    from kc2spice.sim.retries import run_with_retries
-
     if not isinstance(deck, Deck):
         if timeout is not None:
             raise UsageError("a time limit is for decks", hint="kc.simulate(kc.deck(scene), …)")
@@ -290,7 +209,8 @@ def simulate(
         raise UsageError("functions are called by parts of a scene", hint="give the scene instead")
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         outcome = run_with_retries(deck, Path(work), retries=0, timeout=timeout)
-    return _plain_result(outcome.deck, outcome.waves)
+    record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
+    return _result(outcome.deck, outcome.waves, record)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -326,22 +246,12 @@ class Result:
 
     @property
     def time(self) -> np.ndarray:
-        """Time points [s] (points,), unequally spaced.
-
-        Raises
-        ------
-        UsageError : this was no transient analysis.
-        """
+        """Time points [s] (points,), unequally spaced; UsageError unless it was a transient."""
         return self._over("time")
 
     @property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] (points,).
-
-        Raises
-        ------
-        UsageError : this was no ``ac`` analysis.
-        """
+        """Frequencies [Hz] (points,); UsageError unless it was an ``ac`` analysis."""
         return self._over("frequency")
 
     def _over(self, scale: str) -> np.ndarray:
@@ -366,23 +276,12 @@ class Result:
         if len(names) == 1 and names[0] in self.figures:
             return notebook_figure(self.figures[names[0]])
         known = [name for name in self.waves if name != self.scale]
-        for name in names:
-            if name not in known:
-                raise UsageError(
-                    "no such wave or figure",
-                    where=self.scene,
-                    got=repr(name),
-                    expected=", ".join([*self.figures, *known]),
-                )
-        return notebook_figure(self._sheet(names or tuple(known)))
-
-    def _sheet(self, names: tuple[str, ...]) -> Figure:
-        import numpy as np
-
-        from kc2spice.core.figure import Curve, Figure, Panel
-
         log, by_unit = self.scale == "frequency", dict[str, list[Curve]]()
-        for name in names:
+        for name in names or known:
+            if name not in known:
+                expected = ", ".join([*self.figures, *known])
+                message = "no such wave or figure"
+                raise UsageError(message, where=self.scene, got=repr(name), expected=expected)
             y = self.waves[name]
             curve = Curve(name, self.waves[self.scale], np.abs(y) if np.iscomplexobj(y) else y)
             by_unit.setdefault(self.units.get(name, ""), []).append(curve)
@@ -392,7 +291,7 @@ class Result:
         ]
         unit = _SCALES.get(self.scale, "")
         panels[-1] = replace(panels[-1], x=f"{self.scale} in {unit}" if unit else self.scale)
-        return Figure(self.scene, self.scene, "", tuple(panels))
+        return notebook_figure(Figure(self.scene, self.scene, "", tuple(panels)))
 
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
@@ -404,16 +303,9 @@ class Result:
         ------
         UsageError : ``out`` cannot be written.
         """
-        from kc2spice.core.files import staged
-        from kc2spice.core.waveforms import Waveforms
-        from kc2spice.sim.ngspice import write_deck
-        from kc2spice.workflow.results import write_record, write_waveforms
-
         with staged(out) as work:
             write_deck(self.deck, work)
             if self._done is not None:
-                from kc2spice.workflow.run import write_run_files
-
                 write_run_files(self._done, work, png=png)
             else:
                 waves = Waveforms(dict(self.waves), {})
@@ -423,9 +315,8 @@ class Result:
 
     def __repr__(self) -> str:
         points = self.waves[self.scale].size
-        head = (
-            f"<Result {self.scene}: {points} points over {self.scale}, {len(self.waves) - 1} waves"
-        )
+        head = f"<Result {self.scene}: {points} points over {self.scale}, "
+        head += f"{len(self.waves) - 1} waves"
         failed = [check.name for check in self.checks if not check.passed]
         if self.checks:
             head += f", {len(self.checks)} checks " + (f"FAILED {failed}" if failed else "passed")
@@ -455,34 +346,17 @@ def _shown(value: Any) -> str:
     return f"{len(value)} values" if hasattr(value, "__len__") else str(value)
 
 
-def _result(done: Completed) -> Result:
-    from kc2spice.workflow.run import run_record
-
-    record, outcome = run_record(done), done.outcome
-    return Result(
-        done.build.scene.name,
-        record["metrics"],
-        outcome.waves.data,
-        _units(outcome.deck, outcome.waves),
-        outcome.verdict.checks,
-        record,
-        outcome.deck,
-        {figure.name: figure for figure in done.figures},
-        done,
-    )
-
-
-def _plain_result(deck: Deck, waves: Waveforms) -> Result:
-    record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
-    return Result(deck.name, {}, waves.data, _units(deck, waves), (), record, deck)
-
-
-def _units(deck: Deck, waves: Waveforms) -> dict[str, str]:
+def _result(
+    deck: Deck,
+    waves: Waveforms,
+    record: Mapping[str, Any],
+    checks: tuple[Check, ...] = (),
+    **more: Any,
+) -> Result:
     scale = next(iter(waves.data))
-    return {scale: _SCALES.get(scale, ""), **deck.units}
-
-
-# ------------------------------------------------------------------------------------- sweeps
+    units = {scale: _SCALES.get(scale, ""), **deck.units}
+    metrics = record.get("metrics", {})
+    return Result(record["scene"], metrics, waves.data, units, checks, record, deck, **more)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -537,7 +411,7 @@ class Table:
 
 
 def sweep(
-    scene: Scene | str | Path | Mapping[str, Any],
+    scene: AnyScene,
     values: Mapping[str, Sequence[Any]],
     *,
     executor: Executor | None = None,
@@ -566,10 +440,6 @@ def sweep(
     UsageError : no values, or a point that is no scene; noticed before anything is run.
     MissingToolError : no ngspice.
     """
-    from concurrent.futures import ThreadPoolExecutor
-    from contextlib import nullcontext
-
-    from kc2spice.sim.ngspice import find_ngspice
     from kc2spice.workflow.sweep.plan import Grid, make_plan
     from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
     from kc2spice.workflow.sweep.run import outcomes, planned

@@ -25,11 +25,11 @@ MAY = {
     "reference": "core linalg",
     "report": "core netlist scene",
     "workflow": "core netlist rom bodies scene spice parts sim reference report",
-    "api": "core netlist rom bodies scene spice parts sim report workflow",
+    "api": "core netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
     "__main__": "cli",
-    "__init__": "core netlist rom scene api",
+    "__init__": "core netlist rom bodies scene spice api",
 }
 LAZY = ("gmsh", "PySpice", "matplotlib")
 
