@@ -440,7 +440,7 @@ def sweep(
     UsageError : no values, or a point that is no scene; noticed before anything is run.
     MissingToolError : no ngspice.
     """
-    from kc2spice.workflow.sweep.plan import Grid, make_plan
+    from kc2spice.workflow.sweep.plan import make_plan
     from kc2spice.workflow.sweep.point import Job, LoadedScene, scene_text
     from kc2spice.workflow.sweep.run import outcomes, planned
     from kc2spice.workflow.sweep.table import columns, require_columns
@@ -452,7 +452,7 @@ def sweep(
         find_ngspice()
     named = isinstance(scene, (str, Path))
     source = scene_text(str(scene)) if named else LoadedScene(load_scene(scene))
-    plan = make_plan([Grid(key, tuple(each)) for key, each in values.items()])
+    plan = make_plan({key: tuple(each) for key, each in values.items()})
     asked = planned(Job(source), plan, dict.fromkeys(plan.keys, ""))
     found: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
@@ -465,6 +465,6 @@ def sweep(
                 require_columns(outcome, (), asked.scene.name)
             if progress is not None:
                 progress(len(found), plan.size)
-    table = columns(sorted(found.items()), plan)
+    table = columns(found, plan)
     rows = (dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))
     return Table(tuple(table), tuple(rows))

@@ -4,16 +4,15 @@ import contextlib
 import csv
 import sqlite3
 
-import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.report.sweep_page import yields
-from kc2spice.workflow.sweep.plan import Grid, make_plan
+from kc2spice.workflow.sweep.plan import make_plan
 from kc2spice.workflow.sweep.point import Outcome
-from kc2spice.workflow.sweep.table import BAD, INTERRUPTED, MISSING, RowStore, columns, write_csv
+from kc2spice.workflow.sweep.table import RowStore, columns, write_csv
 
-PLAN = make_plan([Grid("a", tuple(0.1 * k for k in range(6)))])
+PLAN = make_plan({"a": tuple(0.1 * k for k in range(6))})
 
 
 def outcome(index):
@@ -36,7 +35,7 @@ def filled(path, order=range(6)):
     with opened(path) as store:
         for index in order:
             store.record(index, outcome(index))
-        return columns(list(store.outcomes()), PLAN)
+        return columns(store.outcomes, PLAN)
 
 
 def test_rows_are_sorted_and_exact(tmp_path):
@@ -52,18 +51,18 @@ def test_rows_are_sorted_and_exact(tmp_path):
     ] * 3
 
 
-def test_interrupted_points_are_missing_again_and_failed_ones_if_asked(tmp_path):
+def test_rows_are_there_again_and_the_last_of_a_point_counts(tmp_path):
     with opened(tmp_path / "rows", 3) as store:
         store.record(0, Outcome({"x": 1.0}))
-        store.record(1, Outcome(failure="did not converge"))
         store.record(2, Outcome(failure="killed", interrupted=True))
     with opened(tmp_path / "rows", 3) as store:
-        store.forget(INTERRUPTED)
-        assert list(np.flatnonzero(store.state == MISSING)) == [2]
-        store.forget(BAD)
-        assert list(np.flatnonzero(store.state == MISSING)) == [1, 2]
+        assert store.outcomes[0].metrics == {"x": 1.0}
+        assert store.outcomes[2].interrupted
+        assert store.failed == {2}
         store.record(2, Outcome({"x": 5.0}))
-        assert dict(store.outcomes())[2].metrics == {"x": 5.0}
+        assert not store.failed
+    with opened(tmp_path / "rows", 3) as store:
+        assert store.outcomes[2].metrics == {"x": 5.0}
 
 
 def test_two_sweeps_do_not_write_one_table(tmp_path):

@@ -68,16 +68,13 @@ class SceneText:
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene that this process has loaded."""
+    """A scene that this process has loaded, for its threads."""
 
     scene: Scene
 
     def load(self, overrides: Sequence[str]) -> Scene:
         """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
         return load_scene(self.scene, overrides)
-
-
-Source = SceneText | LoadedScene
 
 
 @lru_cache(maxsize=_KEPT)
@@ -113,11 +110,13 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     ------
     UsageError : a file that is missing, not allowed or too long.
     """
-    parts = scene.parts.values()
-    netlists = {f for p in parts if p.netlist for f in p.type.files(p, scene)}
-    names = sorted({*scene.include, *netlists})
-    found = {name: included_netlist(name, scene.home).text.encode() for name in names}
-    for name in sorted({f for p in parts for f in p.type.files(p, scene)} - set(found)):
+    parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
+    netlists = {*scene.include, *(file for own, files in parts if own for file in files)}
+    found = {}
+    for name in sorted(netlists.union(*(files for _, files in parts))):
+        if name in netlists:
+            found[name] = included_netlist(name, scene.home).text.encode()
+            continue
         try:
             found[name] = read_bounded(scene.home / name, MAX_FILES)
         except OSError as error:
@@ -142,14 +141,14 @@ class Job:
     that of one ngspice run.
     """
 
-    scene: Source
+    scene: SceneText | LoadedScene
     fixed: tuple[str, ...] = ()
     parameters: Parameters = ()
     timeout: float | None = None
 
     def load(self, values: Mapping[str, Any]) -> Scene:
         """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
-        return self.scene.load((*self.fixed, *overrides(values)))
+        return self.scene.load((*self.fixed, *_overrides(values)))
 
 
 @dataclass(frozen=True)
@@ -166,14 +165,8 @@ class Outcome:
     interrupted: bool = False
 
 
-def overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """``key=value`` texts that set the scene's keys to the last bit, without parameters."""
-    pairs = values.items()
-    return tuple(f"{key}={toml(value)}" for key, value in pairs if not key.startswith(PARAMETER))
-
-
 def toml(value: Any) -> str:
-    """A value as the text that a scene file would have for it."""
+    """A value as the text that a scene file would have for it, to the last bit."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
@@ -183,13 +176,15 @@ def toml(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
+def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """``key=value`` texts that set the scene's keys, without parameters of subcircuits."""
+    return tuple(f"{k}={toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
+
+
 def parameters(values: Mapping[str, Any]) -> Parameters:
     """``("PART.NAME", value)`` of a point's subcircuit parameters."""
-    return tuple(
-        (key.removeprefix(PARAMETER), float(value))
-        for key, value in values.items()
-        if key.startswith(PARAMETER)
-    )
+    found = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
+    return tuple((name[1], float(value)) for name, value in found if name)
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
@@ -200,27 +195,22 @@ def run_point(job: Job, values: Mapping[str, Any]) -> Outcome:
     MissingToolError : no ngspice here: no point of this machine could succeed.
     """
     try:
-        build, deck = testbench(job, overrides(values))
+        build, deck = testbench(job, values)
         changed = (*job.parameters, *parameters(values))
         build, deck = judged(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             return _numbers(build, simulate(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
         raise
-    except Exception as error:
-        return _failed(error)
-
-
-def _failed(error: Exception) -> Outcome:
-    if isinstance(error, Kc2spiceError):
-        parts = [error.message, f"got {error.got}" if error.got is not None else ""]
-        if isinstance(error, UsageError):
-            parts.insert(0, str(error.where or ""))
-        text = ", ".join(part for part in parts if part).replace("\n", " ")
+    except Kc2spiceError as error:
+        where = error.where if isinstance(error, UsageError) else None
+        got = None if error.got is None else f"got {error.got}"
+        text = ", ".join(filter(None, (where, error.message, got))).replace("\n", " ")
         return Outcome(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
-    if isinstance(error, OSError):
+    except OSError as error:
         return Outcome(failure=f"{error}", interrupted=error.errno in FULL or _disk_is_full())
-    return Outcome(failure=f"{type(error).__name__}: {error}")
+    except Exception as error:
+        return Outcome(failure=f"{type(error).__name__}: {error}")
 
 
 def judged(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
@@ -257,16 +247,16 @@ _full_models: dict[str, tuple[str, Any]] = {}
 _lock = threading.Lock()  # threads of one worker must not build the same model side by side
 
 
-def testbench(job: Job, changed: tuple[str, ...]) -> tuple[Build, Deck]:
+def testbench(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
     """Models and deck; points that differ in subcircuit parameters alone share both."""
     with _lock:
-        return _testbench(job, changed)
+        return _testbench(replace(job, fixed=(*job.fixed, *_overrides(values))))
 
 
 @lru_cache(maxsize=_KEPT)
-def _testbench(job: Job, changed: tuple[str, ...]) -> tuple[Build, Deck]:
+def _testbench(job: Job) -> tuple[Build, Deck]:
     with remembering(_full_models):
-        build = build_models(job.scene.load((*job.fixed, *changed)), Clock())
+        build = build_models(job.load({}), Clock())
     return build, make_deck(build)
 
 
@@ -280,8 +270,7 @@ def _numbers(build: Build, simulated: Simulated) -> Outcome:
         "energy_j": {name: balance.entries for name, balance in simulated.verdict.balances},
         "simulator_cpu_s": stats.get("cpu_s"),
     }
-    found = metrics(simulated.waves, build)
-    return Outcome(_scalars(found), _scalars(facts))
+    return Outcome(_scalars(metrics(simulated.waves, build)), _scalars(facts))
 
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:

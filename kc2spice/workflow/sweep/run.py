@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kc2spice.core.errors import UsageError
@@ -23,7 +24,6 @@ from kc2spice.core.files import staged
 from kc2spice.core.foreign import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.progress import Progress, silent
 from kc2spice.core.version import __version__
-from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.hash import scene_hash
 from kc2spice.scene.keys import keys_of
@@ -31,17 +31,17 @@ from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.plan import (
     PARAMETER,
     Plan,
-    find_key,
     form,
+    key_of,
     make_plan,
     number,
     parse,
 )
 from kc2spice.workflow.sweep.point import (
     Job,
+    LoadedScene,
     Outcome,
-    Source,
-    overrides,
+    SceneText,
     parameters,
     run_point,
     scene_files,
@@ -50,19 +50,16 @@ from kc2spice.workflow.sweep.point import (
     toml,
 )
 from kc2spice.workflow.sweep.table import (
-    BAD,
-    INTERRUPTED,
-    MISSING,
     WRITERS,
     RowStore,
     columns,
     need_parquet,
     require_columns,
 )
-from kc2spice.workflow.sweep.workers import WORKER_DIED, Workers, completed
+from kc2spice.workflow.sweep.workers import Workers, is_lost
 
 ROWS, PAGE = "rows.sqlite", "sweep.html"
-DIED = "its worker process died, twice"
+LOST = Outcome(failure="its worker process died, twice", interrupted=True)
 
 
 # --- what is asked ------------------------------------------------------------------------------
@@ -102,7 +99,7 @@ class Sweep:
     def runs(self) -> dict[str, int]:
         """How many decks and ngspice runs there will be; points that differ in parameters of
         subcircuits alone share a deck."""
-        keys = [key for key in self.plan.keys if not key.startswith(PARAMETER)]
+        keys = [key for key in self.plan.keys if not PARAMETER.fullmatch(key)]
         return {"netlists": self.plan.distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
@@ -112,7 +109,7 @@ class Sweep:
 
 
 def make_sweep(
-    scene: Source,
+    scene: SceneText | LoadedScene,
     sets: Sequence[str],
     *,
     zipped: bool = False,
@@ -127,28 +124,28 @@ def make_sweep(
     ------
     UsageError : a bad range, an unknown key, a value that the scene does not take.
     """
-    fixed, constants, ranges, firsts = [], [], [], []
+    fixed, firsts, constants, ranges = [], [], [], dict[str, str]()
     for text in sets:
         name, _, value = (part.strip() for part in text.partition("="))
-        kind, words = form(value)
-        if kind == "value" and name.startswith(PARAMETER):
-            plain = number(f"--set {text!r}", find_key(name, {}), value)
-            constants.append((name.removeprefix(PARAMETER), plain))
-        elif kind == "value":
-            fixed.append(text)
+        parameter, (kind, words) = PARAMETER.fullmatch(name), form(value)
+        if kind != "value":
+            if name in ranges:
+                raise UsageError("swept twice", where="--set", got=name)
+            ranges[name] = value
+            firsts += [] if parameter else [f"{name}={words[0]}"]
+        elif parameter:
+            constants.append((parameter[1], number(value, "", f"--set {text!r}")))
         else:
-            ranges.append((name, value))
-            firsts += [] if name.startswith(PARAMETER) else [f"{name}={words[0]}"]
+            fixed.append(text)
     # A range may make a part that the scene does not have without it.
-    first = _at_first(scene, fixed, firsts)
-    keys = keys_of(first)
+    keys = keys_of(scene.load((*fixed, *firsts)))
     plan = make_plan(
-        [parse(name, value, keys) for name, value in ranges],
+        {name: parse(name, value, keys) for name, value in ranges.items()},
         zipped=zipped,
         latin=latin,
         seed=seed,
     )
-    units = {key: find_key(key, keys).unit or "" for key in plan.keys}
+    units = {key: key_of(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
     return planned(job, plan, units, tuple(dict.fromkeys(metrics)))
 
@@ -162,19 +159,6 @@ def planned(job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, 
     """
     first, *_ = [job.load(values) for values in plan.ends()]
     return Sweep(first, job, plan, units, metrics)
-
-
-def _at_first(source: Source, fixed: Sequence[str], firsts: Sequence[str]) -> Scene:
-    """The scene with the first value of every swept key; an unknown one is named with its like."""
-    try:
-        return source.load((*fixed, *firsts))
-    except UsageError:
-        keys = keys_of(source.load(fixed))
-        for text in firsts:
-            name = text.partition("=")[0]
-            if name not in keys and did_you_mean(name, keys):
-                find_key(name, keys)
-        raise
 
 
 class _Study(BaseModel):
@@ -194,8 +178,8 @@ class _Study(BaseModel):
 def studies() -> dict[str, Traversable]:
     """Built-in studies by name."""
     folder = resources.files("kc2spice") / "studies"
-    found = {item.name.removesuffix(".toml"): item for item in folder.iterdir()}
-    return {name: found[name] for name in sorted(found) if found[name].name.endswith(".toml")}
+    found = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
+    return {name.removesuffix(".toml"): found[name] for name in sorted(found)}
 
 
 def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
@@ -222,14 +206,10 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
 
 def _study(name: str) -> _Study | None:
     """The study ``name``, built in or a file with a key ``scene``; None for a scene."""
-    builtin = studies()
+    builtin = studies().get(name)
     try:
-        text = (
-            builtin[name].read_text(encoding="utf-8")
-            if name in builtin
-            else text_of(read_bounded(Path(name), MAX_BYTES))
-        )
-        content = parse_toml(text)
+        data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_BYTES)
+        content = parse_toml(text_of(data))
     except (OSError, ValueError):
         return None  # whoever loads it as a scene says what is wrong with it
     if not isinstance(content.get("scene"), str):
@@ -246,12 +226,13 @@ def _study(name: str) -> _Study | None:
 
 
 def outcomes(
-    found: Sweep, points: Sequence[int], workers: Workers
+    found: Sweep, points: Iterable[int], workers: Workers
 ) -> Iterator[tuple[int, Outcome]]:
     """Run ``points`` and give each with its outcome as it comes.
 
     Whoever needs a model first builds it into the cache, where all others wait for it. A point that
-    is interrupted by what happens to the machine is run once more after all others.
+    is interrupted, by the death of a worker or by what else happens to the machine, is run once
+    more after all others, alone: only the one that ends its worker again is given up.
 
     Raises
     ------
@@ -260,18 +241,59 @@ def outcomes(
     """
     ends = [pair for values in found.plan.ends() for pair in parameters(values)]
     if changed := [*found.job.parameters, *ends]:
-        _, deck = testbench(found.job, overrides(found.plan.values(0)))
+        _, deck = testbench(found.job, found.plan.values(0))
         with_parameters(deck, changed)
     again: list[int] = []
-    for last, attempt in ((False, points), (True, again)):
-        calls = ((k, run_point, (found.job, found.plan.values(k))) for k in attempt)
-        for index, outcome in completed(workers, calls) if attempt else ():
-            if outcome is WORKER_DIED:
-                outcome = Outcome(failure=DIED, interrupted=True)
-            elif outcome.interrupted and not last:
-                again.append(index)
-                continue
+    for index, outcome in _completed(found, points, workers):
+        if outcome.interrupted:
+            again.append(index)
+        else:
             yield index, outcome
+    if again:
+        yield from _completed(found, again, workers, at_once=1)
+
+
+def _completed(
+    found: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
+) -> Iterator[tuple[int, Outcome]]:
+    """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
+
+    Where a worker dies, all that was in flight is ``LOST``, and the workers are opened again.
+    """
+    left, pending = iter(points), dict[Future[Outcome], int]()
+    with ExitStack() as opened:
+        executor, count = opened.enter_context(workers())
+        while True:
+            for index in islice(left, max(0, (at_once or 2 * count + 1) - len(pending))):
+                values = found.plan.values(index)
+                pending[_submitted(executor.submit, found.job, values)] = index
+            if not pending:
+                return
+            results = {f: _result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done}
+            if LOST in results.values():
+                results |= {f: LOST for f in pending if f not in results}
+                opened.close()
+                executor, count = opened.enter_context(workers())
+            for future, outcome in results.items():
+                yield pending.pop(future), outcome
+
+
+def _submitted(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[Outcome]:
+    try:
+        future: Future[Outcome] = submit(run_point, job, values)
+    except Exception as error:  # of an executor whose workers are gone
+        future = Future()
+        future.set_exception(error)
+    return future
+
+
+def _result(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except Exception as error:
+        if is_lost(error):
+            return LOST
+        raise
 
 
 def sweep(
@@ -297,27 +319,30 @@ def sweep(
     """
     start = begin = time.monotonic()
     with closing(_open_rows(found, out, table_format)) as rows:
-        rows.forget(INTERRUPTED, *([BAD] if retry_failed else []))
-        missing = np.flatnonzero(rows.state == MISSING).tolist()
-        first = next((each for _, each in rows.outcomes() if each.failure is None), None)
-        if first is not None:
-            require_columns(first, found.metrics, found.scene.name)
-        for done, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
+        done = {
+            index
+            for index, outcome in rows.outcomes.items()
+            if not outcome.interrupted and (outcome.failure is None or not retry_failed)
+        }
+        good = [each for each in rows.outcomes.values() if each.failure is None]
+        for outcome in good[:1]:
+            require_columns(outcome, found.metrics, found.scene.name)
+        missing = [index for index in range(found.plan.size) if index not in done]
+        for count, (index, outcome) in enumerate(outcomes(found, missing, workers), 1):
             rows.record(index, outcome)
-            if outcome.failure is None and first is None:
-                first = outcome
+            if outcome.failure is None and not good:
+                good.append(outcome)
                 require_columns(outcome, found.metrics, found.scene.name)
-            begin = time.monotonic() if done == 1 else begin
-            told = f"{done} of {len(missing)} points, {rows.failed} failed"
-            if done > 1:  # the first one may have built models for all others
-                rate = (done - 1) / max(time.monotonic() - begin, 1e-9)
-                left = timedelta(seconds=round((len(missing) - done) / rate))
+            begin = time.monotonic() if count == 1 else begin
+            told = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
+            if count > 1:  # the first one may have built models for all others
+                rate = (count - 1) / max(time.monotonic() - begin, 1e-9)
+                left = timedelta(seconds=round((len(missing) - count) / rate))
                 told = f"{told}, {rate:.3g}/s, {left} left"
-            progress("sweep", done / len(missing), told)
+            progress("sweep", count / len(missing), told)
         progress("report", None, "table, figures and page")
         summary = _publish(found, rows, out, table_format)
-    resumed = found.plan.size - len(missing)
-    return {**summary, "resumed": resumed, "wall_s": time.monotonic() - start}
+    return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
 
 
 def table_name(table_format: str) -> str:
@@ -354,7 +379,7 @@ def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict
     """Write table, figures and page; what the summary says of them."""
     from kc2spice.report.sweep_page import write_sweep, yields
 
-    table = columns(list(rows.outcomes()), found.plan, found.metrics)
+    table = columns(rows.outcomes, found.plan, found.metrics)
     name = table_name(table_format)
     shares = yields(table, found.plan.keys) if found.plan.random else {}
     plan = found.describe()
@@ -364,7 +389,7 @@ def _publish(found: Sweep, rows: RowStore, out: Path, table_format: str) -> dict
     return {
         "scene": found.scene.name,
         "points": found.plan.size,
-        "failed": rows.failed,
+        "failed": len(rows.failed),
         "table": str((out / name).absolute()),
         "directory": str(out.absolute()),
         "runs": found.runs,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from kc2spice.core.errors import MissingToolError, UsageError
@@ -19,8 +18,6 @@ from kc2spice.workflow.sweep.plan import Plan
 from kc2spice.workflow.sweep.point import Outcome, toml
 
 OK = "ok"
-MISSING, GOOD, BAD, INTERRUPTED = -1, 0, 1, 2  # states of a point
-
 _OPEN = """
 pragma trusted_schema = off;
 pragma locking_mode = exclusive;  -- another process that writes here is refused at once
@@ -35,10 +32,9 @@ _OUTCOME = TypeAdapter(Outcome)
 
 
 class RowStore:
-    """Outcomes by point in an SQLite file; each is complete or not there at all.
+    """``outcomes`` by point, and an SQLite file where each is complete or not there at all.
 
-    ``digest`` is that of the sweep. ``state`` (points,) is ``MISSING``, ``GOOD``, ``BAD`` (failed
-    by itself) or ``INTERRUPTED`` (failed for what happened to the machine: worth another try).
+    ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
 
     Raises
     ------
@@ -46,21 +42,19 @@ class RowStore:
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
-        self.path, self.state = path, np.full(points, MISSING, dtype=np.int8)
+        self.path, self.outcomes, self.failed = path, dict[int, Outcome](), set[int]()
         if path.is_symlink() or (path.exists() and not path.is_file()):
             raise UsageError("is no file of a sweep", where=str(path), hint="remove it")
-        held = digest
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
             self._rows.executescript(_OPEN)
-            held = (self._rows.execute("select digest from sweep").fetchone() or [None])[0]
+            (held,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
             if held is None:
                 self._rows.execute("insert into sweep values (?)", (digest,))
-            elif held == digest:
-                for point, outcome in self.outcomes():
-                    if not isinstance(point, int) or not 0 <= point < points:
-                        raise ValueError(f"point {str(point)[:80]!r}")
-                    self.state[point] = _state(outcome)
+            for point, text in self._rows.execute("select * from row") if held == digest else ():
+                if point not in range(points):
+                    raise ValueError(f"point {str(point)[:80]!r}")
+                self._keep(point, _OUTCOME.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
             hint = "remove it: what it held is run again"
             message = "is damaged or cannot be written: not the rows of this sweep"
@@ -77,11 +71,6 @@ class RowStore:
                 hint="choose another --out, or remove the old one",
             )
 
-    @property
-    def failed(self) -> int:
-        """How many recorded points have failed."""
-        return int((self.state > GOOD).sum())
-
     def record(self, point: int, outcome: Outcome) -> None:
         """Write one row in place of an earlier one of the same point.
 
@@ -96,24 +85,15 @@ class RowStore:
             hint = "the rows so far are kept: make room and give the same command again"
             message = f"cannot be written: {error}"
             raise UsageError(message, where=str(self.path), hint=hint) from None
-        self.state[point] = _state(outcome)
+        self._keep(point, outcome)
 
-    def forget(self, *states: int) -> None:
-        """Make the points in these states missing again; their rows stay until they are run."""
-        self.state[np.isin(self.state, states)] = MISSING
-
-    def outcomes(self) -> Iterator[tuple[int, Outcome]]:
-        """All rows in the order of their points."""
-        for point, text in self._rows.execute("select * from row order by point"):
-            yield point, _OUTCOME.validate_json(text, strict=True)
+    def _keep(self, point: int, outcome: Outcome) -> None:
+        self.outcomes[point] = outcome
+        (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
     def close(self) -> None:
         """Let go of the file."""
         self._rows.close()
-
-
-def _state(outcome: Outcome) -> int:
-    return INTERRUPTED if outcome.interrupted else GOOD if outcome.failure is None else BAD
 
 
 def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None:
@@ -134,12 +114,13 @@ def require_columns(outcome: Outcome, wanted: Sequence[str], scene: str) -> None
 
 
 def columns(
-    rows: Sequence[tuple[int, Outcome]], plan: Plan, wanted: Sequence[str] = ()
+    outcomes: Mapping[int, Outcome], plan: Plan, wanted: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
     """The table: swept keys, ``wanted`` numbers (or every metric that a run has), ``status``.
 
     A point without a number has None there.
     """
+    rows = sorted(outcomes.items())
     names = wanted or dict.fromkeys(name for _, each in rows for name in each.metrics)
     table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
     for point, outcome in rows:

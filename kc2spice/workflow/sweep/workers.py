@@ -1,7 +1,6 @@
-"""Calls on the workers of an executor, none of which is lost with the worker that runs it.
+"""Where points of a sweep run: processes of this machine, or a Dask scheduler's workers.
 
-Everything here speaks the interface of :mod:`concurrent.futures`: processes of this machine, its
-threads, a Dask cluster, or whatever else has an executor.
+Both are an :class:`concurrent.futures.Executor`, and whatever else has that interface will do.
 """
 
 from __future__ import annotations
@@ -12,26 +11,16 @@ import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from itertools import chain, islice, repeat
-from typing import Any, TypeVar
+from itertools import chain, repeat
+from typing import Any
 
 from kc2spice.core.errors import MissingToolError
 
 # Opens an executor, and again after it was lost; gives it with the number of its workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
-T = TypeVar("T")
-Call = tuple[T, Callable[..., Any], tuple[Any, ...]]  # name, function, arguments
 PATIENCE = 60.0  # s that a lost scheduler may take to come back
 # Losses of workers and schedulers, told by name so that Dask need not be imported.
 _LOST = {
@@ -43,9 +32,6 @@ _LOST = {
 }
 
 
-WORKER_DIED = object()  # result of a call whose worker died twice
-
-
 def cores() -> int:
     """Processors that this process may use."""
     try:
@@ -54,63 +40,10 @@ def cores() -> int:
         return os.cpu_count() or 1
 
 
-def completed(workers: Workers, calls: Iterable[Call[T]]) -> Iterator[tuple[T, Any]]:
-    """Results of ``function(*arguments)`` as they come, for each call, with its name.
-
-    No more calls are in flight than keeps all workers busy. Where a worker dies, the workers are
-    opened again and every call that was in flight is run once more, alone: only the one that ends
-    its worker again is given up; its result is ``WORKER_DIED``. Exceptions of the function itself
-    are raised.
-    """
-    with ExitStack() as opened:
-
-        def reopen() -> tuple[Executor, int]:
-            opened.close()
-            return opened.enter_context(workers())
-
-        executor, count = reopen()
-        calls, pending = iter(calls), dict[Future[Any], Call[T]]()
-        while True:
-            for call in islice(calls, max(0, 2 * count + 1 - len(pending))):
-                pending[_submitted(executor, call)] = call
-            if not pending:
-                return
-            lost: list[Call[T]] = []
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                call, result = pending.pop(future), _result(future)
-                if result is WORKER_DIED:
-                    lost.append(call)
-                else:
-                    yield call[0], result
-            if not lost:
-                continue
-            lost, pending = [*lost, *pending.values()], {}
-            executor, count = reopen()
-            for call in lost:
-                result = _result(_submitted(executor, call))
-                if result is WORKER_DIED:
-                    executor, count = reopen()
-                yield call[0], result
-
-
-def _submitted(executor: Executor, call: Call[T]) -> Future[Any]:
-    try:
-        return executor.submit(call[1], *call[2])
-    except Exception as error:  # of an executor whose workers are gone
-        failed = Future[Any]()
-        failed.set_exception(error)
-        return failed
-
-
-def _result(future: Future[Any]) -> Any:
-    """What the call returned; ``WORKER_DIED`` where it was lost with its worker."""
-    try:
-        return future.result()
-    except Exception as error:
-        kinds = {kind.__name__ for kind in type(error).__mro__}
-        if isinstance(error, (BrokenExecutor, CancelledError, OSError)) or _LOST & kinds:
-            return WORKER_DIED
-        raise
+def is_lost(error: BaseException) -> bool:
+    """Whether a call failed with its worker or scheduler, not by itself."""
+    kinds = {kind.__name__ for kind in type(error).__mro__}
+    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(_LOST & kinds)
 
 
 def processes(count: int) -> Workers:
@@ -170,15 +103,12 @@ def dask(address: str, count: int, patience: float = 10.0) -> Workers:
             raise MissingToolError(message, where="--dask", hint=hint) from None
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        limit = next(limits)
+        limit, target = next(limits), address
         with ExitStack() as stack:
             try:
-                target: Any = address
                 if address == "local":
-                    target = LocalCluster(
-                        n_workers=count, threads_per_worker=1, dashboard_address=None
-                    )
-                    stack.enter_context(target)
+                    options = {"threads_per_worker": 1, "dashboard_address": None}
+                    target = stack.enter_context(LocalCluster(n_workers=count, **options))
                 client = Client(target, timeout=limit)
                 stack.callback(_disconnect, client)
                 client.wait_for_workers(1, timeout=limit)
