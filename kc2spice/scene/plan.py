@@ -53,7 +53,7 @@ class Axis:
             each = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
             value = math.floor(each * self.decades)
         value = min(max(value, self.low), self.high)
-        if value == self.value:
+        if not notches or value == self.value:
             return {}
         found: dict[str, Any] = {self.name: value}
         if notches > 0:

@@ -1,19 +1,31 @@
-"""One run of a scene under some numerical settings, and what finer ones change of its metrics."""
+"""Runs of a scene with its numerical settings refined, and the error of every metric from them.
+
+The settings are axes (:mod:`kc2spice.scene.plan`), each with "one notch finer". A refined run moves
+all of them by a notch; what a metric changes by is its estimated error, times :data:`REMAINDER`. A
+scene with an ``error_budget`` goes along the axis with the largest share, which is what moving it
+alone changes, until the estimate holds for every metric, or says what it tried.
+"""
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
+from kc2spice.scene.judge import Check
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import Build
+from kc2spice.scene.plan import Axis, axes, keys_at
+from kc2spice.scene.settings import Action
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.retries import Outcome
 from kc2spice.workflow.decks import make_deck
@@ -21,6 +33,20 @@ from kc2spice.workflow.judge import metrics
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.results import leaves
 from kc2spice.workflow.simulate import simulate
+
+MOST = 16  # runs besides the scene's own
+LIMIT = 1e-2  # error_budget where checks.reduction asks without one
+# A notch leaves half of an axis' error at most, as corners of a mesh do; what a metric changes by
+# is the other half at least.
+REMAINDER = 2.0
+PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
+NEAR_ZERO = 0.1  # of the largest metric in its unit: what a small one is judged by
+SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axes do not converge
+
+Notches = Mapping[str, float]  # by how many notches an axis is moved, by its name
+
+
+# --- runs ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -35,16 +61,34 @@ class Run:
     outcome: Outcome
 
 
-def measured(build: Build, outcome: Outcome, cpu_s: float = 0.0) -> Run:
-    """The run that gave ``outcome``."""
-    scale = next(iter(outcome.waves.data.values())).real
-    return Run(dict(_arrays(metrics(outcome.waves, build))), scale, cpu_s, build, outcome)
+class Runs:
+    """Runs of the scene of ``own`` by notches of its axes, each made once."""
+
+    def __init__(
+        self, own: Run, found: Sequence[Axis], clock: Clock, *, retries: int | None = None
+    ) -> None:
+        self.own, self.axes, self.clock, self.retries = own, found, clock, retries
+        self.known: dict[str, Run] = {repr({}): own}
+
+    def at(self, notches: Notches) -> Run:
+        """The run there; raises as :func:`kc2spice.workflow.simulate.simulate` does."""
+        build, settings = self.own.build, keys_at(self.axes, notches)
+        if repr(settings) not in self.known:
+            self.known[repr(settings)] = evaluate(
+                load_scene(build.scene, settings),
+                self.clock,
+                ", ".join(settings),
+                trust=build.trust,
+                functions=build.functions,
+                retries=self.retries,
+            )
+        return self.known[repr(settings)]
 
 
 def evaluate(
     scene: Scene,
     clock: Clock,
-    text: str,
+    text: str = "",
     *,
     trust: bool = False,
     functions: Mapping[str, Any] | None = None,
@@ -56,6 +100,17 @@ def evaluate(
         begin = _children_cpu()
         outcome = simulate(build, make_deck(build), Path(folder), retries=retries)
         return measured(build, outcome, _children_cpu() - begin)
+
+
+def measured(build: Build, outcome: Outcome, cpu_s: float = 0.0) -> Run:
+    """The run that gave ``outcome``: numbers and arrays of numbers; what is missing is nan."""
+    scale = next(iter(outcome.waves.data.values())).real
+    values = {
+        name: np.asarray(np.nan if value is None else value)
+        for name, value in leaves(metrics(outcome.waves, build))
+    }
+    numbers = {name: value for name, value in values.items() if value.dtype.kind in "bif"}
+    return Run(numbers, scale, cpu_s, build, outcome)
 
 
 def time_again(run: Run) -> float:
@@ -74,14 +129,6 @@ def _children_cpu() -> float:
         return time.perf_counter()
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
-
-
-def _arrays(found: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
-    """Numbers and arrays of numbers by dotted name; what is missing is nan."""
-    for name, value in leaves(found):
-        array = np.asarray(np.nan if value is None else value)
-        if array.dtype.kind in "bif":
-            yield name, array
 
 
 def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
@@ -108,3 +155,153 @@ def changes(run: Run, finer: Run, near_zero: float = 0.0) -> dict[str, float]:
             apart = float(np.abs(mine.astype(float) - value).max())
             found[name] = apart / scale if scale else 0.0
     return found
+
+
+# --- an error budget ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A run with its axes moved by so many ``notches``, and the estimated error of each metric
+    from a refined one; ``unmoved`` are axes that this one could not move."""
+
+    notches: Notches
+    settings: Mapping[str, Any]
+    run: Run
+    errors: Mapping[str, float] = field(default_factory=dict)
+    unmoved: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> float:
+        """The largest of all metrics."""
+        return max(self.errors.values(), default=math.inf)
+
+    def record(self) -> dict[str, Any]:
+        """Its row of ``result.json``."""
+        return {
+            "settings": dict(self.settings),
+            "errors": dict(self.errors),
+            "unmoved": self.unmoved,
+        }
+
+
+@dataclass(frozen=True)
+class Converged:
+    """The run that is taken, whether its estimate holds the budget, why not, and all estimates;
+    ``shares`` are the errors of single axes."""
+
+    taken: Estimate
+    check: Check
+    tried: Sequence[Estimate]
+    shares: Mapping[str, float]
+
+    def record(self) -> dict[str, Any]:
+        """``convergence`` of ``result.json``."""
+        return {
+            "budget": self.check.limit,
+            "held": self.check.passed,
+            "errors": dict(self.taken.errors),
+            "shares": dict(self.shares),
+            "unmoved": self.taken.unmoved,
+            "tried": [each.record() for each in self.tried],
+        }
+
+
+def converge(build: Build, outcome: Outcome, clock: Clock) -> Converged | None:
+    """Refine the scene until the estimated error of every metric is within ``error_budget``.
+
+    Without a budget ``checks.reduction`` asks for one estimate; None where neither does.
+    """
+    scene, budget = build.scene, build.scene.error_budget
+    action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
+    if action == "off":
+        return None
+    limit, own = budget or LIMIT, measured(build, outcome)
+    runs = Runs(own, axes(scene, build), clock)
+    tried: list[Estimate] = []
+    shares: dict[str, float] = {}
+    notches: Notches = {}
+    why, last, stalls = "", math.inf, 0
+    while True:
+        now = _estimate(runs, notches)
+        if now is None:
+            why = "a refined run failed"
+            break
+        tried.append(now)
+        if now.error <= limit or budget is None:
+            break
+        stalls = stalls + 1 if now.error > SHRINKS * last else 0
+        if stalls == STALLS:
+            why = f"the estimate does not shrink: {last:.2g}, then {now.error:.2g}"
+            break
+        last = now.error
+        moved = _largest_share_moved(runs, now, shares, limit)
+        if moved is None or not _left(runs):
+            why = "nothing more to refine" if _left(runs) else f"{MOST} runs do not suffice"
+            break
+        notches = moved
+    taken = tried[-1] if tried else Estimate({}, {}, own)
+    told = f"raise error_budget, or refine what it was tried with ({why})" if why else "raise it"
+    worst = max(taken.errors, key=lambda name: taken.errors[name], default="its metrics")
+    check = Check(f"error of {worst}", taken.error, limit, "relative, estimated", told, action)
+    return Converged(taken, check, tried, shares)
+
+
+def _estimate(runs: Runs, notches: Notches) -> Estimate | None:
+    """All axes a notch finer; without those of meshes where that is too much for the machine."""
+    now = runs.at(notches)
+    meshes = tuple(axis.name for axis in runs.axes if axis.model)
+    for unmoved in ((), meshes) if meshes else ((),):
+        finer = _tried(runs, _moved(notches, [a for a in runs.axes if a.name not in unmoved]))
+        if finer is not None:
+            settings = keys_at(runs.axes, notches)
+            return Estimate(notches, settings, now, _differences(now, finer), unmoved)
+    return None
+
+
+def _largest_share_moved(
+    runs: Runs, now: Estimate, shares: dict[str, float], limit: float
+) -> Notches | None:
+    """The axis moved that changes the metrics most, by several notches where the ``limit`` is far.
+    ``shares`` are kept up to date: of axes that were not moved since, they stand."""
+    for axis in runs.axes:
+        if axis.name not in shares and axis.name not in now.unmoved:
+            alone = _tried(runs, _moved(now.notches, [axis]))
+            if alone is not None:
+                shares[axis.name] = max(_differences(now.run, alone).values(), default=0.0)
+    for axis in sorted(runs.axes, key=lambda axis: shares.get(axis.name, -1.0), reverse=True):
+        if axis.name not in shares:
+            continue
+        far = int(math.log(max(shares[axis.name] / limit, 1.0)) / math.log(PER_NOTCH))
+        most = 1 if axis.model else min(max(far, 1), FARTHEST)
+        at = now.notches.get(axis.name, 0)
+        # one notch more must still change it
+        by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
+        if not by:
+            return None  # at its finest: what else is refined leaves its error
+        moved = _moved(now.notches, [axis], by)
+        if _tried(runs, moved) is not None:
+            del shares[axis.name]
+            return moved
+    return None
+
+
+def _moved(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
+    return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
+
+
+def _left(runs: Runs) -> bool:
+    return len(runs.known) <= MOST
+
+
+def _tried(runs: Runs, notches: Notches) -> Run | None:
+    """None where that has no result, or where no runs are left."""
+    try:
+        return runs.at(notches) if _left(runs) else None
+    except (SimulationError, UsageError):
+        return None
+
+
+def _differences(run: Run, finer: Run) -> dict[str, float]:
+    """Estimated relative error of each metric of ``run``."""
+    return {name: REMAINDER * change for name, change in changes(run, finer, NEAR_ZERO).items()}

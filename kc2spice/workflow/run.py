@@ -23,11 +23,11 @@ from kc2spice.scene.parttype import Build
 from kc2spice.scene.plan import plan
 from kc2spice.sim.ngspice import Simulator, find_ngspice, write_files
 from kc2spice.sim.retries import Outcome, RetriesFailedError
-from kc2spice.workflow.converge import Converged, converge
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.edited import edited_deck
 from kc2spice.workflow.judge import metrics, probe_units
 from kc2spice.workflow.models import build_models, mode_tables, model_facts, rom_facts
+from kc2spice.workflow.refine import Converged, converge
 from kc2spice.workflow.results import plain, write_record, write_waveforms
 from kc2spice.workflow.simulate import kept_on_failure, simulate, warn_of
 
@@ -137,8 +137,8 @@ def _judged(
     if found is None:
         return build, outcome, None
     taken = found.taken
-    if taken.moved:
-        told = ", ".join(taken.moved)
+    if taken.settings:
+        told = ", ".join(taken.settings)
         warnings.warn(
             f"error_budget {found.check.limit:g}: finer {told}; the deck and models are those",
             stacklevel=2,

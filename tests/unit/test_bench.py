@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow import bench
+from kc2spice.workflow import bench, refine
 from kc2spice.workflow.refine import Run
 
 
@@ -16,15 +17,16 @@ def simulator(scene, *_, **__):
     """Errors of tolerance and order have opposite signs; time grows as either gets finer."""
     reltol, order = scene.solver.reltol, scene.rom.order
     value = 1.0 + reltol - 3e-3 / order
+    build = SimpleNamespace(scene=scene, largest=None, trust=False, functions={}, model=dict)
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
-    return Run({"speed": np.asarray(value), **rest}, np.arange(2), cost, None, None)
+    return Run({"speed": np.asarray(value), **rest}, np.arange(2), cost, build, None)
 
 
 @pytest.fixture(autouse=True, scope="module")
 def timed_again():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "time_again", lambda run: run.cpu_s)
+        patch.setattr(refine, "time_again", lambda run: run.cpu_s)
         yield
 
 
@@ -32,7 +34,7 @@ def timed_again():
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "evaluate", simulator)
+        patch.setattr(refine, "evaluate", simulator)
         record = bench.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
     return record, out
 
@@ -67,7 +69,7 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):
-    monkeypatch.setattr(bench, "evaluate", simulator)
+    monkeypatch.setattr(refine, "evaluate", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
     result = cli(*called, "--json", "--quiet", "--out", "o")
     assert result.exit_code == 4
