@@ -211,17 +211,6 @@ def _damped(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
-def mean(
-    solid: Solid,
-    axis: np.ndarray,
-    *,
-    facets: np.ndarray | None = None,
-    elements: np.ndarray | None = None,
-) -> np.ndarray:
-    """Weights (d nodes,) of the mean displacement along ``axis`` over facets or elements."""
-    return spread(node_shares(solid, facets=facets, elements=elements), axis, solid)
-
-
 def node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:

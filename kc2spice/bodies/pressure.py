@@ -29,7 +29,7 @@ from skfem.mesh import MeshQuad
 
 from kc2spice.bodies.device import Device, Setup, Shape, constrained
 from kc2spice.bodies.fields import Probe, principal
-from kc2spice.bodies.piezo_stack import layer_materials, stack_device, stack_setup
+from kc2spice.bodies.piezo_stack import layer_materials, stack_setup
 from kc2spice.core.errors import SimulationError
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
@@ -65,6 +65,10 @@ class PressureBasis:
         """Radius [m] at which a paraboloid's gap is that of each hat: the mean over it, where
         ``r^2`` is the mean of ``r^2``."""
         return np.asarray(np.sqrt(self._moments(2) / self._moments(0)))
+
+    def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Radii and pressure as shares (n,) of the hats spread a unit force."""
+        return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _moments(self, power: int) -> np.ndarray:
         x, w = np.polynomial.legendre.leggauss(4)
@@ -105,7 +109,7 @@ def pressed(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> Pressed:
     S = dents(chip, shape, cells)
     shares = np.linalg.solve(S, np.ones(len(S)))
     shares /= shares.sum()
-    own = stack_setup(_round(chip), pressure=_pressure(shape, shares))
+    own = stack_setup(_round(chip), pressure=shape.pressure(shares))
     coarse = float(_compliance(constrained(*own))[0, 0])
     added = S - coarse
     lowest = float(np.linalg.eigvalsh(added)[0])
@@ -235,18 +239,6 @@ def _round(chip: Chip) -> Chip:
         for name in ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     }
     return Chip(**given, diameter=2 * min(chip.half))
-
-
-def _pressure(shape: PressureBasis, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and pressure as the shares of the hats spread a unit force."""
-    return shape.nodes, np.append(shares / shape.areas, 0.0)
-
-
-def patched_device(
-    chip: Chip, shape: PressureBasis, own: Pressed, breakdown: float | None = None
-) -> Device:
-    """The stack with the patch of the hats as its one mechanical port."""
-    return stack_device(chip, breakdown, _pressure(shape, own.shares))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from kc2spice.scene.parttype import (
     Vector,
     numerics,
 )
-from kc2spice.scene.plausible import dimensions, layers
+from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.settings import Rom
 from kc2spice.spice.header import Header
 from kc2spice.spice.realize import COARSE, FOLLOWED, LEAK, UNRATED, Watch, reference, subcircuit
@@ -75,7 +75,7 @@ SOURCES = (
 )  # fmt: skip
 
 
-class BodyKeys(Section):
+class LinearKeys(Section):
     """Keys of every linear body."""
 
     rom: Rom | None = None
@@ -185,12 +185,7 @@ class LinearBody(PartType):
 
     def indentation_modulus(self, part: Part) -> float | None:
         """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
-        layers = getattr(part.keys, "layers", ())
-        if not isinstance(layers, tuple):
-            return None
-        from kc2spice.fem.materials import material
-
-        return material(layers[-1].material, part.name).indentation_modulus if layers else None
+        return None
 
     def coarse(self, part: Part, scene: Scene) -> bool:
         """Whether time steps need not follow its ringing once nothing presses on it."""
@@ -582,33 +577,6 @@ def part_starts_moving(part: Part, scene: Scene) -> bool:
         for other in scene.of("source")
         if any(target.startswith(f"{part.name}.") for target in other.pins.values())
     )
-
-
-def depoling_voltage(layers: Sequence[Any], where: str, *, series: bool) -> float | None:
-    """Voltage [V] at which one of the layers (keys ``material``, ``thickness``) reaches the
-    depoling field of its material, the same field in all of them in series; None where no limit
-    is known."""
-    from kc2spice.fem.materials import material
-
-    found = [(material(layer.material, where), layer.thickness) for layer in layers]
-    active = [(one.depoling_field, thick) for one, thick in found if one.piezoelectric]
-    fields = [limit for limit, _ in active if limit is not None]
-    if not active or len(fields) < len(active):
-        return None
-    if series:
-        return float(min(fields) * sum(thick for _, thick in active))
-    return float(min(limit * thick for limit, (_, thick) in zip(fields, active, strict=True)))
-
-
-def layer_problems(part: Part, widths: Sequence[float], *, plate: bool) -> Iterator[UsageError]:
-    """What :func:`kc2spice.scene.plausible.layers` says of a body's layers, each this wide [m]."""
-    from kc2spice.fem.materials import material
-
-    found = [
-        (width, layer.thickness, material(layer.material, part.name).piezoelectric)
-        for layer, width in zip(part.keys.layers, widths, strict=True)
-    ]
-    yield from layers(f"{part.name}.layers", found, plate=plate)
 
 
 def file_stamp(path: Path) -> str:

@@ -8,10 +8,12 @@ there in ``ac`` as well.
 
 from __future__ import annotations
 
+import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,15 +25,16 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts import _chipbook as chipbook
-from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts._pictures import deformed, shapes
-from kc2spice.rom.linear import LinearModel
+from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.judge import Balance, Check
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build
+from kc2spice.scene.plausible import layers as plausible_layers
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.axisymmetric import Block
+    from kc2spice.bodies.blocks import Bonded
     from kc2spice.bodies.device import Device
     from kc2spice.bodies.fields import Extreme
     from kc2spice.bodies.recover import Motion
@@ -54,6 +57,7 @@ _QUANTITIES = {
 }  # fmt: skip
 # What the last run of each part gave: metrics, checks, figures and files all ask for it.
 _recent: dict[str, tuple[Waveforms, Recovered]] = {}
+_latest: dict[str, tuple[str, Device]] = {}
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class Recovered:
         return max(limited, key=lambda each: each.value / (each.limit or 1.0))
 
 
-class FieldKeys(BodyKeys):
+class FieldKeys(LinearKeys):
     """Whether a run recovers what happens inside the body; instants become VTU files."""
 
     fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
@@ -82,11 +86,22 @@ class FieldKeys(BodyKeys):
 
 
 class MeshedBody(LinearBody):
-    """A body with a key ``fields``; a subclass gives its :meth:`device`."""
+    """A body with a key ``fields``; a subclass makes its device."""
 
     @abstractmethod
-    def device(self, part: Part, scene: Scene) -> Device:
+    def make(self, part: Part, scene: Scene) -> Device:
         """The full model with its mesh."""
+
+    def device(self, part: Part, scene: Scene) -> Device:
+        """The same; the last one of the type stays in memory, as the next scene often asks for
+        another reduction of it."""
+        key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
+        known = _latest.pop(self.name, None)
+        if known is None or known[0] != key:
+            known = None  # before the next one is built: two would need twice the memory
+            known = key, self.make(part, scene)
+        _latest[self.name] = known
+        return known[1]
 
     def full(self, part: Part, scene: Scene, clock: Any) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
@@ -228,19 +243,63 @@ def chosen(part: Part) -> tuple[float, ...]:
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
-def side_view(name: str, blocks: Sequence[Block]) -> Iterator[Shape]:
-    """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind is
-    named once."""
-    top, known = max(block.z[1] for block in blocks), set[str]()
-    for block in sorted(blocks, key=lambda block: block.z[1], reverse=True):
-        made_of, (inner, outer), (low, high) = block.material, block.r, block.z
-        label = f"{name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
-        kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
-        for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
-            wide = outer - inner if inner else 2 * outer
-            said = "" if label in known else label
-            yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, said)
-            known.add(label)
+class BondedBody(MeshedBody):
+    """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
+
+    structure: Callable[[Any, str], Bonded]
+
+    def bonded(self, part: Part) -> Bonded:
+        """Its blocks, electrodes, supports and ports."""
+        return _bonded(self, part.keys.model_dump_json(), part.name)
+
+    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
+        return self.bonded(part).every_port
+
+    def make(self, part: Part, scene: Scene) -> Device:
+        return self.bonded(part).device()
+
+    def by_material(self, part: Part) -> float | None:
+        return self.bonded(part).rated
+
+    def indentation_modulus(self, part: Part) -> float | None:
+        from kc2spice.fem.materials import material
+
+        layers = getattr(part.keys, "layers", ())
+        return material(layers[-1].material, part.name).indentation_modulus if layers else None
+
+    def layer_problems(
+        self, part: Part, widths: Sequence[float], *, plate: bool
+    ) -> Iterator[UsageError]:
+        """What :func:`kc2spice.scene.plausible.layers` says of layers, each this wide [m]."""
+        from kc2spice.fem.materials import material
+
+        found = [
+            (width, layer.thickness, material(layer.material, part.name).piezoelectric)
+            for layer, width in zip(part.keys.layers, widths, strict=True)
+        ]
+        yield from plausible_layers(f"{part.name}.layers", found, plate=plate)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind
+        is named once."""
+        blocks, known = self.bonded(part).blocks, set[str]()
+        top = max(block.box[-1][1] for block in blocks)
+        for block in blocks:
+            made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
+            if len(block.box) == 3:  # a beam, about its middle
+                outer /= 2
+            label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
+            kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
+            for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
+                wide = outer - inner if inner else 2 * outer
+                said = "" if label in known else label
+                yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, said)
+                known.add(label)
+
+
+@lru_cache(maxsize=32)
+def _bonded(kind: BondedBody, keys: str, name: str) -> Bonded:
+    return kind.structure(kind.schema.model_validate_json(keys), name)
 
 
 def _slug(material: str) -> str:

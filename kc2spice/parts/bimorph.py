@@ -1,28 +1,183 @@
-"""The part ``bimorph``: layered beams and plates that bend (:mod:`kc2spice.bodies.bimorph`)."""
+"""The part ``bimorph``: a layered rectangular beam or plate that bends.
+
+Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins)::
+
+    [harvester]
+    part = "bimorph"
+    length = "50.8 mm"
+    width = "31.8 mm"
+    layers = [{ material = "PZT-5A", thickness = "0.26 mm" }, …]   # from the bottom up
+    wiring = "series"
+    tip_mass = "12 g"
+
+x runs along the length from the clamp, y along the width, z up. Every layer is a solid of
+quadratic hexahedra, so plate action, the clamp's hindrance of lateral contraction and the field
+inside the layers are there without a theory of beams. Both faces of a piezoelectric layer are
+electrodes all over; faces across a conductor, and between two piezoelectric layers, are one. A
+positive voltage at the anode bends the tip up: layers above the middle are poled to contract,
+those below to stretch.
+
+* *series*: anode on top, cathode at the bottom, all between floating;
+* *parallel*: the levels of electrodes are anode and cathode by turns, the top one anode.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import accumulate, pairwise
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import accumulate, chain, pairwise
+from typing import Annotated, Any, Literal, TypeAlias
 
-from kc2spice.bodies import bimorph
-from kc2spice.bodies.axisymmetric import Block
-from kc2spice.bodies.device import Device
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Shape
+from kc2spice.core.quantities import Length, Section, si, validated
+from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
-from kc2spice.parts._linear_body import depoling_voltage, layer_problems
-from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
-from kc2spice.rom.linear import Port
+from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
+Mass: TypeAlias = Annotated[float, si("kg")]
+LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
+GRADING = 1.6
 
-class BimorphKeys(bimorph.Bimorph, FieldKeys):
-    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
+
+class Layer(Section):
+    """One layer, over the whole beam."""
+
+    material: str | dict[str, Any] = Field(description="name or table")
+    thickness: Length = Field(gt=0, description="of the layer")
 
 
-class Bimorph(MeshedBody):
+class BimorphKeys(FieldKeys):
+    """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
+    (on knife edges under both ends) or *free*. ``tip_mass`` is spread over the end face. ``points``
+    are further ports on the centre line of the top, by distance from the clamp.
+    """
+
+    length: Length = Field(gt=0, description="along the beam, free part")
+    width: Length = Field(gt=0, description="across")
+    layers: tuple[Layer, ...] = Field(min_length=1)
+    wiring: Literal["series", "parallel"] | None = Field(None, description="of two ceramic layers")
+    tip_mass: Mass = Field(0.0, ge=0, description="spread over the end face")
+    support: Literal["cantilever", "clamped", "simply_supported", "free"] = Field(
+        "cantilever", description="what holds it"
+    )
+    points: dict[
+        Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
+    ] = Field(
+        default_factory=dict, description="further ports on the top by distance from the clamp"
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BimorphKeys:
+        for name, x in self.points.items():
+            if name in ("tip", "base", "anode", "cathode"):
+                raise ValueError(f"points: {name} is a port already")
+            if not 0 <= x <= self.length:
+                raise ValueError(f"points.{name} is not on the beam")
+        return self
+
+
+def structure(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
+    """The layers with electrodes, support, ports and the mass at the tip. ``mesh.refine`` divides
+    edges in the plane, and every second one through the thickness, where a quadratic element holds
+    all that plates do.
+
+    Raises
+    ------
+    UsageError : a material that does not exist, wiring without a piezoelectric layer.
+    """
+    beam = validated(BimorphKeys, keys, where)
+    materials = [
+        material(layer.material, f"{where}.layers[{number}].material")
+        for number, layer in enumerate(beam.layers)
+    ]
+    heights = [*accumulate((layer.thickness for layer in beam.layers), initial=0.0)]
+    active = [k for k, one in enumerate(materials) if one.piezoelectric]
+    if beam.wiring is not None and not active:
+        problem = "wiring without a piezoelectric layer"
+        raise UsageError(problem, where="wiring", got=beam.wiring)
+    length, width, top = beam.length, beam.width, heights[-1]
+
+    def plane(height: float) -> Box:
+        return (0.0, length), (0.0, width), (height, height)
+
+    def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
+        return (x, x), y, z
+
+    # electrodes from the bottom up; across a conductor, and between two ceramics, they are one
+    ends = [heights[k + upper] for k in active for upper in (0, 1)]
+    levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
+    series = beam.wiring != "parallel"
+    faces = [[plane(height) for height in level] for level in levels]
+    electrodes = {"anode": faces[::-2], "cathode": faces[-2::-2]}
+    if series:
+        electrodes = {"anode": faces[-1:], "cathode": faces[:1]}
+    blocks = []
+    for k, (one, span) in enumerate(zip(materials, pairwise(heights), strict=True)):
+        above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
+        # the field of a positive voltage points down in all in series, by turns from the top else
+        down = series or k not in active or (active.index(k) - len(active)) % 2
+        poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
+        box = ((0.0, length), (0.0, width), span)
+        blocks.append(Block(box, replace(poled, name=f"layers[{k}] ({one.name})")))
+    whole, end = (0.0, width), across(length, (0.0, width), (0.0, top))
+    clamp = ("xyz", across(0.0, whole, (0.0, top)))
+    fixed = {
+        "cantilever": [clamp],
+        "clamped": [clamp, ("xyz", end)],
+        # one corner of each edge is held: the width may change
+        "simply_supported": [
+            ("xz", across(0.0, whole, (0.0, 0.0))),
+            ("z", across(length, whole, (0.0, 0.0))),
+            *(("y", across(x, (0.0, 0.0), (0.0, 0.0))) for x in (0.0, length)),
+        ],
+        "free": [],
+    }[beam.support]
+    ports = {} if beam.support == "clamped" else {"tip": end}
+    middle = (width / 2, width / 2)
+    ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
+    return Bonded(
+        blocks,
+        {pin: [*chain(*found)] for pin, found in electrodes.items()} if active else {},
+        faces[1:-1] if series else (),
+        ports,
+        fixed,
+        masses=[(beam.tip_mass, end)],
+        moved=beam.support != "free",
+        grid=_grid(beam, heights),
+        damping=beam.damping,
+        rated=depoling_voltage(
+            [*zip(materials, (layer.thickness for layer in beam.layers), strict=True)],
+            series=series,
+        ),
+        where=where,
+    )
+
+
+def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
+    """Lines along the beam, finer towards clamps, across it and through the layers."""
+    refine = beam.mesh.refine
+    s = np.linspace(0, 1, LENGTHWISE * refine + 1)
+    if beam.support == "cantilever":
+        s = s**GRADING
+    elif beam.support == "clamped":
+        s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING)
+    cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
+    return (
+        np.union1d(beam.length * s, list(beam.points.values())),
+        np.linspace(0, beam.width, ACROSS * refine + 1),
+        np.append(np.concatenate(cuts), heights[-1]),
+    )
+
+
+class Bimorph(BondedBody):
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
@@ -43,40 +198,12 @@ part = "source"
 dc = "50 V"
 """
     source = "FE (piezoelectric, hexahedra)"
-
-    def by_material(self, part: Part) -> float | None:
-        return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring != "parallel")
+    structure = staticmethod(structure)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         widths = [part.keys.width] * len(part.keys.layers)
-        yield from layer_problems(part, widths, plate=False)
-
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        keys = part.keys
-        found = []
-        if any(material(x.material, part.name).piezoelectric for x in keys.layers):
-            found.append(Port("anode", "electrical", pins=("anode", "cathode")))
-        if keys.support != "clamped":
-            found.append(Port("tip", "mechanical"))
-        found += [Port(name, "mechanical") for name in keys.points]
-        if keys.support != "free":
-            found.append(Port("base", "acceleration"))
-        return tuple(found)
-
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        ends = pairwise(accumulate((layer.thickness for layer in part.keys.layers), initial=0.0))
-        half = (0.0, part.keys.length / 2)
-        yield from side_view(
-            part.name,
-            [
-                Block(half, span, material(layer.material, part.name))
-                for layer, span in zip(part.keys.layers, ends, strict=True)
-            ],
-        )
-
-    def device(self, part: Part, scene: Scene) -> Device:
-        return bimorph.device(part.keys, where=part.name)
+        yield from self.layer_problems(part, widths, plate=False)
 
 
 register(Bimorph())

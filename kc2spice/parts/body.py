@@ -1,20 +1,63 @@
-"""The part ``body``: the user's own mesh or CAD file (:mod:`kc2spice.bodies.body`)."""
+"""The part ``body``: the user's own mesh or CAD file as a linear model with named ports.
+
+Groups of the file name materials, supports, electrodes and ports::
+
+    [bracket]
+    part = "body"
+    mesh = "bracket.step"
+    unit = "mm"                   # needed with .msh and .brep; STEP files state their own
+    size = "2 mm"                 # of the elements, CAD files only
+    materials = { frame = "aluminium", patch = "PZT-5A" }
+    poling = { patch = [0, 0, 1] }
+    fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
+    electrodes = { anode = "top", cathode = "bottom" }
+    ports = [
+        { name = "tip", group = "end", axis = "z" },
+        { name = "base", kind = "base", axis = "z" },
+    ]
+
+In a CAD file, groups are its labels and what ``groups`` picks, by points that lie in an entity or
+by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeAlias
 
-from kc2spice.bodies import body
-from kc2spice.bodies.device import Device, part_named
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.bodies.device import (
+    Device,
+    RigidFace,
+    Setup,
+    Shape,
+    make_device,
+    node_shares,
+    part_named,
+    spread,
+)
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.foreign import beside
+from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.mesh_file import length_unit, require_format
+from kc2spice.fem.keys import Damping
+from kc2spice.fem.materials import material
+from kc2spice.fem.mesh_file import (
+    Group,
+    GroupedMesh,
+    Pick,
+    extent,
+    length_unit,
+    read_mesh,
+    require_format,
+)
+from kc2spice.fem.solid import Solid
 from kc2spice.parts._linear_body import file_stamp
 from kc2spice.parts._meshed import FieldKeys, MeshedBody
 from kc2spice.parts._pictures import outline
@@ -22,9 +65,340 @@ from kc2spice.rom.linear import Port
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import Build, register
 
+Point: TypeAlias = tuple[Length, Length, Length]
+Vector: TypeAlias = tuple[float, float, float]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
+_MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+_REFERENCES = ("cathode", "gnd", "ground")
+_KINDS = ("elements", "faces", "curves", "points")
 
-class BodyKeys(body.Body, FieldKeys):
-    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
+
+class GroupKeys(Section):
+    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
+
+    solids: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    faces: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    curves: tuple[Point, ...] = Field((), description="those that contain one of these points")
+    points: tuple[Point, ...] = Field((), description="those at one of these points")
+    solids_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    faces_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    curves_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+    points_in: tuple[Point, Point] | None = Field(None, description="those in a box of two corners")
+
+    @model_validator(mode="after")
+    def _one(self) -> GroupKeys:
+        if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
+            raise ValueError("pick solids, faces, curves or points: one of them")
+        return self
+
+    def pick(self) -> Pick:
+        """What the mesh reader looks for."""
+        kind = next(iter(self.model_fields_set)).removesuffix("_in")
+        dimension = ("points", "curves", "faces", "solids").index(kind)
+        return Pick(dimension, getattr(self, kind), getattr(self, f"{kind}_in"))
+
+
+class FixedKeys(Section):
+    """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
+
+    group: str = Field(description="nodes that are held")
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
+        "xyz", description="along which; x is the radius if axisymmetric"
+    )
+
+
+class PortKeys(Section):
+    """A mechanical port.
+
+    ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
+    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
+    and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
+    *base* is the acceleration of what the body is fixed to. ``at`` names the mesh node nearest to
+    a point instead of a group.
+    """
+
+    name: Name = Field(description="of the port and its pin")
+    group: str | None = Field(None, description="where it acts")
+    at: Point | None = Field(None, description="the mesh node nearest to a point")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
+        None, description="direction, or rotation about one"
+    )
+    kind: Literal["mean", "rigid", "base"] = Field(
+        "mean", description="mean of a group, rigid face, or base"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> PortKeys:
+        places = (self.group is not None) + (self.at is not None)
+        if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
+            raise ValueError("mean needs group or at, rigid needs group, base needs neither")
+        turning = isinstance(self.axis, str) and self.axis.startswith("r")
+        if self.kind != "rigid" and (self.axis is None or turning):
+            raise ValueError("needs an axis: x, y, z or three numbers")
+        if self.kind == "rigid" and isinstance(self.axis, tuple):
+            raise ValueError("a rigid face moves along x, y, z, rx, ry or rz")
+        if isinstance(self.axis, tuple) and not any(self.axis):
+            raise ValueError("axis has no length")
+        return self
+
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """Those of a rigid face that are ports."""
+        return _MOTIONS if self.axis is None else (str(self.axis),)
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """What it is in a model."""
+        if self.kind != "rigid":
+            return (Port(self.name, "acceleration" if self.kind == "base" else "mechanical"),)
+        names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
+        return tuple(
+            Port(name, "rotational" if motion.startswith("r") else "mechanical")
+            for name, motion in zip(names, self.motions, strict=True)
+        )
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector (3,) of a translation."""
+        if isinstance(self.axis, str):
+            return np.eye(3)["xyz".index(self.axis)]
+        axis = np.asarray(self.axis, float)
+        return np.asarray(axis / np.linalg.norm(axis))
+
+
+class BodyKeys(FieldKeys):
+    """Of the electrodes, ``cathode`` (or ``gnd``, ``ground``, else the last) is the return pin of
+    all others. ``floating`` electrodes are equipotential and carry no charge.
+    """
+
+    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
+        description="file beside the scene: mesh, STEP, BREP, IGES"
+    )
+    unit: str | None = Field(
+        None, description="of the file's coordinates; needed where the file states none"
+    )
+    size: Length | None = Field(None, gt=0, description="of elements of a CAD file")
+    refine: Annotated[Count, Notch(2.0, model=True)] = Field(
+        1, ge=1, le=8, description="divides the size of all elements"
+    )
+    axisymmetric: bool = Field(False, description="the mesh is a half plane, x the radius")
+    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    materials: dict[str, str | dict[str, Any]] = Field(
+        min_length=1, description="name or table, by group"
+    )
+    poling: dict[str, Vector] = Field(
+        default_factory=dict, description="direction of each group's third axis; z unless told"
+    )
+    fixed: tuple[str | FixedKeys, ...] = Field((), description="groups that are held")
+    electrodes: dict[Name, str | tuple[str, ...]] = Field(
+        default_factory=dict, description="by group: the pin of each"
+    )
+    floating: tuple[str, ...] = Field((), description="groups of one potential without a pin")
+    ports: tuple[PortKeys, ...] = ()
+    damping: Damping = Damping()
+
+    @property
+    def reference(self) -> str:
+        """The electrode that voltages are counted from; none without electrodes."""
+        last = next(reversed(self.electrodes), "")
+        return next((name for name in _REFERENCES if name in self.electrodes), last)
+
+    @property
+    def every_port(self) -> tuple[Port, ...]:
+        """What its model has, electrical ports first."""
+        pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
+        electrical = (Port(pair[0], "electrical", pins=pair) for pair in pairs)
+        return (*electrical, *(port for each in self.ports for port in each.ports))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BodyKeys:
+        stray = set(self.poling) - set(self.materials)
+        if stray:
+            raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+        if len(self.electrodes) == 1:
+            raise ValueError("a single electrode has no voltage: name the one it is counted from")
+        if not self.electrodes and not self.ports:
+            raise ValueError("needs electrodes or ports")
+        names = [port.name for port in self.ports]
+        twice = {n for n in names if names.count(n) > 1} | (set(names) & set(self.electrodes))
+        if twice:
+            raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
+        return self
+
+
+def device(keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body") -> Device:
+    """Read the mesh (relative to ``home``), name its groups, assemble.
+
+    ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
+    most 1/refine of what they were.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read; a group that is missing, empty, of the wrong
+        dimension, or used twice; elements without material; an electrode on a material that is
+        not piezoelectric.
+    """
+    keys = validated(BodyKeys, keys, where)
+    with part_named(where):
+        path = beside(home, keys.mesh, "mesh")
+        found = read_mesh(
+            path,
+            unit=length_unit(path, keys.unit),
+            size=None if keys.size is None else keys.size / keys.refine,
+            picks={name: group.pick() for name, group in keys.groups.items()},
+            dimension=2 if keys.axisymmetric else 3,
+            splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
+        )
+        groups = _Groups(found, keys)
+        solid = _solid(keys, groups)
+        made = make_device(solid, _setup(keys, groups, solid))
+    axes = ("radius", "height") if keys.axisymmetric else "xyz"
+    sides = zip(axes, 1e3 * np.ptp(found.mesh.p, axis=1), strict=True)
+    facts = {**made.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
+    return replace(made, model=replace(made.model, facts=facts))
+
+
+class _Groups:
+    """Groups of a mesh by name, with errors that name the key which asks for them."""
+
+    def __init__(self, found: GroupedMesh, keys: BodyKeys) -> None:
+        self.mesh, self.found = found.mesh, found.groups
+        self.kinds = ("elements", "curves", "points") if keys.axisymmetric else _KINDS
+
+    def get(self, name: str, where: str, *codimensions: int) -> Group:
+        """The group, if it has one of these codimensions."""
+        group = self.found.get(name)
+        if group is None:
+            raise UsageError(
+                "no such group in the mesh",
+                where=where,
+                got=name,
+                expected=", ".join(sorted(self.found)) or "physical groups in the file",
+            )
+        if not group.members.size:
+            raise UsageError("group is empty", where=where, got=name)
+        if codimensions and group.codimension not in codimensions:
+            raise UsageError(
+                "group of the wrong kind",
+                where=where,
+                got=f"{name}, {self.kinds[group.codimension]}",
+                expected=" or ".join(self.kinds[c] for c in codimensions),
+            )
+        return group
+
+
+def _solid(keys: BodyKeys, groups: _Groups) -> Solid:
+    owner = np.full(groups.mesh.nelements, -1)
+    materials = []
+    for number, (name, given) in enumerate(keys.materials.items()):
+        where = f"materials.{name}"
+        cells = groups.get(name, where, 0).members
+        if (owner[cells] >= 0).any():
+            other = list(keys.materials)[int(owner[cells].max())]
+            raise UsageError("elements with two materials", where=where, got=f"also in {other}")
+        owner[cells] = number
+        made_of = material(given, where).poled(keys.poling.get(name, (0, 0, 1)))
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
+    if (owner < 0).any():
+        raise UsageError(
+            "elements without material",
+            where="materials",
+            got=f"{np.sum(owner < 0)} elements",
+            expected=f"every element in one of {', '.join(sorted(groups.found))}",
+        )
+    return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
+
+
+def _setup(keys: BodyKeys, groups: _Groups, solid: Solid) -> Setup:
+    electrodes = {}
+    for pin, given in keys.electrodes.items():
+        names = [given] if isinstance(given, str) else given
+        found = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        electrodes[pin] = np.unique(np.concatenate(found))
+    kinds = {
+        kind: [port for port in keys.ports if port.kind == kind]
+        for kind in ("mean", "rigid", "base")
+    }
+    return Setup(
+        fixed=_fixed(keys, groups, solid),
+        electrodes=electrodes,
+        reference=keys.reference,
+        floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
+        shapes=[
+            Shape(port.ports[0], spread(_shares(port, groups, solid), port.direction, solid))
+            for port in kinds["mean"]
+        ],
+        faces=[_rigid(port, groups, solid) for port in kinds["rigid"]],
+        base=[(port.ports[0], port.direction) for port in kinds["base"]],
+        damping=keys.damping,
+    )
+
+
+def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
+    return np.unique(solid.basis(1).get_dofs(facets).flatten())
+
+
+def _electrode(solid: Solid, groups: _Groups, name: str, where: str) -> np.ndarray:
+    """Nodes of an electrode, which must lie on something piezoelectric."""
+    facets = groups.get(name, where, 1).members
+    active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
+    sides = solid.mesh.f2t[:, facets]
+    if not (active[sides] & (sides >= 0)).any():
+        made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
+        raise UsageError(
+            "electrode on a material that is not piezoelectric",
+            where=where,
+            got=f"{name} on {', '.join(sorted(made_of))}",
+            expected="a face of a piezoelectric group",
+        )
+    return _facet_nodes(solid, facets)
+
+
+def _fixed(keys: BodyKeys, groups: _Groups, solid: Solid) -> np.ndarray:
+    d, nodes = solid.components, solid.places.shape[1]
+    fixed = np.zeros((nodes, d), bool)
+    letters = "xyz" if d == 3 else "xz"
+    for entry in keys.fixed:
+        support = FixedKeys(group=entry) if isinstance(entry, str) else entry
+        group = groups.get(support.group, "fixed")
+        members = group.members
+        if group.codimension == 0:
+            members = solid.nodes(members)
+        elif group.codimension == 1:
+            members = _facet_nodes(solid, members)
+        for axis in set(support.axes) & set(letters):
+            fixed[members, letters.index(axis)] = True
+    if solid.axisymmetric:
+        on_axis = solid.places[0] < 1e-9 * np.ptp(solid.mesh.p)
+        fixed[on_axis, 0] = True
+    return fixed.ravel()
+
+
+def _shares(port: PortKeys, groups: _Groups, solid: Solid) -> np.ndarray:
+    """Parts (nodes,) of a unit force over the port's group."""
+    shares = np.zeros(solid.places.shape[1])
+    if port.at is not None:
+        point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
+        shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
+        return shares
+    group = groups.get(str(port.group), f"ports.{port.name}")
+    if group.codimension == 0:
+        return node_shares(solid, elements=group.members)
+    if group.codimension == 1:
+        return node_shares(solid, facets=group.members)
+    shares[group.members] = group.shares
+    return shares
+
+
+def _rigid(port: PortKeys, groups: _Groups, solid: Solid) -> RigidFace:
+    where = f"ports.{port.name}"
+    if solid.axisymmetric:
+        raise UsageError("no rigid faces in axisymmetric bodies", where=where)
+    nodes = _facet_nodes(solid, groups.get(str(port.group), where, 1).members)
+    unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
+    return RigidFace(
+        nodes, [*zip(port.ports, (unit[motion] for motion in port.motions), strict=True)]
+    )
 
 
 class Body(MeshedBody):
@@ -35,16 +409,17 @@ class Body(MeshedBody):
     source = "FE (piezoelectric, the user's mesh)"
 
     def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        return body.ports(part.keys)
+        found: tuple[Port, ...] = part.keys.every_port
+        return found
 
     def files(self, part: Part, scene: Scene) -> tuple[str, ...]:
-        beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
+        _path(part, scene)
         return (part.keys.mesh,)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
-            path = beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
+            path = _path(part, scene)
             require_format(path)
             if path.is_file():
                 length_unit(path, part.keys.unit)
@@ -54,17 +429,20 @@ class Body(MeshedBody):
             yield error
 
     def detail(self, part: Part, scene: Scene) -> str:
+        """The bounding box of its file, then what all bodies say."""
 
         def size() -> str:
             with part_named(part.name):
-                return body.size_in_words(part.keys, scene.home)
+                path = _path(part, scene)
+                sides = 1e3 * length_unit(path, part.keys.unit) * extent(path)
+            return " x ".join(f"{side:.4g}" for side in sides) + " mm"
 
-        key = {"file": _stamp(part, scene), "unit": part.keys.unit}
+        key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
         text, _ = cached("extent", key, size, sources=self.sources())
         return f"{text}; {super().detail(part, scene)}"
 
     def full_key(self, part: Part, scene: Scene) -> dict[str, Any]:
-        return {**super().full_key(part, scene), "file": _stamp(part, scene)}
+        return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
         """Its mesh, then what all bodies show."""
@@ -79,20 +457,12 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def device(self, part: Part, scene: Scene) -> Device:
-        # unset keys stay out: a group is picked by the keys that it has
-        keys = part.keys.model_dump_json(exclude_unset=True, include=set(body.Body.model_fields))
-        return _device(keys, scene.home, _stamp(part, scene), part.name)
+    def make(self, part: Part, scene: Scene) -> Device:
+        return device(part.keys, scene.home, part.name)
 
 
-def _stamp(part: Part, scene: Scene) -> str:
-    return file_stamp(beside(scene.home, part.keys.mesh, f"{part.name}.mesh"))
-
-
-@lru_cache(maxsize=2)
-def _device(keys: str, home: Path, stamp: str, where: str) -> Device:
-    parsed = body.Body.model_validate_json(keys)
-    return body.device(parsed, home, where=where)
+def _path(part: Part, scene: Scene) -> Path:
+    return beside(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 
 register(Body())

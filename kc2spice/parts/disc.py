@@ -1,49 +1,240 @@
-"""The part ``disc``: buzzers, diaphragms, piezoelectric discs (:mod:`kc2spice.bodies.disc`)."""
+"""The part ``disc``: circular layers on one another, with electrodes. Buzzers, diaphragms, discs.
+
+    layers = [                                  # from the bottom up
+      { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+      { material = "PZT-5A", diameter = "14 mm", thickness = "0.22 mm", electrodes = "12.8 mm" },
+    ]
+    support = "free"                            # clamped, simply_supported, { node = "13 mm" }
+
+Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode), mechanical port
+``centre``: mean axial displacement of a small patch on top, upwards. Left out: glue unless it is a
+layer, silver, solder and wires, the air.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import accumulate, chain, pairwise
+from typing import Any, Literal
 
-from kc2spice.bodies import disc
-from kc2spice.bodies.device import Device
+from pydantic import Field
+
+from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Shape
-from kc2spice.parts._linear_body import depoling_voltage, layer_problems
-from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
-from kc2spice.rom.linear import Port
+from kc2spice.core.quantities import Length, Ratio, Section, validated
+from kc2spice.fem.keys import Damping, Mesh
+from kc2spice.fem.materials import material
+from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 
-
-class DiscKeys(disc.Disc, FieldKeys):
-    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
+_CELLS = 20  # along the largest radius (or half the height) before refinement
 
 
-class Disc(MeshedBody):
+class Feedback(Section):
+    """A ring (or disc) cut out of the top electrode, for self-oscillating buzzers.
+
+    Sheets show a tongue; the ring stands for it: the area counts, not the angle.
+    """
+
+    inner: Length = Field(0.0, ge=0, description="radius; 0 cuts out a disc")
+    outer: Length = Field(gt=0, description="radius")
+    gap: Length = Field(0.5e-3, gt=0, description="bare ceramic to the main electrode")
+
+
+class Layer(Section):
+    """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
+
+    material: str | dict[str, Any] = Field(description="name or table")
+    diameter: Length = Field(gt=0, description="outer")
+    thickness: Length = Field(gt=0, description="of the layer")
+    electrodes: Length | None = Field(
+        None, gt=0, description="diameter of its electrodes; the whole face unless told"
+    )
+    feedback: Feedback | None = None
+    poling: Literal["up", "down"] = Field("up", description="of a ceramic")
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
+
+
+class Node(Section):
+    """A knife edge under the body."""
+
+    node: Length = Field(gt=0, description="diameter")
+
+
+class DiscKeys(FieldKeys):
+    """``wiring`` matters with more than one ceramic layer: ``parallel`` connects every second
+    electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and the highest
+    and leaves those between floating."""
+
+    layers: tuple[Layer, ...] = Field(min_length=1)
+    support: Literal["free", "clamped", "simply_supported"] | Node = "free"
+    wiring: Literal["parallel", "series"] = Field(
+        "parallel", description="of several ceramic layers"
+    )
+    centre: Length | None = Field(
+        None, gt=0, description="diameter of the port's patch; the thickness on the axis if absent"
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+
+def structure(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
+    """The layers with electrodes, support and port.
+
+    Raises
+    ------
+    UsageError : a key is wrong, or names electrodes or supports beyond the body.
+    """
+    disc = validated(DiscKeys, keys, where)
+    pieces = _blocks(disc, where)
+    conductors, series = _conductors(disc, pieces, where), disc.wiring == "series"
+    electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
+    if series:
+        electrodes = {"anode": conductors[-1], "cathode": conductors[0]}
+    for layer, piece in zip(disc.layers, pieces, strict=True):
+        if layer.feedback is not None:
+            ring = _face(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
+            electrodes.setdefault("feedback", []).append(ring)
+    top, across = pieces[-1].box[1][1], max(layer.diameter for layer in disc.layers)
+    stack = [(p.material, x.thickness) for x, p in zip(disc.layers, pieces, strict=True)]
+    return Bonded(
+        pieces,
+        electrodes,
+        conductors[1:-1] if series else (),
+        {"centre": _centre(disc, top, where)},
+        _supports(disc, pieces, across / 2, where),
+        size=max(top, across) / (2 * _CELLS),
+        refine=disc.mesh.refine,
+        damping=disc.damping,
+        rated=depoling_voltage(stack, series=series),
+        where=where,
+    )
+
+
+def _face(inner: float, outer: float, height: float) -> Box:
+    return (inner, outer), (height, height)
+
+
+def _blocks(disc: DiscKeys, where: str) -> list[Block]:
+    found = []
+    ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
+    for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
+        here = f"{where}.layers.{i}"
+        one = material(layer.material, f"{here}.material")
+        if layer.electrodes is not None and not one.piezoelectric:
+            problem = "an electrode on a material that is not piezoelectric"
+            raise UsageError(problem, where=here, got=one.name)
+        if layer.electrodes is not None and layer.electrodes > layer.diameter * (1 + 1e-9):
+            raise UsageError(
+                "electrodes larger than the layer",
+                where=f"{here}.electrodes",
+                got=f"{layer.electrodes:g} m",
+                expected=f"at most {layer.diameter:g} m",
+            )
+        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
+        quality = layer.quality or one.quality
+        poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
+        found.append(Block(((0.0, layer.diameter / 2), span), poled))
+    if not any(block.material.piezoelectric for block in found):
+        got = ", ".join(block.material.name for block in found)
+        raise UsageError("no piezoelectric layer", where=f"{where}.layers", got=got)
+    return found
+
+
+def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
+    """Faces of each electrode in order of height; a metal layer is one electrode."""
+    found: list[list[Box]] = []
+    last_metal: int | None = None
+    heights = [0.0, *(piece.box[1][1] for piece in pieces)]
+    for i, height in enumerate(heights):
+        beside = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
+        ceramic = [k for k in beside if pieces[k].material.piezoelectric]
+        metal = [k for k in beside if pieces[k].material.conductor]
+        if not ceramic:
+            continue
+        if not metal:
+            found.append(_plane(disc, ceramic, height, i - 1, where))
+            continue
+        radius = min(pieces[k].box[0][1] for k in (ceramic[0], metal[0]))
+        if metal[0] != last_metal:
+            found.append([])
+        found[-1].append(_face(0.0, radius, height))
+        last_metal = metal[0]
+    return found
+
+
+def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str) -> list[Box]:
+    """Electrode on bare ceramic, without the feedback's ring and its gaps."""
+    diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
+    if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
+        raise UsageError(
+            "two layers state different diameters of the electrode between them",
+            where=f"{where}.layers.{ceramic[-1]}.electrodes",
+            got=sorted(diameters),
+        )
+    radius = min(diameters) / 2
+    ring = disc.layers[below].feedback if below in ceramic else None
+    if ring is None:
+        return [_face(0.0, radius, height)]
+    inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
+    if not ring.inner < ring.outer <= 2 * radius or (inner <= 0 and outer >= radius):
+        raise UsageError(
+            "no room for the feedback electrode",
+            where=f"{where}.layers.{below}.feedback",
+            got=f"{ring.inner:g} to {ring.outer:g} m, gap {ring.gap:g} m",
+            expected=f"inner < outer, within the electrode of {2 * radius:g} m, some of it left",
+        )
+    return [_face(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]]
+
+
+def _supports(
+    disc: DiscKeys, pieces: list[Block], radius: float, where: str
+) -> list[tuple[str, Box]]:
+    if disc.support == "free":
+        return []
+    if isinstance(disc.support, Node):
+        r = disc.support.node / 2
+        lowest = next((piece.box[1][0] for piece in pieces if piece.box[0][1] >= r), None)
+        if lowest is None:
+            raise UsageError(
+                "the node lies outside the body",
+                where=f"{where}.support.node",
+                got=f"{2 * r:g} m",
+                expected=f"at most {2 * radius:g} m",
+            )
+        return [("z", _face(r, r, lowest))]
+    rim = [piece.box[1] for piece in pieces if piece.box[0][1] >= radius * (1 - 1e-9)]
+    z = rim[0][0], rim[-1][1]
+    if disc.support == "clamped":
+        return [("xz", ((radius, radius), z))]
+    return [("z", _face(radius, radius, sum(z) / 2))]
+
+
+def _centre(disc: DiscKeys, height: float, where: str) -> Box:
+    smallest = disc.layers[-1].diameter
+    diameter = disc.centre or min(height, smallest)
+    if diameter > smallest * (1 + 1e-9):
+        raise UsageError(
+            "the centre port is wider than the top layer",
+            where=f"{where}.centre",
+            got=f"{diameter:g} m",
+            expected=f"at most {smallest:g} m",
+        )
+    return _face(0.0, diameter / 2, height)
+
+
+class Disc(BondedBody):
     name = "disc"
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
-
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        names = ["anode"]
-        if any(layer.feedback for layer in part.keys.layers):
-            names.append("feedback")
-        electrical = (Port(n, "electrical", pins=(n, "cathode")) for n in names)
-        return (*electrical, Port("centre", "mechanical"))
-
-    def by_material(self, part: Part) -> float | None:
-        return depoling_voltage(part.keys.layers, part.name, series=part.keys.wiring == "series")
+    structure = staticmethod(structure)
 
     def problems(self, part: Part, scene: Scene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        yield from layer_problems(part, [layer.diameter for layer in part.keys.layers], plate=True)
-
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        yield from side_view(part.name, disc.blocks(part.keys, part.name))
-
-    def device(self, part: Part, scene: Scene) -> Device:
-        return disc.device(part.keys, where=part.name)
+        yield from self.layer_problems(part, [x.diameter for x in part.keys.layers], plate=True)
 
 
 register(Disc())

@@ -10,7 +10,7 @@ from pydantic import Field
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping, Mesh
-from kc2spice.parts._linear_body import BodyKeys, LinearBody
+from kc2spice.parts._linear_body import LinearBody, LinearKeys
 from kc2spice.parts.contact import PATCH, normal, sides
 from kc2spice.parts.sphere import made_of
 from kc2spice.rom.linear import LinearModel, Port
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 
 
-class ElasticSphereKeys(BodyKeys):
+class ElasticSphereKeys(LinearKeys):
     """Of the sphere ``of``, whose key ``elastic`` is this table."""
 
     of: str = Field(description="part of the sphere")

@@ -1,24 +1,184 @@
-"""The part ``langevin``: a bolted sandwich transducer (:mod:`kc2spice.bodies.langevin`)."""
+"""The part ``langevin``: masses, ceramic rings of alternating poling, and the bolt through them.
+
+    front = [{ material = "aluminium", diameter = "40 mm", length = "30 mm" }]   # outwards
+    back = [{ material = "steel", diameter = "40 mm", length = "25 mm" }]
+    rings = { material = "PZT-4", outer = "38 mm", inner = "15 mm", thickness = "5 mm", count = 2 }
+    bolt = { material = "steel", diameter = "12 mm" }
+
+Everything is bonded where it touches, the bolt to both masses along its thread and not to the
+rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
+``back``: mean axial displacement of the end faces, upwards, towards the front. Left out: the state
+that the preload leaves in the ceramic, contact compliance, the electrodes' metal.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
 
-from kc2spice.bodies import langevin
-from kc2spice.bodies.device import Device
-from kc2spice.core.figure import Shape
+from pydantic import Field, model_validator
+
+from kc2spice.bodies.blocks import Block, Bonded, Box, depoling_voltage
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Length, Ratio, Section, validated
+from kc2spice.fem.keys import Damping, Mesh
 from kc2spice.fem.materials import material
-from kc2spice.parts._meshed import FieldKeys, MeshedBody, side_view
-from kc2spice.rom.linear import Port
-from kc2spice.scene.model import Part, Scene
+from kc2spice.parts._meshed import BondedBody, FieldKeys
 from kc2spice.scene.parttype import register
 
-
-class LangevinKeys(langevin.Langevin, FieldKeys):
-    """Keys of the body, its own reduction if it has one, and whether a run recovers its fields."""
+_CELLS = 8  # along the largest radius before refinement
 
 
-class Langevin(MeshedBody):
+class Piece(Section):
+    """What all pieces have."""
+
+    material: str | dict[str, Any] = Field(description="name or table")
+    quality: Ratio | None = Field(None, gt=0, description="for damping.per_material")
+
+
+class Cylinder(Piece):
+    """One step of a mass."""
+
+    diameter: Length = Field(gt=0, description="outer")
+    length: Length = Field(gt=0, description="along the axis")
+
+
+class Rings(Piece):
+    """``count`` equal rings (even, so that both masses are cathodes)."""
+
+    outer: Length = Field(gt=0, description="diameter")
+    inner: Length = Field(gt=0, description="diameter of the bore")
+    thickness: Length = Field(gt=0, description="of one ring")
+    count: Count = Field(2, ge=2, le=20, description="an even number")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Rings:
+        if self.count % 2:
+            raise ValueError("an odd number of rings puts the anode on a mass that the bolt shorts")
+        if self.inner >= self.outer:
+            raise ValueError("inner must be smaller than outer")
+        return self
+
+
+class Bolt(Piece):
+    """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
+    back mass, where its head (if any) sits on the end."""
+
+    diameter: Length = Field(gt=0, description="of the shank")
+    depth: Length | None = Field(None, gt=0, description="in the front mass; its first step")
+    head_diameter: Length | None = Field(None, gt=0, description="with head_length")
+    head_length: Length | None = Field(None, gt=0, description="with head_diameter")
+
+    @model_validator(mode="after")
+    def _head(self) -> Bolt:
+        if (self.head_diameter is None) != (self.head_length is None):
+            raise ValueError("a head needs head_diameter and head_length")
+        return self
+
+
+class LangevinKeys(FieldKeys):
+    """Masses are given outwards from the rings."""
+
+    front: tuple[Cylinder, ...] = Field(min_length=1)
+    back: tuple[Cylinder, ...] = Field(min_length=1)
+    rings: Rings
+    bolt: Bolt
+    support: Literal["free", "back"] = Field("free", description="back: its end face is held")
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+
+def structure(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
+    """The pieces with electrodes, support and ports.
+
+    Raises
+    ------
+    UsageError : a key is wrong, or the parts do not fit into one another.
+    """
+    body = validated(LangevinKeys, keys, where)
+    _require_fit(body, where)
+    pieces, rings = _blocks(body, where), body.rings
+    heights = [height for piece in pieces for height in piece.box[1]]
+    bottom, top = min(heights), max(heights)
+    under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
+    back: Box = ((0.0, under), (bottom, bottom))
+    ports: dict[str, Box] = {"front": ((0.0, body.front[-1].diameter / 2), (top, top))}
+    held = body.support == "back"
+    across = (rings.inner / 2, rings.outer / 2)
+    planes = [(across, (i * rings.thickness,) * 2) for i in range(rings.count + 1)]
+    return Bonded(
+        pieces,
+        {"anode": planes[1::2], "cathode": planes[::2]},
+        ports=ports if held else ports | {"back": back},
+        fixed=[("xz", back)] if held else (),
+        size=max(piece.box[0][1] for piece in pieces) / _CELLS,
+        refine=body.mesh.refine,
+        damping=body.damping,
+        rated=depoling_voltage([(pieces[0].material, rings.thickness)]),
+        where=where,
+    )
+
+
+def _require_fit(body: LangevinKeys, where: str) -> None:
+    depth = body.bolt.depth or body.front[0].length
+    narrowest = min(step.diameter for step in (*body.front, *body.back))
+    thick, inner, head = body.bolt.diameter, body.rings.inner, body.bolt.head_diameter or math.inf
+    length = sum(step.length for step in body.front)
+    beside = min(body.front[0].diameter, body.back[0].diameter)
+    for wrong, key, got, message in (
+        (thick >= inner, "bolt.diameter", thick, "the bolt does not pass through the rings"),
+        (thick >= narrowest, "bolt.diameter", thick, "the bolt is thicker than a mass"),
+        (
+            depth > length * (1 + 1e-9),
+            "bolt.depth",
+            depth,
+            "the bolt reaches through the front mass",
+        ),
+        (beside <= inner, "rings.inner", inner, "a mass falls through the rings"),
+        (head <= thick, "bolt.head_diameter", head, "the head is no wider than the bolt"),
+    ):
+        if wrong:
+            raise UsageError(message, where=f"{where}.{key}", got=f"{got:g} m")
+
+
+def _blocks(body: LangevinKeys, where: str) -> list[Block]:
+    """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
+    found: list[Block] = []
+
+    def add(
+        piece: Piece, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
+    ) -> None:
+        one = material(piece.material, f"{where}.{key}.material")
+        quality = piece.quality or one.quality
+        poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
+        found.append(Block((radii, (low, high)), poled))
+
+    rings, bolt = body.rings, body.bolt
+    core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
+    for i in range(rings.count):
+        add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
+    if not found[0].material.piezoelectric:
+        got = found[0].material.name
+        problem = "the rings are not piezoelectric"
+        raise UsageError(problem, where=f"{where}.rings.material", got=got)
+    height = rings.count * rings.thickness
+    thread = height + (bolt.depth or body.front[0].length)
+    for i, step in enumerate(body.front):
+        add(step, f"front[{i}]", (0.0, step.diameter / 2), height, height + step.length)
+        height += step.length
+    height = 0.0
+    for i, step in enumerate(body.back):
+        add(step, f"back[{i}]", (0.0, step.diameter / 2), height - step.length, height)
+        height -= step.length
+    add(bolt, "bolt", (0.0, core), height, thread)
+    if bolt.head_diameter is not None and bolt.head_length is not None:
+        add(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
+    return found
+
+
+class Langevin(BondedBody):
     name = "langevin"
     title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
     schema = LangevinKeys
@@ -41,23 +201,7 @@ start = "10 kHz"
 stop = "100 kHz"
 """
     source = "FE (piezoelectric, axisymmetric)"
-
-    def by_material(self, part: Part) -> float | None:
-        """Rings lie between anode and cathode one by one."""
-        rings = part.keys.rings
-        limit = material(rings.material, f"{part.name}.rings").depoling_field
-        return None if limit is None else float(limit * rings.thickness)
-
-    def ports(self, part: Part, scene: Scene) -> tuple[Port, ...]:
-        faces = ("front",) if part.keys.support == "back" else ("front", "back")
-        anode = Port("anode", "electrical", pins=("anode", "cathode"))
-        return (anode, *(Port(name, "mechanical") for name in faces))
-
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
-        yield from side_view(part.name, langevin.blocks(part.keys, part.name))
-
-    def device(self, part: Part, scene: Scene) -> Device:
-        return langevin.device(part.keys, where=part.name)
+    structure = staticmethod(structure)
 
 
 register(Langevin())

@@ -15,7 +15,7 @@ from kc2spice.bodies.readers.source import source_files
 from kc2spice.core.figure import Shape
 from kc2spice.core.foreign import beside
 from kc2spice.core.progress import Clock
-from kc2spice.parts._linear_body import BodyKeys, LinearBody, file_stamp
+from kc2spice.parts._linear_body import LinearBody, LinearKeys, file_stamp
 from kc2spice.rom.linear import LinearModel, Port
 from kc2spice.scene.model import FileName, Part, Scene
 from kc2spice.scene.parttype import register
@@ -23,7 +23,7 @@ from kc2spice.scene.parttype import register
 THIN = 0.02  # of its width: a line of nodes is drawn so high
 
 
-class MatricesKeys(BodyKeys):
+class MatricesKeys(LinearKeys):
     """Files beside the scene; ports as their sidecar TOML names them."""
 
     file: FileName = Field(description="NAME of the matrices, or one of their files")

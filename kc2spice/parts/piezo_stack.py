@@ -248,7 +248,7 @@ class PiezoStack(MeshedBody):
 
     def full_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         shape = pressure_hats(part, scene)
-        found = {"chip": chip_of(part.keys).model_dump(mode="json")}
+        found = {"chip": chip_of(part.keys).model_dump(mode="json"), "field": part.keys.rated_field}
         return found if shape is None else found | {"hats": shape.nodes.tolist()}
 
     def reduction(self, part: Part, scene: Scene) -> Rom:
@@ -265,13 +265,12 @@ class PiezoStack(MeshedBody):
         low, high = asked.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
-    def device(self, part: Part, scene: Scene) -> Device:
-        chip, shape = chip_of(part.keys), pressure_hats(part, scene)
-        if shape is None:
-            return _device(chip, part.keys.rated_field)
-        from kc2spice.bodies.pressure import patched_device
+    def make(self, part: Part, scene: Scene) -> Device:
+        from kc2spice.bodies.piezo_stack import stack_device
 
-        return patched_device(chip, shape, _pressed(chip, shape), part.keys.rated_field)
+        chip, shape = chip_of(part.keys), pressure_hats(part, scene)
+        pressure = None if shape is None else shape.pressure(_pressed(chip, shape).shares)
+        return stack_device(chip, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, Any]:
         found = dict(super().metrics(part, build, waves))
@@ -500,14 +499,6 @@ def _problems(part: Part, scene: Scene) -> Iterator[UsageError]:
         expected = f"before the end of the simulation, {scene.stop:g} s"
         problem = "the kick starts after the simulation ends"
         yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
-
-
-# The last chip stays in memory: the next scene often asks for another reduction of the same one.
-@lru_cache(maxsize=1)
-def _device(chip: Chip, breakdown: float) -> Device:
-    from kc2spice.bodies.piezo_stack import stack_device
-
-    return stack_device(chip, breakdown)
 
 
 def _dents(part: Part, shape: PressureBasis) -> LocalCompliance:

@@ -8,12 +8,11 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
-from kc2spice.bodies import disc, langevin
-from kc2spice.bodies.axisymmetric import Block, Face, turned
+from kc2spice.bodies.blocks import Block, Bonded
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import assemble
+from kc2spice.parts import disc, langevin
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 PZT = material("PZT-5A")
@@ -49,21 +48,11 @@ def static(K, load, rigid=0):
 
 
 def ceramic(radius, thickness, refine=1, size=None, electrode=None):
-    faces = [Face((0, electrode or radius), z) for z in (0, thickness)]
+    faces = [((0, electrode or radius), (z, z)) for z in (0, thickness)]
     electrodes = {"cathode": faces[:1], "anode": faces[1:]}
-    block = Block((0, radius), (0, thickness), PZT)
+    block = Block(((0, radius), (0, thickness)), PZT)
     size = size or radius / 10
-    return turned([block], electrodes, size=size, refine=refine, damping=UNDAMPED)
-
-
-def free(blocks, size):
-    """Matrices over all nodes, and their r, z: no support, not even the axis."""
-    ports = {"any": Face(blocks[0].r, blocks[0].z[0])}
-    electrodes = {}
-    if blocks[0].material.piezoelectric:
-        electrodes = {"cathode": [Face(blocks[0].r, blocks[0].z[0])]}
-    solid = turned(blocks, electrodes, (), ports, size=size, damping=UNDAMPED).solid
-    return assemble(solid), solid.basis(1).doflocs
+    return Bonded([block], electrodes, size=size, refine=refine, damping=UNDAMPED).device()
 
 
 # -- patch tests ----------------------------------------------------------------------------------
@@ -114,7 +103,9 @@ def test_a_thin_disc_bends_at_the_frequency_of_plate_theory(support):
         {"material": "steel", "diameter": "40 mm", "thickness": "0.4 mm"},
         {"material": "PZT-5A", "diameter": "1 mm", "thickness": "1 um"},
     ]
-    model = disc.device({"layers": layers, "support": support}, refine=2).model
+    model = (
+        disc.structure({"layers": layers, "support": support, "mesh": {"refine": 2}}).device().model
+    )
     values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
     theory = bending(plate_root(support), 20e-3, 0.4e-3)
     assert np.sqrt(values[int(support == "free")]) / (2 * np.pi) == approx(theory, rel=2e-3)
@@ -138,7 +129,11 @@ def radial_admittance(frequency, radius, thickness, m=PZT):
 def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
     radius, thickness = 10e-3, 0.4e-3
     layer = {"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.4 mm"}
-    model = disc.device({"layers": [layer], "damping": {"ratio": 0}}, refine=2).model
+    model = (
+        disc.structure({"layers": [layer], "damping": {"ratio": 0}, "mesh": {"refine": 2}})
+        .device()
+        .model
+    )
     f = np.linspace(5e3, 200e3, 40)
     theory = radial_admittance(f, radius, thickness).imag
     pole = brentq(lambda x: 1 / radial_admittance(x, radius, thickness).imag, 90e3, 110e3)
@@ -159,9 +154,6 @@ def test_smooth_modes_converge_with_the_fourth_power_of_the_cell():
     steps = np.abs(np.diff(first, axis=0))
     rate = np.log2(steps[0] / steps[1])
     assert rate.min() > 3.3
-
-
-# -- wiring, feedback, passivity ------------------------------------------------------------------
 
 
 # -- Langevin -------------------------------------------------------------------------------------
@@ -194,7 +186,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
         },
         "bolt": {"material": "steel", "diameter": "3 mm", "depth": "10 mm"},
     }  # fmt: skip
-    model = langevin.device(keys).model
+    model = langevin.structure(keys).device().model
     pzt = material("PZT-4")
     circle = np.pi / 4 * 1e-6
     ring, bolt, full = circle * (100 - 16), circle * 9, circle * 100
@@ -214,7 +206,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
     capacitance = 4 * pzt.eps_T[2, 2] * ring / 5e-3
     assert model.facts["capacitance_free_f"] == approx(capacitance, rel=0.15)  # bolt clamps
     assert {p.name for p in model.ports} == {"anode", "front", "back"}
-    fixed = langevin.device(keys | {"support": "back"}).model
+    fixed = langevin.structure(keys | {"support": "back"}).device().model
     assert {p.name for p in fixed.ports} == {"anode", "front"}
     assert fixed.facts["resonance_short_hz"] < model.facts["resonance_short_hz"]
 
@@ -252,6 +244,6 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
 )
 def test_impossible_discs_are_refused_with_a_reason(keys, says):
     with pytest.raises(UsageError) as caught:
-        disc.device(keys, where="buzzer")
+        disc.structure(keys, "buzzer").device()
     assert says in str(caught.value)
     assert "buzzer" in str(caught.value) or "axis" in says

@@ -8,13 +8,10 @@ import pytest
 from pydantic import ValidationError
 from scipy.sparse.linalg import eigsh
 
-from kc2spice.bodies.bimorph import Bimorph
-from kc2spice.bodies.bimorph import device as bimorph_device
-from kc2spice.bodies.body import Body, device, ports
-from kc2spice.bodies.disc import Disc
-from kc2spice.bodies.disc import device as disc_device
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
+from kc2spice.parts import bimorph, disc
+from kc2spice.parts.body import BodyKeys, device
 
 PZT = material("PZT-5A")
 
@@ -98,18 +95,16 @@ def keys(**changes):
         ],
         "damping": {"ratio": 0},
     }
-    return Body.model_validate({**table, **changes})
+    return BodyKeys.model_validate({**table, **changes})
 
 
 @pytest.mark.slow
 def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
-    parametric = bimorph_device(
-        Bimorph.model_validate({
-            "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0},
-            "layers": [{"material": "steel", "thickness": "0.4 mm"},
-                       {"material": "PZT-5A", "thickness": "0.3 mm"}],
-        }), refine=2,
-    ).model  # fmt: skip
+    parametric = bimorph.structure({
+        "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0}, "mesh": {"refine": 2},
+        "layers": [{"material": "steel", "thickness": "0.4 mm"},
+                   {"material": "PZT-5A", "thickness": "0.3 mm"}],
+    }).device().model  # fmt: skip
     found = device(keys(), beam).model
     assert [p.name for p in found.ports] == [p.name for p in parametric.ports]
     for name, value in parametric.facts.items():
@@ -182,14 +177,14 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         return {(2, "disc"): [1], **{(1, name): tags for name, tags in around.items()}}
 
     write(tmp_path / "disc.msh", draw, size=0.25, mesh=2)
-    found = device(Body.model_validate({
+    found = device({
         "mesh": "disc.msh", "unit": "mm", "axisymmetric": True, "materials": {"disc": "PZT-5A"},
         "electrodes": {"anode": "high", "cathode": "low"}, "damping": {"ratio": 0},
-    }), tmp_path).model.facts  # fmt: skip
-    own = disc_device(Disc.model_validate({
+    }, tmp_path).model.facts  # fmt: skip
+    own = disc.structure({
         "layers": [{"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm"}],
         "damping": {"ratio": 0},
-    })).model.facts  # fmt: skip
+    }).device().model.facts  # fmt: skip
     for name in ("mass_kg", "capacitance_free_f", "capacitance_clamped_f",
                  "resonance_short_hz", "resonance_open_hz"):  # fmt: skip
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
@@ -261,7 +256,7 @@ def test_pick_that_misses_names_its_point(tmp_path):
         "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
     }  # fmt: skip
     with pytest.raises(UsageError, match="no face contains") as error:
-        device(Body.model_validate(table), tmp_path)
+        device(table, tmp_path)
     assert error.value.where == "body: groups.foot.at"
 
 
@@ -279,7 +274,7 @@ def test_bad_tables(changes, message):
 
 
 def test_the_electrode_called_ground_is_the_return_of_all_others():
-    keys = Body(
+    keys = BodyKeys(
         mesh="x.msh", materials={"a": "PZT-5A"}, electrodes={"ground": "low", "anode": "top"}
     )
-    assert [port.pins for port in ports(keys)] == [("anode", "ground")]
+    assert [port.pins for port in keys.every_port] == [("anode", "ground")]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.bodies import disc
+from kc2spice.parts import disc
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
@@ -30,7 +30,7 @@ def test_every_buzzer_of_the_gallery_has_published_numbers():
 @pytest.mark.parametrize("name", BUZZERS)
 def test_resonance_and_capacitance_are_those_of_the_sheet_or_a_stated_miss(name):
     published = PUBLISHED[name]
-    model = disc.device(keys_of(name)).model
+    model = disc.structure(keys_of(name)).device().model
     predicted = {
         "resonance_hz": model.facts["resonance_short_hz"],
         "capacitance_f": model.facts["capacitance_free_f"],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from kc2spice.bodies import disc
+from kc2spice.parts import disc
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import ordered, reduce
 from kc2spice.rom.subspace import subspace
@@ -113,7 +113,8 @@ def test_estimate_covers_what_rounding_does_to_a_thin_free_plate():
         {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.12 mm",
          "electrodes": "12.8 mm"},
     ]  # fmt: skip
-    full = disc.device({"layers": layers, "damping": {"quality": 50}}).model.select(["anode"])
+    found = disc.structure({"layers": layers, "damping": {"quality": 50}}).device()
+    full = found.model.select(["anode"])
     rom = reduce(full, tolerance=1e-6, band=(288.0, 9600.0))
     pole = full.facts["resonance_short_hz"]
     frequency = pole * np.linspace(0.99, 1.01, 21)

@@ -7,8 +7,7 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies import disc, langevin
-from kc2spice.bodies.device import Setup, Shape, make_device, mean
+from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
 from kc2spice.bodies.fields import Probe, extremes, principal
 from kc2spice.bodies.piezo_stack import stack_device
 from kc2spice.bodies.recover import lowest_modes, recover
@@ -18,6 +17,7 @@ from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.solid import Solid
+from kc2spice.parts import disc, langevin
 from kc2spice.parts._pictures import OBLIQUE, deformed, shapes
 from kc2spice.rom.linear import Port
 from kc2spice.scene.load import load_scene
@@ -45,7 +45,9 @@ def pulled(solid, damping=None):
     fixed[np.all(x < 1e-9, axis=0)] = True
     fixed[(x[0] < 1e-9) & (x[1] < 1e-9), 1] = True
     end = solid.mesh.facets_satisfying(lambda p: p[0] > SIZE[0] - 1e-9)
-    pull = Shape(Port("pull", "mechanical"), mean(solid, np.eye(3)[0], facets=end))
+    pull = Shape(
+        Port("pull", "mechanical"), spread(node_shares(solid, facets=end), np.eye(3)[0], solid)
+    )
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
     return make_device(solid, Setup(
         fixed.ravel(), electrodes, "cathode", shapes=[pull],
@@ -98,8 +100,8 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
     """Poled against it or along it, strains are d' E and nothing else."""
     still = np.linspace(0, 1e-6, 3)
     for device, thick, height, sign in (
-        (disc.device({"layers": [CERAMIC]}), 1e-3, 1e-3, 1),
-        (disc.device({"layers": [CERAMIC | {"poling": "down"}]}), 1e-3, 1e-3, -1),
+        (disc.structure({"layers": [CERAMIC]}).device(), 1e-3, 1e-3, 1),
+        (disc.structure({"layers": [CERAMIC | {"poling": "down"}]}).device(), 1e-3, 1e-3, -1),
         (chip(), 60e-6, 360e-6, -1),  # a positive voltage lengthens it
     ):
         motion = recover(device, still, {"anode": np.full(3, 30.0)})
@@ -115,7 +117,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
 
 
 @pytest.mark.parametrize(("device", "port", "symmetric"), [
-    (lambda: langevin.device(SANDWICH), "front", 1),
+    (lambda: langevin.structure(SANDWICH).device(), "front", 1),
     (lambda: chip(mounting="glued", bottom_cap={"thickness": 1e-4}), "ring2", 4),
     (lambda: chip(preload_spring=1, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
 ])  # fmt: skip
@@ -166,7 +168,9 @@ def test_motion_is_that_of_the_full_model():
 def test_free_body_falls_as_newton_says():
     solid = plate(MeshHex, material("steel"))
     fixed = np.zeros(3 * solid.basis(1).N, bool)
-    everywhere = mean(solid, np.eye(3)[2], elements=np.arange(solid.mesh.nelements))
+    everywhere = spread(
+        node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
+    )
     push = Shape(Port("push", "mechanical"), everywhere)
     device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
     time = np.linspace(0, 1e-3, 50)

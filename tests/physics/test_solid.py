@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
-from kc2spice.bodies.device import Setup, Shape, make_device, mean
+from kc2spice.bodies.device import Setup, Shape, make_device, node_shares, spread
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.keys import Damping
 from kc2spice.fem.materials import material
@@ -86,7 +86,10 @@ def test_patch_of_anisotropic_piezoelectric(kind):
 def test_cantilever_bends_as_euler_and_bernoulli_say():
     L, w, h = 0.1, 2e-3, 2e-3
     solid = box((L, w, h), (40, 2, 2), SLENDER)
-    tip = Shape(Port("tip", "mechanical"), mean(solid, np.eye(3)[2], facets=end(solid, 0, L)))
+    tip = Shape(
+        Port("tip", "mechanical"),
+        spread(node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
+    )
     base = Port("base", "acceleration")
     fixed = held(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
     model = make_device(
@@ -129,8 +132,8 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         x = places(solid)
         sides = [(np.flatnonzero((x[a] < 1e-9) | (x[a] > size[a] - 1e-9)), (a,))
                  for a in range(3) if a != axis]  # fmt: skip
-        near = mean(solid, np.eye(3)[axis], facets=end(solid, axis, 0.0))
-        far = mean(solid, np.eye(3)[axis], facets=end(solid, axis, L))
+        near = spread(node_shares(solid, facets=end(solid, axis, 0.0)), np.eye(3)[axis], solid)
+        far = spread(node_shares(solid, facets=end(solid, axis, L)), np.eye(3)[axis], solid)
         pull = Shape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
         squeeze = Shape(Port("push", "mechanical"), far)
         fixed = held(solid, *sides)

@@ -1,0 +1,185 @@
+"""Bodies made of blocks that are bonded where they touch: layers, rings, beams.
+
+Blocks are boxes along the axes, of a body of revolution in the plane (radius, height), on one grid
+of quadratic quadrilaterals or hexahedra, whose lines run through every edge of a block, an
+electrode, a support or a port. :mod:`kc2spice.fem.solid` does the rest: the potential lives in
+piezoelectric blocks only, conductors and electrodes are equipotentials, other insulators carry no
+field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, pairwise
+from typing import TypeAlias
+
+import numpy as np
+from skfem.mesh import MeshHex, MeshQuad
+
+from kc2spice.bodies.device import (
+    Device,
+    Setup,
+    Shape,
+    make_device,
+    node_shares,
+    part_named,
+    spread,
+)
+from kc2spice.fem.keys import Damping
+from kc2spice.fem.materials import Material
+from kc2spice.fem.solid import Solid
+from kc2spice.rom.linear import Port
+
+# From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.
+Box: TypeAlias = tuple[tuple[float, float], ...]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Block:
+    """A box of material, already poled. Blocks whose materials have one name are one piece."""
+
+    box: Box
+    material: Material
+
+
+@dataclass(frozen=True)
+class Bonded:
+    """Blocks, of which a later one wins where two overlap, and what is done to them.
+
+    Attributes
+    ----------
+    electrodes : faces of each pin; voltages are counted from the ``cathode``.
+    floating : faces of each equipotential without charge.
+    ports : each the mean displacement upwards of a face, whose force is spread evenly over it, or
+        that of a point.
+    fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are held.
+    masses : [kg] spread over faces.
+    moved : whether the acceleration of what holds it is the port ``base``, upwards.
+    grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
+    rated : largest voltage [V] that its materials stand, None if not known.
+    where : the part, for errors.
+    """
+
+    blocks: Sequence[Block]
+    electrodes: Mapping[str, Sequence[Box]] = field(default_factory=dict)
+    floating: Sequence[Sequence[Box]] = ()
+    ports: Mapping[str, Box] = field(default_factory=dict)
+    fixed: Sequence[tuple[str, Box]] = ()
+    masses: Sequence[tuple[float, Box]] = ()
+    moved: bool = False
+    grid: Sequence[np.ndarray] = ()
+    size: float = np.inf
+    refine: int = 1
+    damping: Damping = field(default_factory=Damping)
+    rated: float | None = None
+    where: str = "body"
+
+    @property
+    def every_port(self) -> tuple[Port, ...]:
+        """What its model has, electrical ports first."""
+        pins = [pin for pin in self.electrodes if pin != "cathode"]
+        return (
+            *(Port(pin, "electrical", pins=(pin, "cathode")) for pin in pins),
+            *(Port(name, "mechanical") for name in self.ports),
+            *([Port("base", "acceleration")] if self.moved else []),
+        )
+
+    def device(self) -> Device:
+        """Its mesh and full model.
+
+        Raises
+        ------
+        UsageError : electrodes that touch each other; in a body of revolution a material that is
+            not isotropic about its axis.
+        """
+        grid = self.grid or self._lines()
+        near = 1e-3 * min(float(np.diff(lines).min()) for lines in grid)
+        with part_named(self.where):
+            solid = self._solid(grid, near)
+            return make_device(solid, self._setup(solid, near))
+
+    def _lines(self) -> list[np.ndarray]:
+        """Along each axis all edges and equal cells between them."""
+        faces = [*self.ports.values(), *(box for _, box in self.fixed)]
+        faces += chain(*self.electrodes.values(), *self.floating)
+        found: list[np.ndarray] = []
+        for spans in zip(*(block.box for block in self.blocks), strict=True):
+            axis = len(found)
+            points = np.unique([*chain(*spans), *chain(*(box[axis] for box in faces))])
+            points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
+            counts = np.ceil(np.diff(points) / self.size - 1e-9).astype(int)
+            cut = [
+                np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]
+                for pair, count in zip(pairwise(points), counts, strict=True)
+            ]
+            found.append(np.concatenate([*cut, points[-1:]]))
+        return found
+
+    def _solid(self, grid: Sequence[np.ndarray], near: float) -> Solid:
+        mesh = (MeshQuad if len(grid) == 2 else MeshHex).init_tensor(*grid)
+        middle = mesh.p[:, mesh.t].mean(axis=1)
+        materials = {block.material.name: block.material for block in self.blocks}
+        owner = np.full(mesh.nelements, -1)
+        for block in self.blocks:
+            owner[_within(block.box, middle, near)] = list(materials).index(block.material.name)
+        kept = np.flatnonzero(owner >= 0)
+        found = tuple(materials.values())
+        return Solid(mesh.restrict(kept), found, owner[kept], axisymmetric=len(grid) == 2)
+
+    def _setup(self, solid: Solid, near: float) -> Setup:
+        places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
+        fixed = np.zeros((places.shape[1], len(letters)), bool)
+        if solid.axisymmetric:
+            fixed[places[0] < near, 0] = True
+        for axes, box in self.fixed:
+            for axis in axes:
+                fixed[_within(box, places, near), letters.index(axis)] = True
+
+        def touched(faces: Sequence[Box]) -> np.ndarray:
+            return np.flatnonzero(np.any([_within(face, places, near) for face in faces], axis=0))
+
+        def shares(box: Box) -> np.ndarray:
+            if all(low == high for low, high in box):
+                found = _within(box, places, near)
+                return np.asarray(found / found.sum())
+            face = solid.mesh.facets_satisfying(lambda x: _within(box, x, near))
+            return node_shares(solid, facets=face)
+
+        lumped = [mass * shares(box) for mass, box in self.masses]
+        return Setup(
+            fixed=fixed.ravel(),
+            electrodes={pin: touched(faces) for pin, faces in self.electrodes.items()},
+            reference="cathode",
+            floating=[touched(faces) for faces in self.floating],
+            shapes=[
+                Shape(Port(name, "mechanical"), spread(shares(box), UP, solid))
+                for name, box in self.ports.items()
+            ],
+            base=[(Port("base", "acceleration"), UP)] if self.moved else [],
+            lumped=np.sum(lumped, axis=0) if lumped else None,
+            damping=self.damping,
+        )
+
+
+def _within(box: Box, places: np.ndarray, near: float) -> np.ndarray:
+    """Mask of the places (d, …) in a box, its edges included."""
+    inside = [
+        (x > low - near) & (x < high + near) for x, (low, high) in zip(places, box, strict=True)
+    ]
+    return np.all(inside, axis=0)
+
+
+def depoling_voltage(
+    layers: Sequence[tuple[Material, float]], *, series: bool = False
+) -> float | None:
+    """Voltage [V] at which one of the layers (material, thickness [m]) reaches its depoling field,
+    the same field in all of them in series; None where no limit is known."""
+    active = [(one.depoling_field, thick) for one, thick in layers if one.piezoelectric]
+    known = [(limit, thick) for limit, thick in active if limit is not None]
+    if not known or len(known) < len(active):
+        return None
+    if series:
+        return float(min(limit for limit, _ in known) * sum(thick for _, thick in known))
+    return float(min(limit * thick for limit, thick in known))
