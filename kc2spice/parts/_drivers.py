@@ -1,60 +1,38 @@
-"""What all drivers share: electronics between a command and electrodes or coils."""
+"""What all drivers share: electronics between a command and electrodes or coils.
+
+Their checks ask the saved waveforms alone, so that a driver's netlist is held against its keys by
+arithmetic that the netlist has no part in.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnetics.table import EMTable, inductances
-from kc2spice.netlist.circuit import Param, Subcircuit, positive
-from kc2spice.netlist.transforms import self_contained
-from kc2spice.parts._opamp import Level, opamp_subcircuit
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.fem.magnetics.table import inductances
+from kc2spice.netlist.circuit import Param
+from kc2spice.parts._template import Level, TemplatePart
 from kc2spice.scene.judge import Check
-from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector
-from kc2spice.spice.header import Header
-from kc2spice.spice.library import library
+from kc2spice.scene.parttype import Build, Vector
 
-VALIDITY = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
-LIMITED = (
-    "voltage and current stay within its parameters; compare rms current and power with the data "
-    "sheet of your devices"
-)
-CARRIER = 10.0  # V, peak of the modulator's triangle
-_VOLT, _SIGNAL = ("V", "A"), ("V", "-")
+SLACK = 1e-3  # of the span or the current: rails give by millivolts, saved points have reltol
+LAG = 2e-3  # of the swing: saved points with trapezoids between them; up to 2e-4 was found
+LINEAR = 0.98  # of slew rate and current up to which a stage is linear
+MEANING = "the driver's netlist is not its keys: please report it"
 
 
-@dataclass(frozen=True)
-class Load:
+class Load(NamedTuple):
     """What the coils are between ``drive`` and ``ret``: both in series, the lower one reversed."""
 
     inductance: float  # H
     resistance: float  # Ohm
     current: float = 1.0  # A, the largest that its controller asks for
-
-
-def coil_load(table: EMTable, height: float, current: float) -> Load:
-    """``L11 + L22 - 2 L12`` and both resistances, with the sphere at ``height`` [m]."""
-    matrix = inductances(table, height)
-    inductance = float(matrix[0, 0] + matrix[1, 1] - 2 * matrix[0, 1])
-    return Load(inductance, float(table.resistance.sum()), current)
-
-
-def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
-    """A driver's keys, or those with these ``names``, as parameters of its netlist."""
-    return tuple(
-        positive(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
-        for key in model_keys(type(keys))
-        if not names or key.name in names
-    )
 
 
 def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
@@ -71,39 +49,24 @@ def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vecto
 
 def ends(*terminals: str) -> tuple[Terminal, ...]:
     """Pins of a driver: ``command``, what it drives and ``ref``."""
-    driven = (Terminal(name, *_VOLT, required=True) for name in terminals)
-    return (Terminal("command", *_SIGNAL), *driven, Terminal("ref", *_VOLT, "gnd"))
+    driven = (Terminal(name, "V", "A", required=True) for name in terminals)
+    return (Terminal("command", "V", "-"), *driven, Terminal("ref", "V", "A", "gnd"))
 
 
-class Driver(PartType):
-    """From ``command`` to its terminals; the subcircuit's last resistor is ``Rout``.
+class Driver(TemplatePart):
+    """From ``command`` to its terminals; the last resistor of its netlist is ``Rout``."""
 
-    Its netlist is made from the template ``driver_CIRCUIT``, whose ``heading`` says what it is,
-    with an operational amplifier of the level ``opamp``.
-    """
-
-    circuit: str
-    heading: str
-    opamp: Level | None = "slew"
+    opamp: ClassVar[Level | None] = "slew"
     terminals: tuple[str, ...] = ("out",)
     fixed = ends("out")
+    validity = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
+    rating = (
+        "voltage and current stay within its parameters; compare rms current and power with the "
+        "data sheet of your devices"
+    )
 
     def library(self, part: Part, scene: Scene) -> str:
-        return self.circuit if len(scene.of(self.name)) == 1 else part.name
-
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name = build.libraries[part.name]
-        return (self.subcircuit(header, name, parameters(part.keys)),)
-
-    def subcircuit(
-        self, header: Header, name: str, params: tuple[Param, ...], **values: Any
-    ) -> Subcircuit:
-        """Its netlist with the ``values`` that its template asks for."""
-        words = {"rating": LIMITED, "validity": VALIDITY}
-        template = f"driver_{self.circuit}"
-        made = library(template, header, name, self.heading, self.fixed, params, **words, **values)
-        helpers = [opamp_subcircuit(header, self.opamp)] if self.opamp else []
-        return self_contained(made, helpers)
+        return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
     @abstractmethod
     def limits(
@@ -115,8 +78,8 @@ class Driver(PartType):
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
             return {}
-        through = Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
-        return potentials(part, build, ("command", *self.terminals)) | {f"{part.name}.i": through}
+        found = potentials(part, build, ("command", *self.terminals))
+        return found | {f"{part.name}.i": _through(part)}
 
     def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Check]:
         if "time" not in waves or f"{part.name}.i" not in waves:
@@ -130,23 +93,24 @@ class Driver(PartType):
         return f"{self.name}, " + ", ".join(f"{key} {value:g}" for key, value in part.keys)
 
     def current(self, part: Part, pin: str, build: Build) -> Vector | None:
-        if pin == self.terminals[0] and self.terminals[0] != "drive":
-            return Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
-        return None
+        return _through(part) if pin == self.terminals[0] else None
 
 
 class CoilDriver(Driver):
-    """A source of current, whose loop is made for the coils at its terminals."""
+    """A source of the current ``V(command) / 100 Ohm``, whose loop is made for the coils at its
+    terminals."""
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
-        name = build.libraries[part.name]
-        return (self.for_load(header, part.keys, self.load(part, build), name),)
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        return self.for_load(part.keys, self.load(part, build))
 
     @abstractmethod
-    def for_load(self, header: Header, keys: Any, load: Load, name: str) -> Subcircuit:
-        """Coil current ``V(command) / 100 Ohm``."""
+    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """Parameters and values of its template for these coils."""
+
+    def current(self, part: Part, pin: str, build: Build) -> Vector | None:
+        return None
 
     def default_joins(self, part: Part, scene: Scene) -> Mapping[str, str]:
         control = scene.only("pid")
@@ -154,7 +118,7 @@ class CoilDriver(Driver):
 
     def load(self, part: Part, build: Build) -> Load:
         """What the coils at its terminals are, with the sphere at the set point."""
-        coils = neighbour(part, "drive", build.scene, "ring_magnet_coils")
+        coils = _neighbour(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
                 "drives no coils, whose inductance its current loop is made for",
@@ -162,16 +126,110 @@ class CoilDriver(Driver):
                 expected="joined to a part of type ring_magnet_coils",
                 hint="for a load of your own, put your driver's circuit into a netlist part",
             )
-        control = neighbour(part, "command", build.scene, "pid")
+        control = _neighbour(part, "command", build.scene, "pid")
         height, current = (
             (control.keys.setpoint, control.keys.current_limit) if control else (0.0, 1.0)
         )
-        return coil_load(build.model(coils), height, float(current))
+        table = build.model(coils)
+        series = np.array([1.0, -1.0])
+        inductance = float(series @ inductances(table, height) @ series)
+        return Load(inductance, float(table.resistance.sum()), float(current))
 
 
-def neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
+def _through(part: Part) -> Vector:
+    return Vector(f"@r.x{part.name.lower()}.rout[i]", 1.0, "A")
+
+
+def _neighbour(part: Part, pin: str, scene: Scene, kind: str) -> Part | None:
     """The part of this kind that a pin is joined to."""
-    for name, _ in scene.joined(part.name, pin):
-        if scene.parts[name].type.name == kind:
-            return scene.parts[name]
-    return None
+    joined = (scene.parts[name] for name, _ in scene.joined(part.name, pin))
+    return next((other for other in joined if other.type.name == kind), None)
+
+
+# --- what waveforms must obey -------------------------------------------------------------------
+
+
+def check(
+    name: str, what: str, value: float, limit: float, unit: str, advice: str = MEANING
+) -> Check:
+    """A check of a driver, which an edited deck may violate on purpose."""
+    return Check(f"{name} {what}", value, limit, unit, advice, wiring=True)
+
+
+def within(
+    name: str,
+    volts: np.ndarray,
+    low: np.ndarray | float,
+    high: np.ndarray | float,
+    slack: float,
+    advice: str = MEANING,
+) -> Check:
+    """``low <= volts <= high`` but for ``slack`` [V]."""
+    beyond = float(np.maximum(volts - high, low - volts).max())
+    return check(name, "within its rails", max(0.0, beyond), slack, "V beyond", advice)
+
+
+def bounded(name: str, current: np.ndarray, limit: float) -> Check:
+    """``|current| <= limit`` [A]."""
+    most = float(np.abs(current).max(initial=0.0))
+    return check(name, "within its current", most, (1 + SLACK) * limit, "A")
+
+
+def slewing(
+    name: str, time: np.ndarray, volts: np.ndarray, slew: float, slack: float, advice: str = MEANING
+) -> Check:
+    """``|volts(t2) - volts(t1)| <= slew (t2 - t1)`` for every two times, but for ``slack`` [V]."""
+    most = 0.0
+    for sign in (1.0, -1.0):
+        ahead = sign * volts - slew * time
+        most = max(most, float((ahead - np.minimum.accumulate(ahead)).max(initial=0.0)))
+    return check(name, "within its slew rate", most, slack, "V ahead", advice)
+
+
+def stage(
+    name: str,
+    time: np.ndarray,
+    error: np.ndarray,
+    volts: np.ndarray,
+    current: np.ndarray,
+    rails: tuple[float, float],
+    slew: float,
+    limit: float,
+    gbw: float,
+    feedback: float = 1.0,
+) -> Iterator[Check]:
+    """A power stage: ``d volts/dt = 2 pi gbw error`` between rails, with slew rate and current.
+
+    ``error`` [V] is what stands between its inputs, ``volts`` and ``current`` are those of its
+    output behind 0.1 Ohm; ``feedback`` is the share of the output that returns. It follows its
+    command where the mean of ``error - (d volts/dt) / (2 pi gbw)`` over a time constant of the
+    loop, as a voltage at the output, is nothing wherever it is linear.
+    """
+    (low, high), span, pace = rails, rails[1] - rails[0], 2 * np.pi * gbw
+    inner = volts + 0.1 * current  # before the output resistance
+    free = np.abs(current) < LINEAR * limit
+    loaded = "its load drives it beyond its rails, where diodes of a real output would conduct"
+    yield within(name, inner, low, high, SLACK * span, loaded)
+    yield bounded(name, current, limit)
+    yield slewing(name, time[free], inner[free], slew, LAG * span)
+    linear = free & (inner < high - SLACK * span) & (inner > low + SLACK * span)
+    linear &= np.abs(error) * pace < LINEAR * slew
+    missing = running(error, time) - inner / pace
+    breaks = np.r_[0, np.cumsum(~(linear[1:] & linear[:-1]))]  # the same within linear pieces
+    last = np.searchsorted(time, time + 1 / (pace * feedback)).clip(max=time.size - 1)
+    good = (last > np.arange(time.size)) & (breaks[last] == breaks)
+    off = (missing[last] - missing)[good] / (time[last] - time)[good]
+    lag = float(np.abs(off).max(initial=0.0)) / feedback
+    swing = max(float(np.ptp(inner)), SLACK * span)
+    yield check(name, "follows its command", lag / swing, LAG, "of its swing")
+
+
+def relaxed(time: np.ndarray, towards: np.ndarray, constant: float) -> np.ndarray:
+    """``x' = (towards - x) / constant`` from rest, by trapezoids."""
+    found = np.empty_like(towards)
+    found[0] = towards[0]
+    share = np.diff(time) / (2 * constant)
+    drive = share * (towards[1:] + towards[:-1])
+    for k in range(share.size):
+        found[k + 1] = ((1 - share[k]) * found[k] + drive[k]) / (1 + share[k])
+    return found

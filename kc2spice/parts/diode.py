@@ -9,9 +9,9 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param
+from kc2spice.parts._template import TemplatePart
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, Neglected, PartType, Vector, register
-from kc2spice.spice.library import library
+from kc2spice.scene.parttype import Build, Neglected, Vector, register
 
 
 class DiodeKeys(Section):
@@ -28,13 +28,16 @@ class DiodeKeys(Section):
     breakdown_voltage: Voltage = Field(100.0, gt=0, description="BV")
 
 
-class Diode(PartType):
+class Diode(TemplatePart):
     name = "diode"
-    title = "junction diode"
+    title = heading = "junction diode"
     schema = DiodeKeys
+    template = "diode"
+    rating = "it breaks through at bv; its largest current is in the diode's data sheet"
+    validity = "27 C, or what .options temp says; it does not heat up"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
@@ -44,17 +47,7 @@ class Diode(PartType):
             Param("tt", keys.transit_time, "s", "transit time"),
             Param("bv", keys.breakdown_voltage, "V", "breakdown voltage"),
         )
-        made = library(
-            "diode",
-            header,
-            build.libraries[part.name],
-            self.title,
-            self.fixed,
-            params,
-            rating="it breaks through at bv; its largest current is in the diode's data sheet",
-            validity="27 C, or what .options temp says; it does not heat up",
-        )
-        return (made,)
+        return params, {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.i": Vector(f"@d.x{part.name.lower()}.djunction[id]", 1.0, "A")}

@@ -13,10 +13,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts._template import TemplatePart
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
     Build,
-    PartType,
     Rest,
     Surface,
     Vector,
@@ -25,7 +25,6 @@ from kc2spice.scene.parttype import (
 )
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rest import free, rigid
-from kc2spice.spice.library import library
 
 
 class MassKeys(Section):
@@ -39,9 +38,12 @@ class MassKeys(Section):
     velocity: Velocity = Field(0.0, description="at t = 0, if given or if nothing holds it")
 
 
-class PointMass(PartType):
+class PointMass(TemplatePart):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
     source = "closed form"
+    template, heading = "mass", "point mass"
+    rating, validity = "none: rigid", "rigid, in vacuum, at any temperature"
+    sign = "um and N count along the pin's direction; 1 A into a pin pushes it that way"
     fixed = (Terminal("a", "um", "N", required=True), Terminal("base", "um", "N", "gnd"))
     example = """
 [mass]
@@ -75,7 +77,7 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
     def surface(self, part: Part, scene: Scene, ports: tuple[str, ...] = ()) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         gravity = build.scene.gravity if part.keys.weight else 0.0
         params = (
             positive("mass", part.keys.mass, "kg", "mass"),
@@ -83,18 +85,7 @@ pulse = { high = "10 mN", width = "1 ms", edge = "1 us" }
             Param("position", part.keys.position, "m", "at t = 0, used with uic"),
             Param("velocity", part.keys.velocity, "m/s", "at t = 0, used with uic"),
         )
-        made = library(
-            "mass",
-            header,
-            build.libraries[part.name],
-            "point mass",
-            self.fixed,
-            params,
-            rating="none: rigid",
-            sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
-            validity="rigid, in vacuum, at any temperature",
-        )
-        return (made,)
+        return params, {}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         n, inner = part.name, f"x{part.name.lower()}"

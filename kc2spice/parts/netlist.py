@@ -20,8 +20,7 @@ from kc2spice.netlist.cards import name as checked
 from kc2spice.netlist.circuit import Pin, Subcircuit
 from kc2spice.netlist.foreign import included_netlist, looked_at
 from kc2spice.netlist.scope import Scope, circuit, has_vector
-from kc2spice.parts._driver_checks import SLACK, slewing, within
-from kc2spice.parts._drivers import potentials
+from kc2spice.parts._drivers import SLACK, potentials, slewing, within
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import FileName, Part, Scene, Terminal
 from kc2spice.scene.parttype import Build, PartType, Vector, register

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts import sphere
-from kc2spice.parts._opamp import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.ring_magnet_coils import label
 from kc2spice.scene.judge import Check
 from kc2spice.scene.model import Part, Scene, Terminal

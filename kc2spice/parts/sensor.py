@@ -10,9 +10,9 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Frequency, Length, Section
 from kc2spice.netlist.circuit import Param
+from kc2spice.parts._template import TemplatePart
 from kc2spice.scene.model import Part, Scene, Terminal
-from kc2spice.scene.parttype import Build, PartType, Vector, register
-from kc2spice.spice.library import library
+from kc2spice.scene.parttype import Build, Vector, register
 
 
 class SensorKeys(Section):
@@ -27,11 +27,14 @@ class SensorKeys(Section):
     )
 
 
-class Sensor(PartType):
+class Sensor(TemplatePart):
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
     source = "closed form"
+    template, heading = "sensor", "position sensor"
+    rating = "no range: compare the reading with that of your sensor"
+    validity = "linear, one pole, constant temperature"
     fixed = (
         Terminal("of", "um", "-", required=True),
         Terminal("out", "um", "-", signal_out=True),
@@ -55,25 +58,13 @@ dc = "1 um"
                 "noise", "noise is drawn in time", scene.analysis.type, "a transient, or no noise"
             )
 
-    def subcircuits(self, part: Part, build: Build, header: Any) -> tuple[Any, ...]:
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         keys = part.keys
         params = (
             Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
             Param("offset", keys.offset, "m", "added to the reading"),
         )
-        made = library(
-            "sensor",
-            header,
-            build.libraries[part.name],
-            "position sensor",
-            self.fixed,
-            params,
-            rating="no range: compare the reading with that of your sensor",
-            validity="linear, one pole, constant temperature",
-            noise=keys.noise,
-            step=0.5 / keys.bandwidth,
-        )
-        return (made,)
+        return params, {"noise": keys.noise, "step": 0.5 / keys.bandwidth}
 
     def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.parts._drivers import Load, parameters
-from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.half_bridge import HalfBridge, HalfBridgeKeys
-from kc2spice.parts.linear_drive import LinearDrive, LinearKeys
-from kc2spice.parts.pwm_drive import PwmDrive, PwmKeys
+from kc2spice.parts._drivers import Load
+from kc2spice.parts._template import opamp_subcircuit, parameters
+from kc2spice.parts.driver_types import (
+    HalfBridge,
+    HalfBridgeKeys,
+    LinearDrive,
+    LinearKeys,
+    PwmDrive,
+    PwmKeys,
+)
 from kc2spice.sim.ngspice import run_deck
 
 LOAD = Load(73e-3, 3192.0, 0.1)
@@ -17,21 +22,19 @@ LOAD = Load(73e-3, 3192.0, 0.1)
 # ------------------------------------------------------------------------------------ op-amps
 
 
-@pytest.mark.parametrize(("level", "part"), [("ideal", "opamp_ideal"), ("pole", "opamp"),
-                                             ("slew", "opamp_slew")])  # fmt: skip
+@pytest.mark.parametrize(("level", "part"), [("pole", "opamp"), ("slew", "opamp_slew")])
 def test_every_level_of_amplifier_has_its_gain(header, tmp_path, level, part):
-    """Non-inverting, gain 11; a pole at gbw / 11 where the level has one."""
-    values = "" if level == "ideal" else " gbw=1.1e6"
+    """Non-inverting, gain 11; a pole at gbw / 11."""
     cards = f"""Vin in 0 AC 1
 Vcc vcc 0 15
 Vee vee 0 -15
-Xop in n out vcc vee 0 {part}{values}
+Xop in n out vcc vee 0 {part} gbw=1.1e6
 R1 n 0 1000
 R2 out n 10000
 .ac dec 4 100 1e6"""
     deck = bench([opamp_subcircuit(header, level)], cards, {"out": ("v(out)", 1.0)})
     waves = run_deck(deck, tmp_path)
-    pole = 1 + 0j if level == "ideal" else 1 + 1j * waves["frequency"] / 1e5
+    pole = 1 + 1j * waves["frequency"] / 1e5
     np.testing.assert_allclose(waves["out"], 11 / pole, rtol=2e-5)  # 0.1 Ohm and the finite gain
 
 
@@ -74,7 +77,7 @@ Cchip out 0 1e-07
 
 
 def test_half_bridge_limits_current_and_charge(header, tmp_path):
-    part = HalfBridge().subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
+    part = HalfBridge().netlist(header, "half_bridge", parameters(HalfBridgeKeys()))
     waves = charging(header, [part], "half_bridge",
                      "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
                      tmp_path)  # fmt: skip
@@ -102,7 +105,7 @@ Lcoils middle ret {LOAD.inductance}
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
     drive = LinearKeys(rail=48.0)
-    part = LinearDrive().for_load(header, drive, LOAD, "linear")
+    part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(drive, LOAD))
     parts = [opamp_subcircuit(header, "slew"), part]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
     total = LOAD.resistance + 100.0 + 1.0 + 0.1
@@ -114,7 +117,10 @@ def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
 
 def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
     drive = PwmKeys()
-    parts = [opamp_subcircuit(header), PwmDrive().for_load(header, drive, LOAD, "pwm")]
+    parts = [
+        opamp_subcircuit(header),
+        PwmDrive().netlist(header, "pwm", *PwmDrive().for_load(drive, LOAD)),
+    ]
     waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
     t, i = waves["time"], waves["i"]
     late = t > 0.8e-3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.sim.log import classify
 from kc2spice.sim.ngspice import run_deck

@@ -8,7 +8,7 @@ from device import deck_of
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.netlist.deck import Deck
-from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.sphere import sphere_subcircuit
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.parttype import Sampled

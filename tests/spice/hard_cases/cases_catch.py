@@ -7,7 +7,7 @@ from dataclasses import replace
 from device import chip, magnets
 from hard_cases.kit import HEADER, bench_deck, case, scene
 
-from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.parts.pid import Control, pid_subcircuit
 from kc2spice.scene.load import load_scene
 

@@ -20,9 +20,8 @@ from hard_cases.kit import (
 from scipy.linalg import expm
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._drivers import parameters
-from kc2spice.parts._opamp import opamp_subcircuit
-from kc2spice.parts.charge_drive import ChargeDrive, ChargeKeys
+from kc2spice.parts._template import opamp_subcircuit, parameters
+from kc2spice.parts.driver_types import ChargeDrive, ChargeKeys
 from kc2spice.rom.linear import Port
 from kc2spice.spice.realize import subcircuit
 
@@ -103,7 +102,7 @@ Rcharge charge 0 1e12
 def charge_drive_on_a_floating_chip(bench):
     """150 nF times the command's volts on the sense capacitor, the chip in between."""
     model = chip(6)
-    driver = ChargeDrive().subcircuit(HEADER, "charge", parameters(ChargeKeys()))
+    driver = ChargeDrive().netlist(HEADER, "charge", parameters(ChargeKeys()))
     parts = [opamp_subcircuit(HEADER, "slew"), driver,
              subcircuit(model.linear(), "kick", HEADER, ports=("anode",))]  # fmt: skip
     cards = """Vcommand command 0 PULSE(0 20 1e-06 1e-07 1e-07 1)

@@ -9,7 +9,7 @@ import numpy as np
 from device import chip, deck_of
 from hard_cases.kit import HEADER, Bench, bench_deck, case
 
-from kc2spice.parts._opamp import opamp_subcircuit
+from kc2spice.parts._template import opamp_subcircuit
 from kc2spice.rom.linear import LinearModel
 from kc2spice.rom.reduce import reduce
 from kc2spice.scene.load import load_scene
