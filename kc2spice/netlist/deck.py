@@ -12,10 +12,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
-from kc2spice.netlist.read import LARGEST, read
+from kc2spice.netlist.expression import terms
+from kc2spice.netlist.read import LARGEST, beside, read, statements
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit
-from kc2spice.netlist.statements import beside, statements
-from kc2spice.netlist.vectors import terms
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op"))
 

@@ -24,7 +24,7 @@ from pathlib import Path, PurePosixPath
 from kc2spice.core.errors import UsageError
 from kc2spice.core.foreign import name_threat, plain_name, read_bounded
 from kc2spice.netlist.cards import comment
-from kc2spice.netlist.statements import OPTION_CARDS, Statement, split_comment, statements
+from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
 
 LARGEST = 4_000_000  # bytes of one file, and characters of the whole text
 MOST = 64  # files of one circuit

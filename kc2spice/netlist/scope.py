@@ -16,9 +16,8 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
 )
-from kc2spice.netlist.read import NODES, read
-from kc2spice.netlist.statements import beside
-from kc2spice.netlist.vectors import vector
+from kc2spice.netlist.expression import vector
+from kc2spice.netlist.read import NODES, beside, read
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")

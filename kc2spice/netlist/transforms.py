@@ -12,8 +12,8 @@ from kc2spice.core.words import did_you_mean
 from kc2spice.netlist.cards import number
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, Subcircuit
 from kc2spice.netlist.deck import Block, Deck
+from kc2spice.netlist.expression import added, terms, vector
 from kc2spice.netlist.printers.ngspice import printed
-from kc2spice.netlist.vectors import added, terms, vector
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 MOST = 10_000  # copies

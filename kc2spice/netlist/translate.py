@@ -8,16 +8,15 @@ from dataclasses import replace
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Directive, Subcircuit
 from kc2spice.netlist.deck import ANALYSES, Deck, retold
+from kc2spice.netlist.expression import added, terms
 from kc2spice.netlist.printers import ltspice
 from kc2spice.netlist.printers.box import layout
 from kc2spice.netlist.printers.dialect import Dialect, Setup
 from kc2spice.netlist.printers.kicad import project
-from kc2spice.netlist.printers.osdi import testbench
-from kc2spice.netlist.printers.verilog_a import library
+from kc2spice.netlist.printers.verilog_a import library, testbench
 from kc2spice.netlist.printers.xyce import Xyce
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import GROUND
-from kc2spice.netlist.vectors import added, terms
 
 PRINTERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": ltspice.LTspice}
 DECKS = ("ngspice", *PRINTERS)

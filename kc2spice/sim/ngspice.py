@@ -24,8 +24,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.foreign import name_threat
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal
-from kc2spice.netlist.vectors import terms
+from kc2spice.netlist.expression import literal, terms
 from kc2spice.sim.log import failed_run, statistics
 from kc2spice.sim.rawfile import last_scale_value, read_partial, read_raw
 

@@ -11,11 +11,10 @@ from typing import Any
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Command, Deck
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal, vector
 from kc2spice.netlist.foreign import ANALYSES, HARMLESS, accuracy, checked, refuse_in_deck
+from kc2spice.netlist.read import Statement
 from kc2spice.netlist.scope import circuit, has_vector
-from kc2spice.netlist.statements import Statement
-from kc2spice.netlist.vectors import vector
 from kc2spice.scene.parttype import Build
 from kc2spice.workflow.decks import make_deck
 

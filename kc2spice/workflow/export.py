@@ -11,8 +11,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.printers.plots import plot_script
-from kc2spice.netlist.statements import statements
+from kc2spice.netlist.printers.ngspice import plot_script
+from kc2spice.netlist.read import statements
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
 from kc2spice.scene.compose import composed

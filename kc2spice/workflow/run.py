@@ -13,7 +13,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.version import __version__
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.printers.plots import plot_script
+from kc2spice.netlist.printers.ngspice import plot_script
 from kc2spice.report.figures import draw_all, require_matplotlib
 from kc2spice.report.run_page import probe_figures, write_run
 from kc2spice.scene.judge import require

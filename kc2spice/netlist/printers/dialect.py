@@ -21,11 +21,10 @@ from kc2spice.netlist.circuit import (
     Parameters,
 )
 from kc2spice.netlist.deck import ANALYSES
-from kc2spice.netlist.expression import Binary, Call, Choice, Number, Tree, Unary
+from kc2spice.netlist.expression import Binary, Call, Choice, Number, Trace, Tree, Unary, vector
 from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.read import OPTION_CARDS
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.netlist.statements import OPTION_CARDS
-from kc2spice.netlist.vectors import Trace, vector
 
 _SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES})
 _SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters

@@ -19,10 +19,10 @@ from uuid import NAMESPACE_URL, uuid5
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Directive, Element, Subcircuit
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.expression import vector
 from kc2spice.netlist.printers.box import Box, Place, layout
 from kc2spice.netlist.read import subcircuits
 from kc2spice.netlist.scope import GROUND, Scope
-from kc2spice.netlist.vectors import vector
 
 GRID = 2.54  # mm, 100 mil
 TEXT = 1.27  # mm
