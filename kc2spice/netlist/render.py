@@ -32,10 +32,17 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
         line_comment_prefix="##",
     )
-    environment.filters.update(n=number, name=name, comment=comment)
+    environment.filters.update(n=number, name=name, comment=comment, q=quoted)
     return environment
 
 
+def quoted(text: str) -> str:
+    """``text`` as a string of an S-expression."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
 def render(template: str, **values: object) -> str:
-    """Text of ``template``; filters are ``n`` (number), ``name`` (checked) and ``comment``."""
+    """Text of ``template``; filters are ``n`` (number), ``name`` (checked), ``comment``
+    and ``q`` (a string of an S-expression)."""
     return _environment().get_template(template).render(**values)

@@ -2,7 +2,8 @@
 
 Nets are joined by global labels, which carry the node names of the deck, so that a curve has the
 same name in KiCad, in the deck and in the results. Formats: KiCad developer documentation,
-S-expression symbol library and schematic, version 20231120, which releases 8, 9 and 10 read.
+S-expression symbol library and schematic, version 20231120, which releases 8, 9 and 10 read; their
+text is ``templates/kicad.j2``.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 from textwrap import shorten
+from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.core.errors import UsageError
@@ -22,79 +25,59 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import vector
 from kc2spice.netlist.printers.box import Box, Place, layout
 from kc2spice.netlist.read import subcircuits
+from kc2spice.netlist.render import render
 from kc2spice.netlist.scope import GROUND, Scope
 
 GRID = 2.54  # mm, 100 mil
-TEXT = 1.27  # mm
-VERSION = 20231120
 LIBRARY = "kc2spice"
-
-
-class Word(str):
-    """A keyword; every other string is written in quotes."""
-
-
-Tree = Sequence["Tree | str | float | int"]
-YES, NO = Word("yes"), Word("no")
-HEAD: tuple[Tree, ...] = (
-    ("version", VERSION),
-    ("generator", "kc2spice"),
-    ("generator_version", "8.0"),
+_POLES = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
+_SPOTS = (
+    Place(1, "out+", "right", 3, 1),
+    Place(2, "out-", "right", 3, -1),
+    Place(3, "in+", "left", -3, 1),
+    Place(4, "in-", "left", -3, -1),
 )
-_LEFT: Tree = ("justify", Word("left"))
-_STROKE: Tree = ("stroke", ("width", 0.254), ("type", Word("default")))
-_FILL: Tree = ("fill", ("type", Word("none")))
-_PAPER: Tree = ("fill", ("type", Word("background")))
-_ANGLE = {"left": 0, "right": 180, "bottom": 90, "top": 270}  # from the free end to the body
+_ELEMENTS = {  # by letter: name, title, drawing
+    "V": ("SOURCE", "voltage source", "voltage"),
+    "I": ("CURRENT", "current source", "current"),
+    "R": ("RESISTOR", "resistor", "bar"),
+    "C": ("CAPACITOR", "capacitor", "plates"),
+    "L": ("INDUCTOR", "inductor", "coil"),
+    "F": ("CURRENT_BY_CURRENT", "current source controlled by a current", "current"),
+    "H": ("VOLTAGE_BY_CURRENT", "voltage source controlled by a current", "voltage"),
+    "B": ("BEHAVIOUR", "behavioural source", "ring"),
+    "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
+    "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
+}
+_MARKS = {  # reference, title, drawing, pin, where the text begins, kind of pin
+    "GND": ("#PWR", "ground, node 0", "ground", Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
+            "power_in"),
+    "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
+                 Place(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
+    "PROBE": ("TP", "a net to be plotted", "probe", Place(1, "net", "bottom", 0, 0), (1.5, 2.4),
+              "passive"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Symbol:
     """A drawing with pins at ``places``; ``text`` is where reference and value begin, left to
-    right, one above the other."""
+    right, one above the other, ``half`` the half width and height [mm] of one drawn as a box."""
 
     name: str
     fields: dict[str, str]
-    drawing: tuple[Tree, ...]
+    drawing: str
     places: tuple[Place, ...]
     text: tuple[float, float]
+    half: tuple[float, float] = (0.0, 0.0)
     pins: str = "passive"
     simulated: bool = True
     named_pins: bool = False
 
-    def definition(self, name: str) -> Tree:
-        """The symbol as a library holds it; a sheet embeds it under ``library:name``."""
-        hidden = () if self.named_pins else (Word("hide"),)
-        return (
-            "symbol",
-            name,
-            *([("power",)] if self.pins.startswith("power") else []),
-            ("pin_numbers", Word("hide")),
-            ("pin_names", ("offset", 0.508), *hidden),
-            ("exclude_from_sim", NO if self.simulated else YES),
-            ("in_bom", NO),
-            ("on_board", NO),
-            *self.properties(self.fields, 0.0, 0.0, up=1),
-            ("symbol", f"{self.name}_0_1", *self.drawing),
-            ("symbol", f"{self.name}_1_1", *(_pin(self.pins, place) for place in self.places)),
-        )
-
-    def properties(self, fields: dict[str, str], x: float, y: float, *, up: int) -> list[Tree]:
-        """Fields of a symbol at ``(x, y)``; ``up`` is -1 on a sheet, where y points down."""
-        left, top = self.text
-        place = {"Value": (x + left, y + up * top), "Reference": (x + left, y + up * (top + 2.0))}
-        trees: list[Tree] = []
-        for key, text in fields.items():
-            shown = key in place and not fields["Reference"].startswith("#")
-            at = ("at", *place.get(key, (x, y)), 0)
-            hide = [] if shown else [("hide", YES)]
-            trees.append(("property", key, text, at, ("effects", font(), _LEFT, *hide)))
-        return trees
-
 
 def library(symbols: Iterable[Symbol]) -> str:
     """A symbol library."""
-    return write(("kicad_symbol_lib", *HEAD, *(s.definition(s.name) for s in symbols)))
+    return render("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
 def part_symbol(box: Box) -> Symbol:
@@ -107,8 +90,7 @@ def part_symbol(box: Box) -> Symbol:
         "Sim.Pins": " ".join(f"{place.number}={place.name}" for place in box.places),
     }
     x, y = GRID * box.width, GRID * box.height
-    outline: Tree = ("rectangle", ("start", -x, y), ("end", x, -y), _STROKE, _PAPER)
-    return Symbol(box.name, fields, (outline,), box.places, (-x, y + 1.3), named_pins=True)
+    return Symbol(box.name, fields, "box", box.places, (-x, y + 1.3), (x, y), named_pins=True)
 
 
 def element_symbols() -> dict[str, Symbol]:
@@ -116,134 +98,33 @@ def element_symbols() -> dict[str, Symbol]:
 
     Values are written as in a netlist (``Sim.Device`` ``SPICE``), so no digit is lost.
     """
-    bar: Tree = ("rectangle", ("start", -1.016, GRID), ("end", 1.016, -GRID), _STROKE, _FILL)
-    ring: Tree = ("circle", ("center", 0.0, 0.0), ("radius", GRID), _STROKE, _FILL)
-    plates = tuple(_line((-1.8, y), (1.8, y)) for y in (0.5, -0.5))
-    leads = (_line((0.0, GRID), (0.0, 0.5)), _line((0.0, -GRID), (0.0, -0.5)))
-    plus = (_line((-0.6, 1.3), (0.6, 1.3)), _line((0.0, 1.9), (0.0, 0.7)),
-            _line((-0.6, -1.3), (0.6, -1.3)))  # fmt: skip
-    arrow = (_line((0.0, 1.6), (0.0, -1.6), (-0.6, -0.6)), _line((0.0, -1.6), (0.6, -0.6)))
-    titles = {
-        "V": ("SOURCE", "voltage source", (ring, *plus)),
-        "I": ("CURRENT", "current source", (ring, *arrow)),
-        "R": ("RESISTOR", "resistor", (bar,)),
-        "C": ("CAPACITOR", "capacitor", (*plates, *leads)),
-        "L": ("INDUCTOR", "inductor", (bar, _line((0.0, GRID), (0.0, -GRID)))),
-        "F": ("CURRENT_BY_CURRENT", "current source controlled by a current", (ring, *arrow)),
-        "H": ("VOLTAGE_BY_CURRENT", "voltage source controlled by a current", (ring, *plus)),
-        "B": ("BEHAVIOUR", "behavioural source", (ring,)),
-    }
-    poles = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
-    found = {
-        letter: Symbol(name, _spice(letter, name, title, 2), drawing, poles, (GRID + 0.8, -0.9))
-        for letter, (name, title, drawing) in titles.items()
-    }
-    w = 2 * GRID
-    box: Tree = ("rectangle", ("start", -w, w), ("end", w, -w), _STROKE, _PAPER)
-    spots = (
-        Place(1, "out+", "right", 3, 1),
-        Place(2, "out-", "right", 3, -1),
-        Place(3, "in+", "left", -3, 1),
-        Place(4, "in-", "left", -3, -1),
-    )
-    for letter, what in (("E", "voltage source"), ("G", "current source")):
-        name = f"{what.partition(' ')[0].upper()}_BY_VOLTAGE"
-        fields = _spice(letter, name, f"{what} controlled by a voltage", 4)
-        found[letter] = Symbol(name, fields, (box,), spots, (-w, w + 1.3), named_pins=True)
-    return found | _marks()
+    found = {}
+    for letter, (name, title, drawing) in _ELEMENTS.items():
+        box = drawing == "box"
+        places = _SPOTS if box else _POLES
+        fields = _fields(letter, name, title) | {
+            "Sim.Device": "SPICE",
+            "Sim.Params": _spice(letter, "0"),
+            "Sim.Pins": " ".join(f"{p.number}={p.number}" for p in places),
+        }
+        side = 2 * GRID
+        text = (-side, side + 1.3) if box else (GRID + 0.8, -0.9)
+        found[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
+    for name, (reference, title, drawing, place, text, pins) in _MARKS.items():
+        fields, simulated = _fields(reference, name, title), name != "PROBE"
+        mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
+        found[name] = mark
+    return found
 
 
-def _marks() -> dict[str, Symbol]:
-    earth = _line((0.0, 0.0), (0.0, -1.27), (0.9, -1.27), (0.0, -2.2), (-0.9, -1.27), (0.0, -1.27))
-    flag = _line((0.0, 0.0), (0.0, 1.27), (-1.0, 1.9), (0.0, 2.54), (1.0, 1.9), (0.0, 1.27))
-    spot: Tree = ("circle", ("center", 0.0, 3.3), ("radius", 0.762), _STROKE, _FILL)
-    rows = (
-        ("GND", "#PWR", "ground, node 0", earth, Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
-         "power_in"),
-        ("PWR_FLAG", "#FLG", "tells that ground is driven", flag,
-         Place(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
-        ("PROBE", "TP", "a net to be plotted", spot, Place(1, "net", "bottom", 0, 0), (1.5, 2.4),
-         "passive"),
-    )  # fmt: skip
-    return {
-        name: Symbol(
-            name,
-            _fields(reference, name, title),
-            (drawing,),
-            (place,),
-            text,
-            pins,
-            simulated=name != "PROBE",
-        )
-        for name, reference, title, drawing, place, text, pins in rows
-    }
-
-
-def _spice(letter: str, name: str, title: str, pins: int) -> dict[str, str]:
-    numbers = " ".join(f"{k}={k}" for k in range(1, pins + 1))
-    model = {"Sim.Device": "SPICE", "Sim.Params": spice(letter, "0"), "Sim.Pins": numbers}
-    return _fields(letter, name, title) | model
-
-
-def spice(letter: str, value: str) -> str:
+def _spice(letter: str, value: str) -> str:
     """``Sim.Params`` of an element whose ``value`` is written as on its netlist card."""
     return f'type="{letter}" model="{value}" lib=""'
 
 
 def _fields(reference: str, value: str, description: str) -> dict[str, str]:
-    return {
-        "Reference": reference,
-        "Value": value,
-        "Footprint": "",
-        "Datasheet": "",
-        "Description": description,
-    }
-
-
-def _line(*points: tuple[float, float]) -> Tree:
-    return ("polyline", ("pts", *(("xy", x, y) for x, y in points)), _STROKE, _FILL)
-
-
-def font() -> Tree:
-    """Text of the usual size."""
-    return ("font", ("size", TEXT, TEXT))
-
-
-def _pin(kind: str, place: Place) -> Tree:
-    """A pin with its free end at its place."""
-    return (
-        "pin",
-        Word(kind),
-        Word("line"),
-        ("at", GRID * place.x, GRID * place.y, _ANGLE[place.side]),
-        ("length", GRID * place.length),
-        ("name", place.name, ("effects", font())),
-        ("number", str(place.number), ("effects", font())),
-    )
-
-
-def write(tree: Tree, indent: str = "") -> str:
-    """S-expression text, one line for a leaf, children on lines of their own."""
-    head, *rest = tree
-    if rest and isinstance(rest[-1], Word) and not isinstance(rest[0], str | float | int):
-        inner = (_atom(i) if isinstance(i, str | float | int) else write(i).strip() for i in rest)
-        return f"{indent}({head} {' '.join(inner)})"  # a keyword behind lists: (pin_names ... hide)
-    flat = [item for item in rest if isinstance(item, str | float | int)]
-    nested = [item for item in rest if not isinstance(item, str | float | int)]
-    line = " ".join([f"{indent}({head}", *map(_atom, flat)])
-    if not nested:
-        return f"{line})" + ("\n" if not indent else "")
-    body = "\n".join(write(child, indent + "\t") for child in nested)
-    return f"{line}\n{body}\n{indent})" + ("\n" if not indent else "")
-
-
-def _atom(item: str | float) -> str:
-    if isinstance(item, Word):
-        return item
-    if isinstance(item, str):
-        escaped = item.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
-    return f"{item:.6g}" if isinstance(item, float) else str(item)
+    fields = {"Reference": reference, "Value": value, "Footprint": "", "Datasheet": ""}
+    return fields | {"Description": description}
 
 
 # --- a deck as a project ---
@@ -375,7 +256,7 @@ def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) 
     fields = symbol.fields | {
         "Reference": name,
         "Value": _shown(value),
-        "Sim.Params": spice(letter, value),
+        "Sim.Params": _spice(letter, value),
     }
     return _placed(symbol, fields, nets)
 
@@ -423,7 +304,6 @@ def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
 def _sheet(
     name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
 ) -> str:
-    sheet = _uuid(name, "sheet")
     for width in _ENOUGH:
         placed = list(_rows(items, width))
         bottom = max(item.y + item.reach[3] for item in placed) + 3
@@ -432,22 +312,21 @@ def _sheet(
         paper = next((p for p, (w, h) in _PAPERS.items() if right <= w and height <= h), "A0")
         if paper in _ENOUGH[width]:
             break
-    labels = [end for item in placed for end in item.ends if end[3] != "0"]
     every = [*placed, *_grounds(placed, plain)]
-    used = {item.symbol.name: item.symbol for item in every}
-    return write(
-        (
-            "kicad_sch",
-            *HEAD,
-            ("uuid", sheet),
-            ("paper", paper),
-            ("title_block", ("title", name), ("comment", 1, shorten(title, _COMMENT))),
-            ("lib_symbols", *(s.definition(f"{LIBRARY}:{s.name}") for s in used.values())),
-            *(_label(*label, name) for label in labels),
-            *(_text(line, MARGIN, bottom + k, name) for k, line in enumerate(commands)),
-            *(_symbol(item, name, sheet) for item in every),
-            ("sheet_instances", ("path", "/", ("page", "1"))),
-        )
+    sheet = SimpleNamespace(
+        paper=paper,
+        labels=[end for item in placed for end in item.ends if end[3] != "0"],
+        texts=[(line, MARGIN, bottom + k) for k, line in enumerate(commands)],
+        items=every,
+    )
+    return render(
+        "kicad.j2",
+        sheet=sheet,
+        symbols=list({item.symbol.name: item.symbol for item in every}.values()),
+        grid=GRID,
+        name=name,
+        title=shorten(title, _COMMENT),
+        uuid=partial(_uuid, name),
     )
 
 
@@ -462,52 +341,6 @@ def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
         symbol = plain[mark]
         fields = symbol.fields | {"Reference": reference}
         yield _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
-
-
-def _symbol(item: _Item, name: str, sheet: str) -> Tree:
-    symbol, reference = item.symbol, item.fields["Reference"]
-    x, y = GRID * item.x, GRID * item.y
-    numbers = range(1, len(symbol.places) + 1)
-    path = ("path", f"/{sheet}", ("reference", reference), ("unit", 1))
-    return (
-        "symbol",
-        ("lib_id", f"{LIBRARY}:{symbol.name}"),
-        ("at", x, y, item.turn),
-        ("unit", 1),
-        ("exclude_from_sim", NO if symbol.simulated else YES),
-        ("in_bom", NO),
-        ("on_board", NO),
-        ("dnp", NO),
-        ("uuid", _uuid(name, reference)),
-        *symbol.properties(item.fields, x, y, up=-1),
-        *(("pin", str(k), ("uuid", _uuid(name, reference, "pin", k))) for k in numbers),
-        ("instances", ("project", name, path)),
-    )
-
-
-def _label(x: int, y: int, side: str, net: str, name: str) -> Tree:
-    angle = {"right": 0, "top": 90, "left": 180, "bottom": 270}[side]
-    justify = Word("right") if side in ("left", "bottom") else Word("left")
-    return (
-        "global_label",
-        net,
-        ("shape", Word("passive")),
-        ("at", GRID * x, GRID * y, angle),
-        ("effects", font(), ("justify", justify)),
-        ("uuid", _uuid(name, "label", x, y)),
-    )
-
-
-def _text(text: str, x: int, y: int, name: str) -> Tree:
-    left: Tree = ("justify", Word("left"), Word("bottom"))
-    return (
-        "text",
-        text,
-        ("exclude_from_sim", NO),
-        ("at", GRID * x, GRID * y, 0),
-        ("effects", font(), left),
-        ("uuid", _uuid(name, "text", y)),
-    )
 
 
 def _settings(name: str) -> str:
