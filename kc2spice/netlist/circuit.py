@@ -206,6 +206,11 @@ class Subcircuit:
     no_module: str = ""
 
     @property
+    def title(self) -> str:
+        """What the first line of the library says that it is."""
+        return self.text.partition("\n")[0].lstrip("* ")
+
+    @property
     def filename(self) -> str:
         """Name of the library file that holds this part."""
         return self.file or f"{self.name}.lib"

@@ -222,6 +222,7 @@ _OUTPUTS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure",
 # fmt: on
 _FUNCTION = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
 _PARTS = "a file of subcircuits with their models, parameters and functions"
+_Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
 
 
 def refuse_in_part(cards: Iterable[tuple[Statement, str]]) -> None:
@@ -247,9 +248,6 @@ def refuse_in_deck(cards: Iterable[tuple[Statement, str]]) -> None:
     _refuse(cards, _of_deck)
 
 
-_Reason = tuple[str, str, str]  # what the netlist does, what is expected, what to do
-
-
 def _refuse(
     cards: Iterable[tuple[Statement, str]],
     reasons: Callable[[Statement, bool], Iterator[_Reason]],
@@ -261,13 +259,10 @@ def _refuse(
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in reasons(card, depth == 0):
+        for what, expected, hint in (*reasons(card, depth == 0), *_everywhere(card, depth == 0)):
+            got = card.text[:120]
             raise UsageError(
-                f"the netlist {what}",
-                where=where,
-                got=card.text[:120],
-                expected=expected,
-                hint=hint,
+                f"the netlist {what}", where=where, got=got, expected=expected, hint=hint
             )
 
 
@@ -275,11 +270,9 @@ def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
     key = card.keyword
     if key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
-        hint = "drop this line: the scene has analysis and results"
-        yield f"{what} of its own", _PARTS, hint
-    yield from _global(card)
-    if key == ".temp" or (given := _inexact(card)):
-        what = "temperature" if key == ".temp" else f"option {given[0]}"
+        yield f"{what} of its own", _PARTS, "drop this line: the scene has analysis and results"
+    if given := accuracy((card,)):
+        what = "temperature" if key == ".temp" else f"option {next(iter(given))}"
         hint = (
             "drop this line; accuracy is set by the scene's [solver], the temperature of a "
             "device by temp=… on its own card"
@@ -288,55 +281,38 @@ def _of_part(card: Statement, outside: bool) -> Iterator[_Reason]:
     if outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
         yield what, _PARTS, "put it into the .subckt or drop it"
-    if outside:
-        yield from _built_in(card)
 
 
 def _of_deck(card: Statement, outside: bool) -> Iterator[_Reason]:
-    yield from _global(card)
-    if "interp" in _inexact(card):
+    if "interp" in accuracy((card,)):
         hint = "drop it: events lie between the points that it keeps"
         yield "sets the option interp", "results at every time point", hint
-    if outside:
-        yield from _built_in(card)
+
+
+def _everywhere(card: Statement, outside: bool) -> Iterator[_Reason]:
+    """Global nodes, and what replaces a name that other cards use."""
+    if card.keyword.startswith(".global"):
+        hint = "make it a pin: it would be one with any node of its name"
+        yield "makes nodes global", "nodes of subcircuits", hint
+    defined = _FUNCTION.match(card.text)
+    given = card.words[1:] if card.keyword in (".param", ".params") else ()
+    again = (defined and defined[1].lower() in FUNCTIONS) or CONSTANTS.intersection(
+        word.partition("=")[0].lower() for word in given
+    )
+    if outside and again:
+        hint = "rename it, or put it into the .subckt that uses it"
+        yield "defines a built-in name for the whole deck", "a name of its own", hint
 
 
 def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Values of the options that change what is computed; ``""`` of a flag, the last one counts."""
     found: dict[str, str] = {}
     for card in cards:
-        for word in _inexact(card, whole=True):
-            name, _, value = word.partition("=")
-            found[name.lower()] = value.strip()
         if card.keyword == ".temp":
             found["temp"] = " ".join(card.words[1:])
+        pairs = (word.partition("=") for word in card.words[1:] if card.keyword in OPTION_CARDS)
+        found |= {key.lower(): value for key, _, value in pairs if key.lower() not in HARMLESS}
     return found
-
-
-def _global(card: Statement) -> Iterator[_Reason]:
-    if card.keyword.startswith(".global"):
-        hint = "make it a pin: it would be one with any node of its name"
-        yield "makes nodes global", "nodes of subcircuits", hint
-
-
-def _built_in(card: Statement) -> Iterator[_Reason]:
-    """What replaces a name that other cards use."""
-    match = _FUNCTION.match(card.text)
-    again = match is not None and match[1].lower() in FUNCTIONS
-    if card.keyword in (".param", ".params"):
-        names = (word.partition("=")[0].lower() for word in card.words[1:])
-        again = again or any(name in CONSTANTS for name in names)
-    if again:
-        hint = "rename it, or put it into the .subckt that uses it"
-        yield "defines a built-in name for the whole deck", "a name of its own", hint
-
-
-def _inexact(card: Statement, *, whole: bool = False) -> list[str]:
-    """Names (or words) of the options of a card that change what is computed."""
-    if card.keyword not in OPTION_CARDS:
-        return []
-    named = [(word.partition("=")[0].lower(), word) for word in card.words[1:]]
-    return [word if whole else name for name, word in named if name not in HARMLESS]
 
 
 # --- what could act on the machine ---

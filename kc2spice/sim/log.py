@@ -65,42 +65,36 @@ class LogReport:
 
 def classify(text: str) -> LogReport:
     """Sort the lines of ``text`` (standard output and error of one run)."""
-    errors, struggles, warnings = [], [], []
+    sorted_lines: tuple[list[str], ...] = ([], [], [])
     for line in re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text)):
-        line = line.strip()
-        if _FATAL.search(line):
-            errors.append(line)
-        elif _STRUGGLE.search(line):
-            struggles.append(line)
-        elif _WARNING.search(line):
-            warnings.append(line)
+        for pattern, lines in zip((_FATAL, _STRUGGLE, _WARNING), sorted_lines, strict=True):
+            if pattern.search(line):
+                lines.append(line.strip())
+                break
+    errors, struggles, warnings = map(tuple, sorted_lines)
     cause = next((line for line in errors if _NODE.search(line)), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
-    return LogReport(
-        tuple(errors),
-        tuple(struggles),
-        tuple(warnings),
-        cause,
-        next((m.group(1) or m.group(2) for m in map(_NODE.search, suspects) if m), None),
-        next((float(m.group(1)) for m in map(_TIME.search, suspects) if m), None),
-        _kind(text, errors, struggles),
-    )
-
-
-def _kind(text: str, errors: list[str], struggles: list[str]) -> Kind | None:
-    """What failed: a time step, or, before any, the matrix or the search for a start."""
+    kind: Kind | None = None
     if any("timestep too small" in line.lower() and _TIME.search(line) for line in errors):
-        return "timestep"
-    if not (errors and _NO_START.search(text)):
-        return None
-    singular = any("singular matrix" in line.lower() for line in struggles)
-    return "singular" if singular else "operating point"
+        kind = "timestep"
+    elif errors and _NO_START.search(text):  # before any step
+        singular = any("singular matrix" in line.lower() for line in struggles)
+        kind = "singular" if singular else "operating point"
+    return LogReport(
+        errors,
+        struggles,
+        warnings,
+        cause,
+        next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None),
+        next((float(m[1]) for m in map(_TIME.search, suspects) if m), None),
+        kind,
+    )
 
 
 def statistics(text: str) -> dict[str, float]:
     """Accepted and rejected points, iterations and CPU seconds that ``.options acct`` prints."""
     found = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
-    return {key: float(match.group(1)) for key, match in found.items() if match}
+    return {key: float(match[1]) for key, match in found.items() if match}
 
 
 # --- failed runs ------------------------------------------------------------------------------
@@ -126,35 +120,30 @@ class FailedRunError(SimulationError):
 
 
 def failed_run(
-    deck: Deck,
-    where: str,
-    text: str,
-    code: int = 0,
-    last: float | None = None,
+    deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
     """What a run that said ``text`` has failed of; None where it has not.
 
     ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
     and say nothing.
     """
-    report = classify(text)
+    report, stop = classify(text), deck.stop
     said = bool(report.errors) or code != 0
-    stop = deck.stop
     early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
     if not said and not early:
         return None
     part = belongs_to(deck, report.node) if report.node else None
-    at = None if report.time is None else f"t = {report.time:g} s"
-    blame = [report.node and f"node {report.node}", part, at]
-    tail = " | ".join(text.strip().splitlines()[-3:])
+    blamed = report.node and f"node {report.node}"
     if said:
         cause = report.cause or f"exit code {code}"
-        got = ", ".join(filter(None, blame)) or (None if report.cause else tail)
+        at = None if report.time is None else f"t = {report.time:g} s"
+        tail = None if report.cause else " | ".join(text.strip().splitlines()[-3:])
+        got = ", ".join(filter(None, (blamed, part, at))) or tail
         error = FailedRunError(f"ngspice failed: {cause}", where=where, got=got)
     else:
         cause = "ngspice stopped before the end of the transient"
-        told = ", ".join(filter(None, [f"last time point {last:g} s", blame[0]]))
-        error = FailedRunError(cause, where=where, got=told, expected=f"{stop:g} s")
+        got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
+        error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
     error.failure = Failure(cause, report.kind, report.node, report.time, part)
     return error
 
@@ -165,17 +154,16 @@ def belongs_to(deck: Deck, node: str) -> str | None:
     ``node`` as ngspice says it: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for the
     current of a source. None where nothing of that name is in the deck.
     """
-    path = node.lower().partition("#")[0].split(".")
-    if len(path) > 1 and len(path[0]) == 1:  # a device: its letter stands before the instance
-        path = path[1:]
+    *path, name = node.lower().partition("#")[0].split(".")
+    if path and len(path[0]) == 1:  # a device: its letter stands before the instance
+        del path[0]
     try:
-        scope = inside(deck.scope, tuple(path[:-1]))
+        scope = inside(deck.scope, tuple(path))
     except UsageError:
         return None
     if scope is None:
         return None
-    *_, name = path
-    return _within(deck, scope, path[-2], name) if len(path) > 1 else _at_top(deck, scope, name)
+    return _within(deck, scope, path[-1], name) if path else _at_top(deck, scope, name)
 
 
 def _at_top(deck: Deck, scope: Scope, name: str) -> str | None:
@@ -184,24 +172,22 @@ def _at_top(deck: Deck, scope: Scope, name: str) -> str | None:
         return f"{name} in {deck.main}"
     wired = []
     for element in scope.elements:
-        for position, node in enumerate(element.ends):
-            called = scope.find(element.model) if element.kind == "x" else None
-            if node == name and called is not None:
-                wired.append(f"{element.key} ({called.name}) pin {called.pins[position]}")
-            elif node == name:
-                wired.append(element.key)
+        called = scope.find(element.model) if element.kind == "x" else None
+        for position in (k for k, node in enumerate(element.ends) if node == name):
+            pin = f" ({called.name}) pin {called.pins[position]}" if called else ""
+            wired.append(f"{element.key}{pin}")
     return f"node of {', '.join(wired)}" if wired else None
 
 
 def _within(deck: Deck, scope: Scope, instance: str, name: str) -> str:
     """What the library says that the ``instance`` is, and its documented pin that an inner node or
     element is named after: ``fring0`` after ring0."""
-    part = next((part for part in deck.parts if part.name.lower() == scope.name), None)
-    title = part.text.splitlines()[0].lstrip("* ") if part else scope.name
+    part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
     pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
     named = [pin for pin in pins if name.endswith(pin.name.lower())]
+    what = f"part {instance} ({part.title if part else scope.name})"
     if not named:
-        return f"part {instance} ({title}), inside at {name}"
+        return f"{what}, inside at {name}"
     pin = max(named, key=lambda pin: len(pin.name))
     flow = "" if pin.flow == "-" else f", 1 A = 1 {pin.flow}"
-    return f"part {instance} ({title}) at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"
+    return f"{what} at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import os
 import re
 import shutil
-import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -32,7 +29,6 @@ ANSWERS = 20.0  # s that ngspice may take to tell its version
 STALLED = 60.0  # s without processor time after which a run hangs
 LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
-_PDEATHSIG = 1  # of prctl: the signal that a child gets when its parent dies
 POLL = 0.05  # s between two looks at the growing raw file
 
 
@@ -82,20 +78,12 @@ def find_ngspice() -> Simulator:
 
 
 @cache
-def _mortal() -> tuple[tuple[str, ...], Callable[[], None] | None]:
-    """What makes a program die with this process, which a kill must not leave running: words
-    before its command, or else a function for the child. The latter makes Python copy the page
-    tables of this process, which costs each run 20 ms.
-    """
-    if sys.platform != "linux":
-        return (), None
+def _mortal() -> tuple[str, ...]:
+    """Words before a command that must not outlive this process, which a kill can end."""
     words = ("setpriv", "--pdeathsig", "KILL", "--")
-    if shutil.which(words[0]) is not None:
-        tried = subprocess.run([*words, "true"], capture_output=True, check=False)
-        if tried.returncode == 0:
-            return words, None
-    libc = ctypes.CDLL(None)
-    return (), lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL)
+    tried: Any = {"capture_output": True, "check": False}
+    works = shutil.which(words[0]) and not subprocess.run([*words, "true"], **tried).returncode
+    return words if works else ()
 
 
 def write_deck(deck: Deck, directory: Path) -> Path:
@@ -213,22 +201,20 @@ def _execute(
     ------
     SimulationError : it takes longer than ``timeout``, hangs, or fills the disk.
     """
-    command = [simulator.path, "-b", "-n", "-r", raw.name, main.name]
+    command = [*_mortal(), simulator.path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = worked = time.monotonic()
     spent = None
     with log.open("wb") as sink:
-        words, within = _mortal()
         # No context of the process: at an exit it would wait for a simulator that nobody has ended.
         process = subprocess.Popen(
-            [*words, *command],
+            command,
             cwd=main.parent,
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=sink,
             stderr=subprocess.STDOUT,
-            preexec_fn=within,
         )
         try:
             # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
@@ -239,28 +225,20 @@ def _execute(
                 now, ticks = time.monotonic(), _processor_time(process.pid)
                 if ticks is None or ticks != spent:
                     worked, spent = now, ticks
-                size = raw.stat().st_size if raw.exists() else 0
-                at = last_scale_value(raw)
-                for too_much, what, hint in (
-                    (
-                        timeout is not None and now - begin > timeout,
-                        f"ngspice did not finish within {timeout} s",
-                        "give it more time, a looser solver.reltol or a shorter stop",
-                    ),
-                    (
-                        now - worked > STALLED,
-                        f"ngspice hangs: no processor time for {STALLED:g} s",
-                        "does it run by itself? kc2spice doctor checks it",
-                    ),
-                    (
-                        size > LARGEST_RAW,
-                        f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes",
-                        "raise solver.max_step or reltol, end earlier, save fewer vectors",
-                    ),
-                ):
-                    if too_much:
-                        got = f"{size} bytes at time point {at} s of {stop} s"
-                        raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
+                size, at = raw.stat().st_size if raw.exists() else 0, last_scale_value(raw)
+                what = hint = ""
+                if timeout is not None and now - begin > timeout:
+                    what = f"ngspice did not finish within {timeout} s"
+                    hint = "give it more time, a looser solver.reltol or a shorter stop"
+                elif now - worked > STALLED:
+                    what = f"ngspice hangs: no processor time for {STALLED:g} s"
+                    hint = "does it run by itself? kc2spice doctor checks it"
+                elif size > LARGEST_RAW:
+                    what = f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes"
+                    hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"
+                if what:
+                    got = f"{size} bytes at time point {at} s of {stop} s"
+                    raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
                 if progress is not None and stop:
                     progress(min(1.0, (at or 0.0) / stop))
                 waiting.join(POLL)

@@ -157,15 +157,14 @@ def run_with_retries(
     RetriesFailedError : the last attempt failed; names node, time, part, all settings, what to try.
     SimulationError, MissingToolError : as :func:`run_deck`, for what no setting cures.
     """
-    setting = FIRST
+    setting, left = FIRST, list(RETRIES)
     attempts: list[Attempt] = []
     farthest: Failure | None = None
     while True:
         tried = setting.of(deck)
         violated: list[Check] = []
-        failure: Failure | None = None
+        failure, points = Failure(""), None
         cause: Cause | None = None
-        points = None
         start = time.perf_counter()
         try:
             waves = engine(tried) if engine else run_deck(tried, directory, progress, timeout)
@@ -173,37 +172,25 @@ def run_with_retries(
             points = waves["time"].size if "time" in waves else None
             violated = [check for check in verdict.checks if check.fatal]
             require(verdict.checks, deck.name)
-        except FailedRunError as failed:
-            error: SimulationError = failed
-            failure, cause = failed.failure, failed.failure.kind
-            if farthest is None or (failure.time or 0.0) > (farthest.time or 0.0):
-                farthest = failure
-        except SimulationError as refused:
-            if not violated:
+        except SimulationError as raised:
+            error: SimulationError = raised
+            if isinstance(raised, FailedRunError):
+                failure, cause = raised.failure, raised.failure.kind
+                if farthest is None or (failure.time or 0.0) > (farthest.time or 0.0):
+                    farthest = failure
+            elif violated:
+                first = violated[0]
+                failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}")
+                # Outside of what is modelled no tolerance makes the result right.
+                cause = "coarse" if all(check.coarse for check in violated) else None
+            else:
                 raise
-            error = refused
-            first = violated[0]
-            failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}")
-            # Outside of what is modelled no tolerance makes the result right.
-            cause = "coarse" if all(check.coarse for check in violated) else None
+        blame = failure.cause or None, failure.node, failure.time, failure.part
         wall = time.perf_counter() - start
-        told = failure or Failure("")
-        attempts.append(
-            Attempt(
-                setting.name,
-                setting.changes,
-                told.cause or None,
-                told.node,
-                told.time,
-                told.part,
-                wall,
-                points,
-            )
-        )
-        if failure is None:
+        attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
+        if not failure.cause:
             return Outcome(tried, waves, verdict, tuple(attempts))
-        names = [attempt.setting for attempt in attempts]
-        following = next((r for r in RETRIES if cause in r.cures and r.name not in names), None)
+        following = next((each for each in left if cause in each.cures), None)
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
             hints = [
@@ -230,4 +217,5 @@ def run_with_retries(
         log = (directory / deck.main).with_suffix(".log")
         if log.is_file():  # put aside, before the next attempt writes its own
             log.rename(log.with_suffix(f".{len(attempts)}.log"))
+        left.remove(following)
         setting = following.after(setting)

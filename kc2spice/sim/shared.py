@@ -26,6 +26,7 @@ import numpy as np
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.parttype import Sampled
 from kc2spice.sim.log import failed_run, statistics
 from kc2spice.sim.ngspice import named
@@ -37,7 +38,7 @@ def _structure(**fields: Any) -> Any:
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
-# vector_info, vecvalues and vecvaluesall of sharedspice.h; Dl_info of dlfcn.h
+# vector_info, vecvalues and vecvaluesall of sharedspice.h
 _Vector = _structure(
     name=c_char_p,
     type=c_int,
@@ -48,7 +49,6 @@ _Vector = _structure(
 )
 _Value = _structure(name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool)
 _Values = _structure(count=c_int, index=c_int, vectors=POINTER(POINTER(_Value)))
-_Place = _structure(file=c_char_p, base=c_void_p, symbol=c_char_p, at=c_void_p)
 
 _SEND_CHAR = CFUNCTYPE(c_int, c_char_p, c_int, c_void_p)
 _EXIT = CFUNCTYPE(c_int, c_int, c_bool, c_bool, c_int, c_void_p)
@@ -126,7 +126,7 @@ def run_shared(
     library = _fresh()
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
-        ran = library.load(_flattened(deck)) and library.run(loop)
+        ran = library.load(_flattened(deck, deck.main)) and library.run(loop)
         if library.broken is not None:
             raise SimulationError(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
@@ -145,18 +145,14 @@ def run_shared(
     return Waveforms(data, {"accepted": float(time.size)} | statistics(said))
 
 
-def _flattened(deck: Deck) -> str:
-    """The deck as one text, its includes in their places."""
-
-    def lines(file: str) -> list[str]:
-        found: list[str] = []
-        for line in deck.files[file].splitlines():
-            word, _, target = line.partition(" ")
-            included = word.lower() in (".include", ".inc")
-            found += lines(target.strip().strip("\"'")) if included else [line]
-        return found
-
-    return "\n".join(lines(deck.main))
+def _flattened(deck: Deck, file: str) -> list[str]:
+    """Lines of the deck, its includes in their places."""
+    found: list[str] = []
+    for line in deck.files[file].splitlines():
+        word, _, target = line.partition(" ")
+        included = word.lower() in INCLUDES
+        found += _flattened(deck, target.strip().strip("\"'")) if included else [line]
+    return found
 
 
 def _fresh() -> Library:
@@ -198,14 +194,14 @@ class Library:
             _SYNC(self._guarded(self._on_step)),
         )
         text, leave, point, begin, source, step = self._kept
-        with _no_start_up_files(self._library):
+        with _no_start_up_files():
             self._library.ngSpice_Init(text, None, leave, point, begin, None, None)
         self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
-    def load(self, circuit: str) -> bool:
-        """Read ``circuit``, a deck without includes; False if ngspice refuses it."""
+    def load(self, circuit: Sequence[str]) -> bool:
+        """Read the lines of a deck without includes; False if ngspice refuses it."""
         self.said, self.broken = "", None
-        lines = [line.encode() for line in circuit.splitlines()] + [None]
+        lines = [*(line.encode() for line in circuit), None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
@@ -290,8 +286,10 @@ def _private_copy() -> ctypes.CDLL:
         )
     try:
         plain = ctypes.CDLL(found)
-        path = _file_of(plain)
-        if path is None:  # no dladdr: the system's one copy has to do
+        maps = Path("/proc/self/maps")  # Linux finds a name; what it has loaded has a path
+        loaded = maps.read_text("utf-8").split() if maps.is_file() else [found]
+        path = next((word for word in loaded if found in word and Path(word).is_file()), None)
+        if path is None:  # the system's one copy has to do
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             copy = Path(shutil.copy(path, folder))
@@ -303,18 +301,9 @@ def _private_copy() -> ctypes.CDLL:
         ) from None
 
 
-def _file_of(library: ctypes.CDLL) -> Path | None:
-    finder = getattr(ctypes.CDLL(None), "dladdr", None) if os.name == "posix" else None
-    place = _Place()
-    symbol = ctypes.cast(library.ngSpice_Init, c_void_p)
-    return Path(os.fsdecode(place.file)) if finder and finder(symbol, byref(place)) else None
-
-
 @contextmanager
-def _no_start_up_files(library: ctypes.CDLL) -> Iterator[None]:
+def _no_start_up_files() -> Iterator[None]:
     """ngspice finds empty start-up files first, so it reads neither the user's nor code models."""
-    if hasattr(library, "ngSpice_nospiceinit"):
-        library.ngSpice_nospiceinit()
     before, variables = Path.cwd(), ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     kept = {name: os.environ.get(name) for name in variables}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:

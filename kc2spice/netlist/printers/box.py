@@ -50,7 +50,7 @@ def layout(part: Subcircuit) -> Box:
     return Box(
         part.name,
         part.filename,
-        part.text.partition("\n")[0].lstrip("* "),
+        part.title,
         part.params,
         width,
         height,
