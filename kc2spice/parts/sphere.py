@@ -66,8 +66,10 @@ class SphereKeys(Section):
 
     @model_validator(mode="after")
     def _made_of(self) -> SphereKeys:
-        if self.material is not None and "density" not in self.model_fields_set:
-            object.__setattr__(self, "density", _stuff(self.material).density)
+        if self.material is not None:
+            density = _stuff(self.material).density
+            if "density" not in self.model_fields_set:
+                object.__setattr__(self, "density", density)
         if self.elastic is False:
             object.__setattr__(self, "elastic", None)
         return self
