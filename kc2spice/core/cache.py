@@ -22,8 +22,8 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
-from dataclasses import fields, is_dataclass
-from functools import lru_cache
+from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -36,27 +36,22 @@ T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
 _ABANDONED = 3600.0  # s
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
+# The variable that names a platform's directory for caches, and where that is below the home.
+_PLACES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
 def cache_dir() -> Path:
     """``$KC2SPICE_CACHE``, else the platform's directory for files that can be made again."""
-    chosen = os.environ.get("KC2SPICE_CACHE")
-    if chosen:
+    if chosen := os.environ.get("KC2SPICE_CACHE"):
         return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or _home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = _home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache")
-    return base / "kc2spice"
+    variable, below = _PLACES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    return Path(os.environ.get(variable) or _home() / below) / "kc2spice"
 
 
-@lru_cache(maxsize=1)
+@cache
 def _home() -> Path:
     """The user's home; a directory for this process alone where the user has none, as an unknown
-    uid in a container: a name in the common temporary directory could be somebody else's.
-    """
+    uid in a container: a name in the common temporary directory could be somebody else's."""
     try:
         return Path.home()
     except RuntimeError:
@@ -79,8 +74,8 @@ def cached(
     ----------
     kind : sub-directory for this sort of result.
     key : what the result depends on: scene sections, numbers, strings, lists, mappings.
-    build : makes the result: dataclasses, arrays, tuples, lists, dicts with string
-        keys, numbers, strings, None, nested at will.
+    build : makes the result: dataclasses, arrays, tuples, dicts with string keys, numbers, strings,
+        None, nested at will.
     classes : dataclasses that may occur in the result; no other class is ever restored.
     sources : modules or packages of kc2spice whose source text the result depends on; those of
         ``classes`` are added.
@@ -96,8 +91,7 @@ def cached(
         with _alone(path):
             found = _load(path, known)  # somebody else may have built it since
             if found is None:
-                result = build()
-                _store(path, result, known)
+                _store(path, result := build(), known)
                 return result, False
     return cast(T, found[0]), True
 
@@ -131,10 +125,7 @@ def remembered(kind: str, key: Any, build: Callable[[], T]) -> T:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Nobody else builds the same entry meanwhile.
-
-    Where there are no locks, two may build it, which costs time only.
-    """
+    """Nobody else builds the same entry meanwhile; without locks two may, which costs time only."""
     lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
     with ExitStack() as held:
         with contextlib.suppress(OSError):
@@ -153,6 +144,7 @@ def _digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:40]
 
 
+@cache
 def _version(library: str) -> str:
     try:
         return importlib.metadata.version(library)
@@ -162,55 +154,40 @@ def _version(library: str) -> str:
 
 def _plain(value: Any) -> Any:
     """JSON form of what a key may hold besides JSON: scene sections and numpy scalars."""
-    if hasattr(value, "model_dump"):
-        return value.model_dump(mode="json")
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be part of a cache key")
+    return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 
 
 def _source_digest(module: str) -> str:
     """Hash of a module's text, or of all modules of a package; never the same twice for one that
     has no file, such as a notebook's."""
     loaded = sys.modules.get(module)
-    file: str | None
-    if loaded is None:
-        spec = importlib.util.find_spec(module)
-        if spec is None or spec.origin is None:
-            raise ModuleNotFoundError(module)
-        file, package = spec.origin, spec.submodule_search_locations is not None
-    else:
-        file, package = getattr(loaded, "__file__", None), hasattr(loaded, "__path__")
+    spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__
+    file = getattr(loaded, "__file__", None) or getattr(spec, "origin", None)
+    if loaded is None and file is None:
+        raise ModuleNotFoundError(module)
     if file is None:
         return os.urandom(16).hex()
-    origin = Path(file)
-    files = sorted(origin.parent.rglob("*.py")) if package else [origin]
-    digest = hashlib.sha256()
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    package = spec is not None and spec.submodule_search_locations is not None
+    files = sorted(Path(file).parent.rglob("*.py")) if package else [Path(file)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
     arrays: dict[str, np.ndarray] = {}
     structure = json.dumps(_encode(result, arrays, known)).encode()
     arrays["structure"] = np.frombuffer(structure, dtype=np.uint8)
-    temporary = None
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=".", suffix=".part", delete=False
-        ) as file:
-            temporary = Path(file.name)
+        with temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
         os.replace(temporary, path)
         _prune(cache_dir())
-    except BaseException as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        if not isinstance(error, OSError):
-            raise
+    except OSError as error:
         warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=3)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def _prune(root: Path) -> None:
@@ -250,35 +227,27 @@ def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
     """JSON structure of ``value``: what JSON lacks as ``{tag: …}``, arrays set aside by number."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
     if isinstance(value, np.ndarray):
-        name = f"a{len(arrays)}"
-        arrays[name] = value
+        arrays[name := f"a{len(arrays)}"] = value
         return {"array": name}
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return [_encode(item, arrays, known) for item in value]
-    if isinstance(value, tuple):
-        return {"tuple": _encode(list(value), arrays, known)}
-    if isinstance(value, Mapping):
-        return {"dict": {name: _encode(item, arrays, known) for name, item in value.items()}}
-    if is_dataclass(value) and known.get(type(value).__name__) is type(value):
+    tag, content = "dict", value
+    if known.get(type(value).__name__) is type(value):
+        tag = type(value).__name__
         content = {item.name: getattr(value, item.name) for item in fields(value)}
-        return {type(value).__name__: _encode(content, arrays, known)["dict"]}
-    raise TypeError(f"{type(value).__name__} cannot be cached; name it in classes")
+    if isinstance(content, Mapping):
+        return {tag: {name: _encode(item, arrays, known) for name, item in content.items()}}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _decode(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
     if isinstance(node, list):
-        return [_decode(item, arrays, known) for item in node]
+        return tuple(_decode(item, arrays, known) for item in node)
     if not isinstance(node, dict):
         return node
     ((tag, content),) = node.items()
     if tag == "array":
         return arrays[content]
-    if tag == "tuple":
-        return tuple(_decode(content, arrays, known))
     found = {name: _decode(item, arrays, known) for name, item in content.items()}
     return found if tag == "dict" else known[tag](**found)

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.findings import KeyPath, clipped, dotted, entries, shown, told
+from kc2spice.core.findings import clipped, dotted, entries, shown, told
 from kc2spice.core.foreign import (
     DEEPEST,
     LONGEST_KEY,
@@ -38,24 +38,26 @@ _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
 _GRAMMAR = ("part", "pins")  # keys of every part table
+_OVERRIDE = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 
 
 def gallery() -> dict[str, Traversable]:
     """Built-in scenes by name."""
-    folder = resources.files("kc2spice") / "scenes"
-    found = {item.name.removesuffix(".toml"): item for item in folder.iterdir()}
-    return {name: found[name] for name in sorted(found) if found[name].name.endswith(".toml")}
+    files = (resources.files("kc2spice") / "scenes").iterdir()
+    found = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
+    return dict(sorted(found.items()))
 
 
 def load_scene(
-    name_or_path: Scene | str | Path | Mapping[str, Any],
+    scene: Scene | str | Path | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Scene:
     """Read a scene, apply overrides in order, check it and join its parts.
 
     Parameters
     ----------
-    name_or_path : gallery name, path of a TOML file, the tables themselves, or a scene.
+    scene : name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the
+        tables of such a file as a mapping, or a scene to be changed.
     overrides : ``dotted.key=value`` texts, whose values are TOML (``80``, ``"80 V"``, ``[0, 1e5]``)
         or a bare word or quantity (``80 V``, ``antiparallel``), or a mapping of dotted keys to
         values; numbers are SI. An entry of a list is counted from 0, from its end by negative
@@ -66,82 +68,70 @@ def load_scene(
     UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
         each other, pins that do not fit.
     """
-    if isinstance(name_or_path, Scene):
-        if not overrides:
-            return name_or_path
-        source = _Source("scene", name_or_path.name, "", name_or_path.home)
-        data = _copied(name_or_path.tables)
-    elif isinstance(name_or_path, Mapping):
-        source = _Source("scene", "scene", "", Path())
-        data = _copied(name_or_path)
+    if isinstance(scene, Scene) and not overrides:
+        return scene
+    if isinstance(scene, Scene):
+        source, data = _Source("scene", scene.name, "", scene.home), _copied(scene.tables)
+    elif isinstance(scene, Mapping):
+        source, data = _Source("scene", "scene", "", Path()), _copied(scene)
     else:
-        source = _open(name_or_path)
+        source = _open(scene)
         data = source.parse()
     data.setdefault("name", identifier(source.stem, "scene"))
     if isinstance(overrides, Mapping):
-        for name, value in overrides.items():
-            _put(data, name, value, f"{name}={value}", source)
+        changes = [(name, value, f"{name}={value}") for name, value in overrides.items()]
     else:
-        for override in overrides:
-            _override(data, override, source)
-    return _scene(data, source)
-
-
-def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy whose tables and lists may be changed."""
-
-    def copy(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return _copied(value)
-        return [copy(item) for item in value] if isinstance(value, (list, tuple)) else value
-
-    return {key: copy(value) for key, value in tables.items()}
-
-
-def _scene(data: dict[str, Any], source: _Source) -> Scene:
-    types = {name: _type(name, table, source) for name, table in _part_tables(data, source)}
-    tables = _copied(data)
-    frame = {key: data[key] for key in data if key not in types}
+        changes = [(*_override(text), text) for text in overrides]
+    for name, value, text in changes:
+        source.overrides[_put(data, name, value, text)] = text
     try:
-        scene = Scene(Frame.model_validate(frame), {}, home=source.folder)
-    except ValidationError as error:
-        raise source.refusal(error, Frame) from None
+        return _scene(data, source.folder)
+    except UsageError as problem:
+        if problem.where is not None:
+            problem.where = source.where(problem.where)
+        raise
+
+
+def _copied(value: Any) -> Any:
+    """A copy whose tables and lists may be changed."""
+    if isinstance(value, Mapping):
+        return {key: _copied(each) for key, each in value.items()}
+    return [_copied(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
+def _scene(data: dict[str, Any], home: Path) -> Scene:
+    """The scene that ``data`` says; of errors ``where`` is a key."""
+    types = {name: _type(name, table) for name, table in _part_tables(data)}
+    frame = {key: data[key] for key in data if key not in types}
+    scene = Scene(_validated(Frame, frame, ()), {}, home=home)
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
-        parts[name] = _part(name, data[name], kind, source, short=short)
+        parts[name] = _part(name, data[name], kind, home, short=short)
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
-                raise source.error((name,), "this name is taken", name, expected)
-            own, at = dict(table), tuple(table.get("at", (name,)))
-            own.pop("at", None)
-            parts[name] = _part(name, own, _type(name, own, source), source, at)
-    scene = replace(scene, parts=parts, tables=tables)
-    if scene.frame.analysis == Frame.model_fields["analysis"].default:
-        asked = [part.type.analysis(part, scene) for part in parts.values()]
-        chosen = [each for each in asked if each is not None]
-        if chosen:
-            frame_now = scene.frame.model_copy(update={"analysis": chosen[0]})
-            scene = replace(scene, frame=frame_now)
-    try:
-        for problem in problems(scene):
-            raise problem
-        scene = composed(_driven(scene, source))
-        wild = judged(drives(scene), scene.checks.plausible)
-        build = Build(scene, {})
-        for problem in chain(without_equilibrium(build), without_finite_force(build), wild):
-            raise problem
-        return scene
-    except UsageError as problem:
-        if problem.where is not None:
-            words = str(problem.where).split(".")
-            problem.where = source.where(tuple(int(w) if w.isdigit() else w for w in words))
-        raise
+                raise UsageError("this name is taken", where=name, got=name, expected=expected)
+            own = {key: value for key, value in table.items() if key != "at"}
+            at = tuple(table.get("at", (name,)))
+            parts[name] = _part(name, own, _type(name, own), home, at)
+    scene = replace(scene, parts=parts, tables=_copied(data))
+    if "analysis" not in data:
+        asked = (part.type.analysis(part, scene) for part in parts.values())
+        chosen = next((each for each in asked if each is not None), scene.frame.analysis)
+        scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": chosen}))
+    for problem in problems(scene):
+        raise problem
+    scene = composed(_driven(scene))
+    build = Build(scene, {})
+    wild = judged(drives(scene), scene.checks.plausible)
+    for problem in chain(without_equilibrium(build), without_finite_force(build), wild):
+        raise problem
+    return scene
 
 
-def _driven(scene: Scene, source: _Source) -> Scene:
+def _driven(scene: Scene) -> Scene:
     """``scene``; of an ``ac`` that nothing drives with 1 V on its body's first electrical port.
 
     Raises
@@ -152,86 +142,90 @@ def _driven(scene: Scene, source: _Source) -> Scene:
     if scene.analysis.type != "ac" or any(p.type.excites(p, scene) for p in parts.values()):
         return scene
     whole = replace(scene, ports="all")
-    bodies = (part for part in parts.values() if part.type.reduced)
-    electrical = (
-        [f"{part.name}.{pin.name}" for pin in part.type.pins(part, whole) if pin.unit == "V"]
-        for part in bodies
-    )
-    ports = [found[0] for found in electrical if found]
-    free = [port for port in ports if not _joined(port, scene)]
-    if len(ports) != 1 or not free:
+    bodies = [part for part in parts.values() if part.type.reduced]
+    electrical = ([p for p in part.type.pins(part, whole) if p.unit == "V"] for part in bodies)
+    ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
+    if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.named(*ports[0]):
+        at = f" at {', '.join(map('.'.join, ports))}" if ports else ""
         raise UsageError(
             "nothing drives this analysis",
             where="analysis.type",
             got="ac, and no source with an ac value",
-            expected='a source with ac = "1 V"' + (f" at {', '.join(ports)}" if ports else ""),
+            expected=f'a source with ac = "1 V"{at}',
             hint="a body whose electrical port nothing is joined to is driven by 1 V",
         )
-    body = free[0].partition(".")[0]
+    body = ports[0][0]
     name = allocated([(body, f"{body}_drive")], {each.lower() for each in parts})[body]
-    table = {"part": "source", "ac": "1 V", "pins": {"out": free[0]}}
-    drive = _part(name, table, _type(name, table, source), source, (name,))
+    table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
+    drive = _part(name, table, _type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
 
 
-def _joined(port: str, scene: Scene) -> bool:
-    """Whether the scene joins the port ``"part.pin"`` to anything."""
-    part, _, pin = port.partition(".")
-    return pin in scene.parts[part].pins or scene.named(part, pin)
-
-
-def _part_tables(data: Mapping[str, Any], source: _Source) -> Iterator[tuple[str, Mapping]]:
+def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping]]:
     """Top-level tables that are parts."""
     taken: dict[str, str] = {}
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
         if not isinstance(table, Mapping) and name in SHORT:
-            raise source.error((name,), "not a table", shown(table), f"a table, [{name}]")
+            expected = f"a table, [{name}]"
+            raise UsageError("not a table", where=name, got=shown(table), expected=expected)
         if not isinstance(table, Mapping):
-            parts = [each for each in data if isinstance(data[each], Mapping)]
-            parts = [each for each in parts if each not in Frame.model_fields]
-            own = (dotted((each, *key)) for each in parts for key in _keys(each, data[each]))
-            near = did_you_mean(name, Frame.model_fields) or did_you_mean(name, own)
-            expected = ", ".join(Frame.model_fields) + ", or a table with part = TYPE"
-            hint = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
-            raise source.error((name,), "unknown key", None, expected, near or hint)
+            raise _unknown(name, data)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
-            expected = "a letter, then letters, digits and _, at most 48 in all; not gnd"
-            raise source.error((name,), "not a name for a part", repr(clipped(name)), expected)
+            raise UsageError(
+                "not a name for a part",
+                where=name,
+                got=repr(clipped(name)),
+                expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
+            )
         first = taken.setdefault(name.lower(), name)
         if first != name:
-            raise source.error(
-                (name,),
+            raise UsageError(
                 "two parts whose names differ in case only",
-                f"{first} and {name}",
-                "netlists do not tell case apart",
+                where=name,
+                got=f"{first} and {name}",
+                expected="netlists do not tell case apart",
             )
         yield name, table
 
 
-def _keys(name: str, table: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Keys that the table of a part may have."""
-    kind = table.get("part", SHORT.get(name))
-    found = part_type(kind) if isinstance(kind, str) else None
-    return (path for path, _ in entries(found.schema)) if found else iter(())
+def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
+    """The error of a key at the top that is none; perhaps it belongs below the name of a part."""
+    parts = {
+        n: t for n, t in data.items() if isinstance(t, Mapping) and n not in Frame.model_fields
+    }
+    kinds = {each: table.get("part", SHORT.get(each)) for each, table in parts.items()}
+    schemas = {n: kind.schema for n, k in kinds.items() if (kind := part_type(str(k))) is not None}
+    own = (".".join((n, *key)) for n, schema in schemas.items() for key, _ in entries(schema))
+    below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
+    return UsageError(
+        "unknown key",
+        where=name,
+        expected=", ".join(Frame.model_fields) + ", or a table with part = TYPE",
+        hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, own) or below,
+    )
 
 
-def _type(name: str, table: Mapping[str, Any], source: _Source) -> PartType:
+def _type(name: str, table: Mapping[str, Any]) -> PartType:
     chosen = table.get("part", SHORT.get(name))
     if chosen is None:
         near = did_you_mean(name, [*Frame.model_fields, *SHORT])
-        raise source.error(
-            (name,),
+        raise UsageError(
             "this table is no part of the grammar and says no part type",
+            where=name,
             expected="part = one of " + ", ".join(type_names()),
             hint=near or f'add  part = "TYPE"  to [{name}]; see kc2spice scenes --parts',
         )
     found = part_type(chosen) if isinstance(chosen, str) else None
     if found is None:
-        names = type_names()
-        expected, near = "one of " + ", ".join(names), did_you_mean(str(chosen), names)
-        raise source.error((name, "part"), "unknown part type", shown(chosen), expected, near)
+        raise UsageError(
+            "unknown part type",
+            where=f"{name}.part",
+            got=shown(chosen),
+            expected="one of " + ", ".join(type_names()),
+            hint=did_you_mean(str(chosen), type_names()),
+        )
     return found
 
 
@@ -239,24 +233,38 @@ def _part(
     name: str,
     table: Mapping[str, Any],
     kind: PartType,
-    source: _Source,
-    at: KeyPath = (),
+    home: Path,
+    at: tuple[str | int, ...] = (),
     short: tuple[str, ...] = (),
 ) -> Part:
     """A part of its table; ``at`` is where the file has it, if not under its name. ``short`` are
     the tables of the scene where this one's name says its type, which some keys depend on."""
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
-        expected = 'pins = { PIN = "part.pin" } or "gnd"'
-        message = "pins is no table of names"
-        raise source.error((name, "pins"), message, clipped(repr(pins)), expected)
+        raise UsageError(
+            "pins is no table of names",
+            where=f"{name}.pins",
+            got=clipped(repr(pins)),
+            expected='pins = { PIN = "part.pin" } or "gnd"',
+        )
     keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
-    keys = _completed(keys, kind.schema)
-    try:
-        checked = kind.schema.model_validate(keys, context={"home": source.folder, "short": short})
-    except ValidationError as error:
-        raise source.refusal(error, kind.schema, at or (name,)) from None
+    keys, context = _completed(keys, kind.schema), {"home": home, "short": short}
+    checked = _validated(kind.schema, keys, at or (name,), context)
     return Part(name, kind, checked, dict(pins), at)
+
+
+def _validated(
+    schema: type[BaseModel],
+    table: Mapping[str, Any],
+    at: tuple[str | int, ...],
+    context: Mapping[str, Any] | None = None,
+) -> Any:
+    """The table ``at`` as its ``schema``, in which what is wrong is told with its key."""
+    try:
+        return schema.model_validate(table, context=context)
+    except ValidationError as error:
+        path, words = told(error, schema, at, _GRAMMAR if at else ())
+        raise UsageError(where=".".join(map(str, path)), **words) from None
 
 
 def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
@@ -288,85 +296,64 @@ class _Source:
             return parse_toml(self.text)
         except ValueError as error:
             hint = "strings, quantities with units among them, stand in double quotes"
-            raise UsageError(
-                "not valid TOML", where=self.label, got=clipped(str(error)), hint=hint
-            ) from None
+            got = clipped(str(error))
+            raise UsageError("not valid TOML", where=self.label, got=got, hint=hint) from None
 
-    def where(self, path: KeyPath) -> str:
-        names = tuple(str(part) for part in path)
-        for key, text in self.overrides.items():
-            if key[: len(names)] == names or names[: len(key)] == key:
+    def where(self, key: str) -> str:
+        """The override or the line that sets ``key``, entries of lists by numbers between dots."""
+        names = tuple(key.split("."))
+        for path, text in self.overrides.items():
+            if path[: len(names)] == names or names[: len(path)] == path:
                 return f"--set {clipped(text)!r}"
         line = _line_of(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
-        return f"{place}, key {dotted(path)}"
-
-    def error(
-        self,
-        path: KeyPath,
-        message: str,
-        got: object = None,
-        expected: str | None = None,
-        hint: str | None = None,
-    ) -> UsageError:
-        """The error of a key."""
-        return UsageError(message, where=self.where(path), got=got, expected=expected, hint=hint)
-
-    def refusal(
-        self, error: ValidationError, schema: type[BaseModel], at: KeyPath = ()
-    ) -> UsageError:
-        """What the ``schema`` of the table ``at`` finds wrong with it."""
-        path, words = told(error, schema, at, _GRAMMAR if at else ())
-        return UsageError(where=self.where(path), **words)
+        return f"{place}, key {dotted(tuple(int(n) if n.isdigit() else n for n in names))}"
 
 
 def _open(name_or_path: str | Path) -> _Source:
-    scenes = gallery()
-    if str(name_or_path) in scenes:
-        name = str(name_or_path)
+    scenes, name = gallery(), str(name_or_path)
+    if name in scenes:
         text = scenes[name].read_text(encoding="utf-8")
         return _Source(f"scene {name}", name, text, Path(str(scenes[name])).parent)
     path = Path(name_or_path)
     try:
-        content = read_bounded(path, MAX_BYTES)
-    except (OSError, ValueError) as error:
-        raise _not_found(name_or_path, list(scenes), error) from None
-    try:
-        folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
-        return _Source(str(path), path.stem, text_of(content), folder)
+        text = text_of(read_bounded(path, MAX_BYTES))
     except UnicodeDecodeError:
-        raise UsageError("not a text file", where=str(path), expected="TOML in UTF-8") from None
+        raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
+    except (FileNotFoundError, IsADirectoryError):
+        raise UsageError(
+            "no such scene",
+            got=repr(name),
+            expected="a TOML file, or one of " + ", ".join(scenes),
+            hint=did_you_mean(name, scenes) or "see 'kc2spice scenes' for the gallery",
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"cannot be read: {reason}", where=name) from None
+    folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
+    return _Source(name, path.stem, text, folder)
 
 
-def _not_found(name: str | Path, scenes: list[str], error: Exception) -> UsageError:
-    if isinstance(error, (FileNotFoundError, IsADirectoryError)):
-        hint = did_you_mean(str(name), scenes) or "see 'kc2spice scenes' for the gallery"
-        expected = "a TOML file, or one of " + ", ".join(scenes)
-        return UsageError("no such scene", got=repr(str(name)), expected=expected, hint=hint)
-    reason = getattr(error, "strerror", None) or str(error)
-    return UsageError(f"cannot be read: {reason}", where=str(name))
-
-
-def _override(data: dict[str, Any], text: str, source: _Source) -> None:
-    """Put one ``dotted.key=value`` into ``data``."""
+def _override(text: str) -> tuple[str, Any]:
+    """Key and value of ``dotted.key=value``."""
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not value:
         raise _no_override(text)
-    _put(data, name, override_value(value), text, source)
+    return name, override_value(value)
 
 
 def _no_override(text: str) -> UsageError:
-    example = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
-    return UsageError("not an override", where="--set", got=repr(clipped(text)), expected=example)
+    return UsageError("not an override", where="--set", got=repr(clipped(text)), expected=_OVERRIDE)
 
 
-def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source) -> None:
-    """Set the key ``name``; tables on the way are made, entries of lists must be there."""
+def _put(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str, ...]:
+    """Set the key ``name`` and return its path, in which entries of lists are counted from their
+    beginning; tables on the way are made, entries of lists must be there."""
     steps = re.findall(rf"{_WORD}|{_INDEX}", name)
     long = len(steps) > DEEPEST or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _KEY.fullmatch(name):
         raise _no_override(text)
-    path: list[str] = []  # as the schema has it: entries of lists counted from their beginning
+    path: list[str] = []
     where, so_far = f"--set {clipped(text)!r}", ""
     holder: Any = data
     key: str | int = ""
@@ -376,10 +363,10 @@ def _put(data: dict[str, Any], name: str, value: Any, text: str, source: _Source
         so_far += step if step[0] == "[" or not so_far else f".{step}"
         if len(path) < len(steps):
             holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
-    source.overrides[tuple(path)] = text
     if isinstance(holder, dict):
         holder.pop(_ALTERNATIVES.get(name, ""), None)
     holder[key] = value
+    return tuple(path)
 
 
 def _place(holder: Any, step: str, so_far: str, where: str) -> str | int:
