@@ -235,7 +235,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]
     tag, content = "dict", value
     if known.get(type(value).__name__) is type(value):
         tag = type(value).__name__
-        content = {item.name: getattr(value, item.name) for item in fields(value)}
+        content = {item.name: getattr(value, item.name) for item in fields(known[tag])}
     if isinstance(content, Mapping):
         return {tag: {name: _encode(item, arrays, known) for name, item in content.items()}}
     return value.item() if isinstance(value, np.generic) else value
