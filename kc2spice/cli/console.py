@@ -9,7 +9,7 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,22 +181,3 @@ def print_table(
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
     width = None if sys.stdout.isatty() else COLUMNS
     Console(width=width).print(table)
-
-
-def print_facts(
-    title: str, facts: Mapping[str, Any], units: Mapping[str, str] | None = None
-) -> None:
-    """Numbers of a result, each with the unit of ``units`` or the one that its key ends in."""
-    from kc2spice.report.words import fact, flat
-
-    plain = {name: value for name, value in flat(facts).items() if _is_plain(value)}
-    rows = [
-        fact(name, value, digits=6, unit=(units or {}).get(name, ""))
-        for name, value in plain.items()
-    ]
-    if rows:
-        print_table(title, [(name, text.replace("\u2212", "-")) for name, text in rows])
-
-
-def _is_plain(value: Any) -> bool:
-    return value is None or isinstance(value, (bool, int, float, str))

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import shlex
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kc2spice.cli.console import COLUMNS, print_facts, print_table
+from kc2spice.cli.console import COLUMNS, print_table
 
 if TYPE_CHECKING:
     from kc2spice.cli.doctor import Finding
+    from kc2spice.report.html import Section
     from kc2spice.scene.keys import Key
     from kc2spice.scene.model import Scene
     from kc2spice.scene.partdocs import PartDoc
@@ -19,24 +20,19 @@ if TYPE_CHECKING:
     from kc2spice.scene.plan import Plan
 
 
+def show_sections(sections: Iterable[Section]) -> None:
+    """The tables of a page."""
+    for section in sections:
+        if section.rows:
+            rows = [[cell.replace("\u2212", "-") for cell in row] for row in section.rows]
+            print_table(section.title, rows, section.head)
+
+
 def show_result(result: Mapping[str, Any], directory: Path) -> None:
     """What ``run`` found."""
-    for part, facts in result.get("model", {}).items():
-        print_facts(f"model: {part}", facts)
-    if "rom" in result:
-        rom = result["rom"]
-        low, high = rom["band_hz"]
-        rows = [
-            ("order", str(rom["order"])),
-            ("band", f"{low:g} … {high:g} Hz"),
-            ("error estimate", f"{rom['error_estimate']:.3g}"),
-        ]
-        rows += _above_band(rom)
-        print_table("reduced model", rows)
-    print_facts("metrics", result.get("metrics", {}), result.get("metric_units", {}))
-    _show_checks(result.get("checks", ()))
-    _show_attempts(result.get("simulator", {}).get("attempts", ()))
-    print_facts("wall time", {f"{stage}_s": time for stage, time in result["wall_s"].items()})
+    from kc2spice.report.run_page import result_sections
+
+    show_sections(result_sections(result))
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
     for raw in (name for name in result["files"] if name.endswith(".raw")):
         rows = [
@@ -44,41 +40,6 @@ def show_result(result: Mapping[str, Any], directory: Path) -> None:
             ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
         ]
         print_table("viewers of the raw file", rows)
-
-
-def _above_band(rom: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Rows of what a certificate says of the compliance above its band."""
-    errors = rom.get("above_band_compliance_error", ())
-    return [
-        (f"compliance at {f:g} Hz", f"{error:.2g} off, above the band")
-        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True)
-    ]
-
-
-def _show_checks(checks: Iterable[Mapping[str, Any]]) -> None:
-    from kc2spice.report.words import check_name
-
-    rows = [
-        (
-            "ok" if check["passed"] else "VIOLATED",
-            check_name(check["name"]),
-            f"{check['value']:.3g} {check['unit']}",
-            f"limit {check['limit']:.3g}",
-        )
-        for check in checks
-    ]
-    if rows:
-        print_table("physics checks", rows)
-
-
-def _show_attempts(attempts: Sequence[Mapping[str, Any]]) -> None:
-    """All retry settings, where more than the first was needed."""
-    rows = [
-        (each["setting"], each["settings"], each["cause"] or "succeeded", f"{each['wall_s']:.3g} s")
-        for each in attempts
-    ]
-    if len(rows) > 1:
-        print_table("retries", rows, header=("setting", "changes", "outcome", "time"))
 
 
 def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> None:
@@ -103,33 +64,30 @@ def show_verdicts(found: Mapping[str, Mapping[str, Any]], directory: Path) -> No
 
 def show_plan(scene: Scene, digest: str, plan: Plan, limit: StepLimit | None) -> None:
     """What ``explain`` says."""
+    from kc2spice.report.run_page import plan_sections
+
     print(textwrap.fill(f"{scene.name}: {scene.title}", COLUMNS))
     print(f"scene hash {digest}\n")
-    rows = [(part.part, part.source, part.detail) for part in plan.parts]
-    print_table("modelled", rows, header=("part", "model", "detail"))
     print_table("joined", [(line,) for line in plan.joins])
-    settings = [
-        (s.key, f"{s.value:g}", "not estimated" if s.error is None else f"{s.error:.2g}")
-        for s in plan.settings
-    ]
-    print_table("numerical settings", settings, header=("key", "value", "error"))
+    show_sections(plan_sections(plan))
     budget = "X" if plan.error_budget is None else f"{plan.error_budget:g}"
-    print(f"error_budget = {budget} refines these until every metric's error is below {budget}\n")
-    left = [(item.effect, item.why, item.error) for item in plan.left_out]
-    print_table("left out", left, header=("effect", "why", "size"))
+    told = "refines the settings until every metric's error is below"
+    print(f"error_budget = {budget} {told} {budget}\n")
     if limit is not None:
         print(textwrap.fill(f"largest step {limit.step:.3g} s: {limit.why}", COLUMNS))
 
 
 def show_reduced(found: Mapping[str, Any]) -> None:
     """What ``reduce`` made."""
+    from kc2spice.report.run_page import above_band
+
     low, high = found["band_hz"]
     rows = [
         ("equations", f"{found['unknowns']}, {found['form']}"),
         ("states", str(found["order"])),
         ("band", f"{low:g} … {high:g} Hz"),
         ("error estimate", f"{found['error_estimate']:.3g}, {found['norm']}"),
-        *_above_band(found),
+        *above_band(found),
         ("stable", {True: "yes", False: "NO", None: "not known"}[found["stable"]]),
         ("passive", "yes" if found["passive"] else "not shown"),
         ("method", found["method"]),

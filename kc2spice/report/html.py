@@ -38,7 +38,10 @@ class Section:
 
 
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
-    """Render ``sections`` to ``path``; nothing is loaded from elsewhere."""
+    """Render ``sections`` that have more than a note to ``path``; nothing is loaded from elsewhere.
+
+    ``lead`` stands below the title.
+    """
     environment = Environment(
         loader=FileSystemLoader(template_directory()),
         undefined=StrictUndefined,
@@ -50,7 +53,7 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
     text = environment.get_template("report.html.j2").render(
         title=title,
         lead=lead,
-        sections=sections,
+        sections=[s for s in sections if s.rows or s.figures or s.drawing or s.links],
         footer=f"kc2spice {__version__}",
         plots=any(section.figures for section in sections),
     )
@@ -83,8 +86,7 @@ def _curve(curve: Curve) -> dict[str, Any]:
 
 
 def _map(found: Map) -> dict[str, str]:
-    numbers = {name: _numbers(getattr(found, name)) for name in ("x", "y", "z")}
-    return {"label": found.label, **numbers}
+    return {"label": found.label, **{name: _numbers(getattr(found, name)) for name in "xyz"}}
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -12,11 +12,12 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import Section, write_page
 from kc2spice.report.sketch import circuit, devices
-from kc2spice.report.words import check_name, fact, flat, quantity, worded
+from kc2spice.report.words import fact, flat, quantity, worded
 from kc2spice.scene.model import Probe, Scene
-from kc2spice.scene.plan import plan
+from kc2spice.scene.plan import Plan, plan
 
 WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
+LEAD = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS = (
     "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
     "nets are those of the netlist."
@@ -25,6 +26,15 @@ HOW = (
     "Move the pointer to read values, drag to look closer, double-click to see all; click a name "
     "of a legend to hide its curve."
 )
+CHECKED = "Physics that the simulator was not told; the last column is what a violation does."
+MODES = (
+    "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is the "
+    "effective coupling factor; at other ports stands what the mode adds to the static answer."
+)
+ESTIMATED = "Relative errors; a run with error_budget estimates those of all metrics."
+TRIED = "Every setting that was tried; the last one gave this result."
+
+Rows = list[tuple[str, ...]]
 
 
 def write_run(
@@ -32,45 +42,118 @@ def write_run(
 ) -> Path:
     """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
     then the numbers."""
-    planned = plan(scene)
     sections = [
         Section("Device", drawing=devices(scene), note="Side view, to scale."),
         Section("Circuit", drawing=circuit(scene), note=NETS),
         Section("Figures", figures=figures, note=HOW),
-        _facts("Metrics", result.get("metrics", {}), result.get("metric_units", {})),
-        _checks(result),
+        *result_sections(result),
         *(
             Section(f"Energy: {name}", [(entry, quantity(v, "J")) for entry, v in entries.items()])
             for name, entries in result.get("energy_j", {}).items()
         ),
-        *(_facts(f"Model: {part}", facts) for part, facts in result.get("model", {}).items()),
-        _facts("Reduced model", {k: v for k, v in result.get("rom", {}).items() if v is not None}),
         *(_modes(part, found) for part, found in result.get("modes", {}).items()),
+        *plan_sections(plan(scene), result.get("convergence", {})),
+        Section("Simulator", _simulator(result, scene)),
+        Section("Files", links=result.get("files", ())),
+    ]
+    title = f"{scene.name}: {scene.title}" if scene.title else scene.name
+    return write_page(path, title, LEAD, sections)
+
+
+def result_sections(result: Mapping[str, Any]) -> list[Section]:
+    """The numbers of ``result.json``, for the page and for the terminal."""
+    rom = result.get("rom", {})
+    facts = {k: v for k, v in rom.items() if v is not None and not k.startswith("above_band")}
+    attempts = result.get("simulator", {}).get("attempts", ())
+    wall = result.get("wall_s", {})
+    times = {**wall, "sum": sum(wall.values())} if wall else {}
+    return [
+        Section("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
+        Section(
+            "Physics checks",
+            [
+                (
+                    "ok" if check["passed"] else "VIOLATED",
+                    check["name"] if " " in check["name"] else check["name"].replace("_", " "),
+                    f"{check['value']:.3g} {check['unit']}",
+                    f"{check['limit']:.3g}",
+                    check["action"],
+                )
+                for check in result.get("checks", ())
+            ],
+            ("", "check", "value", "limit", "action"),
+            CHECKED,
+        ),
+        *(
+            Section(f"Model: {part}", _facts(found))
+            for part, found in result.get("model", {}).items()
+        ),
+        Section("Reduced model", [*_facts(facts), *above_band(rom)]),
+        Section(
+            "Retries",
+            [
+                (
+                    attempt["setting"],
+                    attempt["settings"],
+                    attempt["cause"] or "succeeded",
+                    attempt["part"] or "",
+                    quantity(attempt["wall_s"], "s", 3),
+                )
+                for attempt in (attempts if len(attempts) > 1 else ())
+            ],
+            ("setting", "changes", "outcome", "blamed", "time"),
+            TRIED,
+        ),
+        Section(
+            "Wall time",
+            [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in times.items()],
+            ("stage", "time"),
+            "0 s: taken from the cache.",
+        ),
+    ]
+
+
+def above_band(rom: Mapping[str, Any]) -> Rows:
+    """Rows of what a certificate says of the compliance above its band."""
+    errors = rom.get("above_band_compliance_error", ())
+    return [
+        (f"compliance at {f:g} Hz", f"{error:.2g} off, above the band")
+        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True)
+    ]
+
+
+def plan_sections(planned: Plan, converged: Mapping[str, Any] | None = None) -> list[Section]:
+    """What is modelled, its numerical settings with what a refined run says that each does to the
+    metrics, what is left out."""
+    found = converged or {}
+    shares = found.get("shares", {})
+    settings = [(s.key, f"{s.value:g}", shares.get(s.key, s.error)) for s in planned.settings]
+    settings += [(f"error of {name}", "", error) for name, error in found.get("errors", {}).items()]
+    return [
         Section(
             "What is modelled",
             [(part.part, part.source, part.detail) for part in planned.parts],
             ("part", "source", "model"),
         ),
-        _settings(scene, result),
+        Section(
+            "Numerical settings",
+            [
+                (key, value, "not estimated" if error is None else f"{error:.2g}")
+                for key, value, error in settings
+            ],
+            ("key", "value", "error"),
+            ESTIMATED,
+        ),
         Section(
             "What is left out",
             [(item.effect, item.why, item.error) for item in planned.left_out],
             ("effect", "why", "size"),
         ),
-        _simulator(result, scene),
-        _attempts(result),
-        _wall(result),
-        Section("Files", links=result.get("files", ())),
     ]
-    kept = [s for s in sections if s.rows or s.figures or s.drawing or s.links]
-    title = f"{scene.name}: {scene.title}" if scene.title else scene.name
-    lead = "Finite-element models, reduced, exported as a netlist and run in ngspice."
-    return write_page(path, title, lead, kept)
 
 
-def _facts(title: str, facts: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Section:
-    rows = [fact(k, v, unit=(units or {}).get(k, "")) for k, v in flat(facts).items()]
-    return Section(title, rows)
+def _facts(facts: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Rows:
+    return [fact(k, v, unit=(units or {}).get(k, "")) for k, v in flat(facts).items()]
 
 
 def _modes(part: str, found: Mapping[str, Any]) -> Section:
@@ -86,83 +169,22 @@ def _modes(part: str, found: Mapping[str, Any]) -> Section:
         for mode in modes
     ]
     head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in seen))
-    note = (
-        "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is "
-        "the effective coupling factor; at other ports stands what the mode adds to the static "
-        "answer."
-    )
-    return Section(f"Modes: {part}", rows, head, note)
+    return Section(f"Modes: {part}", rows, head, MODES)
 
 
-def _checks(result: Mapping[str, Any]) -> Section:
-    rows = [
-        (
-            "ok" if check["passed"] else "VIOLATED",
-            check_name(check["name"]),
-            f"{check['value']:.3g} {check['unit']}",
-            f"{check['limit']:.3g}",
-            check["action"],
-        )
-        for check in result.get("checks", ())
-    ]
-    note = "Physics that the simulator was not told; the last column is what a violation does."
-    return Section("Physics checks", rows, ("", "check", "value", "limit", "action"), note)
-
-
-def _attempts(result: Mapping[str, Any]) -> Section:
-    rows = [
-        (
-            attempt["setting"],
-            attempt["settings"],
-            attempt["cause"] or "succeeded",
-            attempt["part"] or "",
-            quantity(attempt["wall_s"], "s", 3),
-        )
-        for attempt in result.get("simulator", {}).get("attempts", ())
-    ]
-    head = ("setting", "changes", "outcome", "blamed", "time")
-    note = "Every setting that was tried; the last one gave this result."
-    return Section("Retries", rows if len(rows) > 1 else [], head, note)
-
-
-def _wall(result: Mapping[str, Any]) -> Section:
-    stages = result.get("wall_s", {})
-    rows = [(stage, quantity(float(seconds), "s", 3)) for stage, seconds in stages.items()]
-    if rows:
-        rows.append(("sum", quantity(float(sum(stages.values())), "s", 3)))
-    return Section("Wall time", rows, ("stage", "time"), "0 s: taken from the cache.")
-
-
-def _simulator(result: Mapping[str, Any], scene: Scene) -> Section:
-    rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
+def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
+    rows: Rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
     if scene.analysis.type != "transient":
-        return Section("Simulator", [*rows, ("analysis", scene.analysis.type)])
-    solver = scene.solver
-    rows += [(f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()]
-    step = result.get("largest_step")
-    rows += [
+        return [*rows, ("analysis", scene.analysis.type)]
+    solver, step = scene.solver, result.get("largest_step")
+    return [
+        *rows,
+        *((f"{k} time points", worded(v, "")) for k, v in result.get("steps", {}).items()),
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
         ("largest step", f"{quantity(step['s'], 's')}: {step['why']}" if step else "unknown"),
         ("stop", quantity(scene.stop, "s")),
     ]
-    return Section("Simulator", rows)
-
-
-def _settings(scene: Scene, result: Mapping[str, Any]) -> Section:
-    """Numerical settings, and what a refined run says that each does to the metrics."""
-    found = result.get("convergence", {})
-    rows = [
-        (each.key, f"{each.value:g}", _error(found.get("shares", {}).get(each.key, each.error)))
-        for each in plan(scene).settings
-    ]
-    rows += [(f"error of {name}", "", _error(e)) for name, e in found.get("errors", {}).items()]
-    note = "Relative errors; a run with error_budget estimates those of all metrics."
-    return Section("Numerical settings", rows, ("key", "value", "error"), note)
-
-
-def _error(value: float | None) -> str:
-    return "not estimated" if value is None else f"{value:.2g}"
 
 
 # --- figures ----------------------------------------------------------------------------------
@@ -184,22 +206,17 @@ def probe_figures(
     panels = []
     for unit in dict.fromkeys(units.get(probe.of, "") for probe in probes.values()):
         own = {n: p for n, p in probes.items() if units.get(p.of, "") == unit and p.of in waves}
-        shown = {p.of: waves[p.of] for p in own.values()}
-        complex_ = any(np.iscomplexobj(v) for v in shown.values())
-        if complex_:
-            shown = {of: np.abs(values) for of, values in shown.items()}
+        complex_ = any(np.iscomplexobj(waves[p.of]) for p in own.values())
+        shown = {p.of: np.abs(waves[p.of]) if complex_ else waves[p.of] for p in own.values()}
         size = "magnitude" if complex_ else "value"
+        marked = [(n, p) for n, p in own.items() if p.take in ("argmax", "value")]
         panels.append(
             Panel(
                 label,
                 f"{size} in {unit}" if unit else size,
                 tuple(Curve(of, factor * x, values) for of, values in shown.items()),
                 levels=tuple((p.level, n) for n, p in own.items() if p.level is not None),
-                marks=tuple(
-                    (factor * _place(p, x, shown[p.of]), n)
-                    for n, p in own.items()
-                    if p.take in ("argmax", "value")
-                ),
+                marks=tuple((factor * _place(p, x, shown[p.of]), n) for n, p in marked),
                 log_x=log,
                 log_y=complex_ and all((v != 0).all() for v in shown.values()),
             )

@@ -41,11 +41,6 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
     return f"{sign}{abs(value) / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"
 
 
-def check_name(name: str) -> str:
-    """What a check is called, without the underscores of a key; names of parts keep theirs."""
-    return name if " " in name else name.replace("_", " ")
-
-
 def unit_of(key: str) -> str:
     """Unit that a key of result.json names by its suffix, empty where it names none."""
     return _suffix(key)[1]

@@ -119,7 +119,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
 def test_page_has_all_sections(page: Page) -> None:
     assert page.headings == [
         "Device", "Circuit", "Figures", "Metrics", "Model: kick", "Model: catch", "Reduced model",
-        "What is modelled", "Numerical settings", "What is left out", "Simulator", "Wall time",
+        "Wall time", "What is modelled", "Numerical settings", "What is left out", "Simulator",
         "Files",
     ]  # fmt: skip
 
