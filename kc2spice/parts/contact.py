@@ -29,7 +29,7 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.netlist.cards import distinct
 from kc2spice.netlist.circuit import Param, Subcircuit, positive
 from kc2spice.parts.sphere import made_of
-from kc2spice.physics.contact import ContactLaw, Normal
+from kc2spice.physics.contact import Normal, contact_law
 from kc2spice.scene.judge import PAIRS, Balance, Check, Gate, stepping
 from kc2spice.scene.model import GROUND, Part, Scene, Terminal
 from kc2spice.scene.parttype import (
@@ -273,7 +273,7 @@ class Contact(PartType):
         n, scene = part.name, build.scene
         ports = kept_ports(part, scene)
         (a, b), own = sides(part, scene), normal(part, scene)
-        law = ContactLaw(n, ports, own, gaps(part, scene), CARRIED if b.elastic else "")
+        law = contact_law(n, ports, own, gaps(part, scene), CARRIED if b.elastic else "")
         first = ("a",) if a.rigid else ports
         pins = tuple((pin, f"{n}.{port}") for pin, port in zip(first, ports, strict=True))
         pins += (("bottom" if b.rigid else "b", f"{n}.b"),)
@@ -879,6 +879,7 @@ def contact_subcircuit(
         place="bottom" if rigid[1] else "b",
         carried=CARRIED if elastic else "",
         law=law,
+        rubbed=law.rubbed,
         series=[c / (1e6 * law.depth) ** (k / 2) for k, c in enumerate(law.curve)],
         rates={ring: "va" if rigid[0] else f"rate{ring}" for ring in rings if law.damping},
         rate="v" if rigid[1] else "rateb",

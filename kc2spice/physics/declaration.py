@@ -11,14 +11,14 @@ branch                  coordinate           through, into ``plus``     its rate
 With the energy ``U`` (of displacements), the coenergy ``W`` (of displacements, voltages, currents)
 and the content ``R`` (of rates, voltages, currents)::
 
-    force  = dU/dx - dW/dx + dR/dx_rate
+    force  = dU/dx - dW/dx + dR/dx_rate + any of ``forces``, which friction has no content for
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
 The energy that is stored is ``U - W + sum v q + sum i l``, the power that becomes heat
 ``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
-is lost, whatever the expressions say. (J. Meisel, Principles of Electromechanical Energy
-Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
+is lost, whatever the expressions say; so are rates times ``forces``. (J. Meisel, Principles of
+Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
 """
 
 from __future__ import annotations
@@ -48,20 +48,22 @@ RATE = "_rate"  # ends the name of a displacement's velocity
 
 @dataclass(frozen=True)
 class Branch:
-    """A coordinate between two pins; ``through`` names the result that flows into ``plus``."""
+    """A coordinate between two pins; ``through`` names the result that flows into ``plus``. The
+    displacement of a pin ``less`` that ``minus`` carries is taken off as well."""
 
     kind: Kind
     name: str
     plus: str
     minus: str
     through: str
+    less: str = ""
 
 
 def displacement(
-    name: str = "x", plus: str = "a", minus: str = "b", force: str = "force"
+    name: str = "x", plus: str = "a", minus: str = "b", force: str = "force", less: str = ""
 ) -> Branch:
-    """``name`` [m] is the displacement of ``plus`` less that of ``minus``."""
-    return Branch("displacement", name, plus, minus, force)
+    """``name`` [m] is the displacement of ``plus`` less that of ``minus``, and of ``less``."""
+    return Branch("displacement", name, plus, minus, force, less)
 
 
 def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str = "i") -> Branch:
@@ -79,7 +81,8 @@ class Declaration:
     """The physics of a part type: everything else is generated.
 
     ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name; ``constants``
-    are further names with their expressions of keys and of constants before them. ``limits`` maps
+    are further names with their expressions of keys and of constants before them. ``forces`` are
+    lost ones by displacement, of coordinates and rates. ``limits`` maps
     words for a limit to an expression that must stay above zero. ``neglected`` are rows of an
     effect, why it has no model, and what its absence changes.
     """
@@ -91,6 +94,7 @@ class Declaration:
     energy: str = "0"
     coenergy: str = "0"
     content: str = "0"
+    forces: Mapping[str, str] = field(default_factory=dict)
     constants: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
@@ -122,7 +126,8 @@ class Declaration:
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from (("energy", self._energy), ("coenergy", self._coenergy))
-        yield from (("content", self._content), *self.bounds.items(), *self.fixed.items())
+        yield from (("content", self._content), *self._forces.items())
+        yield from (*self.bounds.items(), *self.fixed.items())
 
     # --- names ------------------------------------------------------------------------------
 
@@ -169,6 +174,12 @@ class Declaration:
         return expression(self.content, f"content of {self.name}")
 
     @cached_property
+    def _forces(self) -> dict[str, Tree]:
+        return {
+            name: expression(text, f"{name} of {self.name}") for name, text in self.forces.items()
+        }
+
+    @cached_property
     def bounds(self) -> dict[str, Tree]:
         """The limits' expressions."""
         return {
@@ -183,7 +194,8 @@ class Declaration:
         stored = minus(
             derivative(self._energy, branch.name), derivative(self._coenergy, branch.name)
         )
-        return plus(stored, derivative(self._content, branch.name + RATE))
+        lost = derivative(self._content, branch.name + RATE)
+        return plus(stored, lost, self._forces.get(branch.name, ZERO))
 
     def kept(self, branch: Branch) -> Tree:
         """Charge or flux of a branch, whose rate adds to :meth:`direct`."""
@@ -204,7 +216,8 @@ class Declaration:
     @cached_property
     def dragged(self) -> Tree:
         """The part of :attr:`lost` that motion loses."""
-        return plus(*map(self._heat, self.rates))
+        own = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
+        return plus(*map(self._heat, self.rates), *own)
 
     def _heat(self, rate: str) -> Tree:
         return times(Name(rate), derivative(self._content, rate))
@@ -235,7 +248,7 @@ class Declaration:
     @cached_property
     def damped(self) -> tuple[Branch, ...]:
         """Displacements whose velocities matter."""
-        found = names(self._content)
+        found = names(self._content).union(*map(names, self._forces.values()))
         return tuple(b for b in self.branches if b.name + RATE in found)
 
     def values(self, keys: Section) -> dict[str, float]:

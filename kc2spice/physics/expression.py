@@ -2,8 +2,8 @@
 
 The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
-``max(0, e)`` and ``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number
-and by its derivative but has no text in a netlist.
+``max(0, e)``, ``clip(e)``, which is e between -1 and 1, and ``integral(f, x)``, that of ``f(x)``
+from zero to ``x``, which exists as a number and by its derivative but has no text in a netlist.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def expression(text: str, where: str = "expression") -> Tree:
         match node:
             case Call("max", (first, _)) if tidy(first) == ZERO:
                 continue
-            case Call("integral", (_, Name(_))):
+            case Call("integral", (_, Name(_))) | Call("clip", (_,)):
                 continue
             case Call(name, (_,)) if name in _CHAIN:
                 continue
@@ -68,7 +68,7 @@ def expression(text: str, where: str = "expression") -> Tree:
                     "no such function in physics",
                     where=where,
                     got=name,
-                    expected=f"max(0, …), integral(…, x), {', '.join(_CHAIN)}",
+                    expected=f"max(0, …), clip(…), integral(…, x), {', '.join(_CHAIN)}",
                 )
             case Choice() | Probe():
                 raise UsageError(
@@ -80,8 +80,19 @@ def expression(text: str, where: str = "expression") -> Tree:
     return tidy(tree)
 
 
+class _Card(Writer):
+    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        match function, arguments:
+            case "sqrt", (Call("max", (_, value)),):  # so that its slope at zero is finite
+                return f"sqrt(max(1e-12, {self.write(value)}))"
+            case "clip", (value,):
+                return f"max(-1, min(1, {self.write(value)}))"
+        return super().call(function, arguments)
+
+
 def text(tree: Tree) -> str:
-    """``tree`` as it stands on a card.
+    """``tree`` as it stands on a card; a root of less than 1e-12 of one-sided things is that of
+    1e-12.
 
     Raises
     ------
@@ -94,7 +105,7 @@ def text(tree: Tree) -> str:
                 got=Writer().write(node),
                 hint="write its closed form",
             )
-    return Writer().write(tree)
+    return _Card().write(tree)
 
 
 def names(tree: Tree) -> frozenset[str]:
@@ -157,6 +168,9 @@ def _derivative(tree: Tree, name: str) -> Tree:
             return f if x == name else inner if name in names(f) else ZERO
         case Call("max", (_, value)):
             return Binary("*", _step(value), _derivative(value, name))
+        case Call("clip", (value,)):
+            free = Binary("-", ONE, Binary("+", *map(_step, _ends(value))))
+            return Binary("*", free, _derivative(value, name))
         case Call(function, (value,)):
             outer = replaced(parse(_CHAIN[function]), {"u": value})
             return Binary("*", outer, _derivative(value, name))
@@ -166,6 +180,11 @@ def _derivative(tree: Tree, name: str) -> Tree:
 def _step(value: Tree) -> Tree:
     """1 where ``value`` is above zero."""
     return Choice(Binary(">", value, ZERO), ONE, ZERO)
+
+
+def _ends(value: Tree) -> tuple[Tree, Tree]:
+    """How far ``value`` is above 1, and below -1."""
+    return minus(value, ONE), minus(Unary("-", value), ONE)
 
 
 # --- plain forms: a sum of products, each with its rational coefficient ---------------------------
@@ -179,8 +198,13 @@ class _Product:
 
     def times(self, other: _Product) -> _Product:
         both = Counter(self.above + other.above), Counter(self.below + other.below)
-        above, below = (_kept(one - two) for one, two in (both, both[::-1]))
-        return _Product(self.size * other.size, above, below)
+        above, below = both[0] - both[1], both[1] - both[0]
+        for root in list(below):
+            match root:
+                case Call("sqrt", (value,)) if value in above:  # a / sqrt(a) is sqrt(a)
+                    above = above - Counter([value]) + Counter([root])
+                    below = below - Counter([root])
+        return _Product(self.size * other.size, _kept(above), _kept(below))
 
     def inverse(self) -> _Product:
         if not self.size:
@@ -202,13 +226,14 @@ def _number(value: Fraction | int) -> Number:
 
 
 def _kept(found: Counter[Tree]) -> tuple[Tree, ...]:
-    """Factors; a step beside ``max(0, e)`` of the same e, or beside itself, says nothing."""
+    """Factors; a step beside ``max(0, e)`` of the same e, its root, or itself, says nothing."""
     kept: list[Tree] = []
     for factor in found.elements():
         match factor:
             case Choice(Binary(">", value, _), _, _):
-                if factor not in kept and Call("max", (ZERO, value)) not in found:
-                    kept.append(factor)
+                closed = Call("max", (ZERO, value))
+                if not {closed, Call("sqrt", (closed,))} & {*found, *kept}:
+                    kept += [factor] * (factor not in kept)
             case _:
                 kept.append(factor)
     return tuple(kept)
@@ -285,6 +310,8 @@ def kinks(tree: Tree) -> tuple[Tree, ...]:
     """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
     found = [each for child in children(tree) for each in kinks(child)]
     match tree:
+        case Call("clip", (value,)):
+            found += _ends(value)
         case Call("max", (_, value)) | Choice(Binary(">", value, _), _, _):
             found.append(value)
     return tuple(dict.fromkeys(found))
@@ -293,9 +320,15 @@ def kinks(tree: Tree) -> tuple[Tree, ...]:
 def flagged(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
     """``tree`` with the names ``flag0``, … for which of its ``corners`` are above zero: smooth."""
     match tree:
+        case Call("sqrt", (Call("max", (_, value)),)):  # zero, not complex, where a step goes past
+            return Call("sqrt", (Call("max", (ZERO, flagged(value, corners))),))
         case Call("max", (_, value)):
             flag = Name(f"flag{corners.index(value)}")
             return Binary("*", flag, flagged(value, corners))
+        case Call("clip", (value,)):
+            above, below = (Name(f"flag{corners.index(end)}") for end in _ends(value))
+            free, ends = Binary("-", ONE, Binary("+", above, below)), Binary("-", above, below)
+            return Binary("+", Binary("*", free, flagged(value, corners)), ends)
         case Choice(Binary(">", value, _), _, _):
             return Name(f"flag{corners.index(value)}")
     return rebuilt(tree, lambda node: flagged(node, corners))
@@ -320,6 +353,7 @@ def _integral(f: Callable[[Any], Any], x: Any) -> Any:
 
 _SCOPE = {name: getattr(np, _NUMPY.get(name, name)) for name in _CHAIN}
 _SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integral}
+_SCOPE["max"] = np.maximum
 
 
 def function(trees: Iterable[Tree], arguments: Iterable[str]) -> Callable[..., tuple[Any, ...]]:

@@ -13,7 +13,16 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, Pin, Tap
 from kc2spice.netlist.expression import Name, Tree
 from kc2spice.physics.declaration import RATE, Branch, Declaration
-from kc2spice.physics.expression import derivative, flagged, function, kinks, minus, text
+from kc2spice.physics.expression import (
+    ZERO,
+    derivative,
+    flagged,
+    function,
+    kinks,
+    minus,
+    names,
+    text,
+)
 
 _KIND = {"displacement": "displacement", "voltage": "electrical", "current": "electrical"}
 _Made = Callable[..., tuple[Any, ...]]
@@ -38,18 +47,21 @@ class DeclaredLaw(Device):
         for b in self.declaration.branches:
             found.setdefault(b.plus, Pin(b.plus, _KIND[b.kind]))
             found.setdefault(b.minus, Pin(b.minus, _KIND[b.kind], grounded=True))
+            if b.less:
+                found.setdefault(b.less, Pin(b.less, _KIND[b.kind]))
         return tuple(found.values())
 
     @property
     def taps(self) -> tuple[Tap, ...]:
         """What lies across every branch, and the velocities that matter."""
-        across = [Tap(b.plus, b.minus) for b in self.declaration.branches]
-        return (*across, *(Tap(b.plus, b.minus, rate=True) for b in self.declaration.damped))
+        across = [Tap(b.plus, b.minus, less=b.less) for b in self.declaration.branches]
+        rates = (Tap(b.plus, b.minus, True, b.less) for b in self.declaration.damped)
+        return (*across, *rates)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
         """One a branch."""
-        return tuple(Flow(b.plus, b.minus) for b in self.declaration.branches)
+        return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
@@ -72,6 +84,15 @@ class DeclaredLaw(Device):
         d = self.declaration
         across = [f"{b.name}_drop" if b.kind == "current" else b.name for b in d.branches]
         return (*across, *(b.name + RATE for b in d.damped), *self.states)
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether all slopes are constant while one-sided expressions stay on their sides."""
+        d = self.declaration
+        trees = [d.direct(b) for b in d.branches if b.kind == "displacement"]
+        slopes = (flagged(derivative(t, n), self._corners) for t in trees for n in self._seen)
+        constant = not any(names(slope) & set(self._seen) for slope in slopes)
+        return constant and len(trees) == len(d.branches)
 
     @cached_property
     def _corners(self) -> tuple[Tree, ...]:
@@ -164,4 +185,6 @@ class DeclaredLaw(Device):
 
     def loss(self, t: float, e: np.ndarray, mode: Any) -> float:
         """Power that becomes heat [W]."""
+        if self.declaration.lost == ZERO:
+            return 0.0
         return float(self._called(self._energies, e, mode)[1])

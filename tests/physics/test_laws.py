@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
-from kc2spice.physics.contact import ContactLaw, Normal
+from kc2spice.physics.contact import Normal, contact_law
 from kc2spice.reference.assemble import assemble
 from kc2spice.reference.equilibrium import operating_point
 from kc2spice.reference.integrate import Result, transient
@@ -48,12 +48,12 @@ def test_sphere_bounces_on_a_spring_without_loss() -> None:
     m, k, h = 1e-3, 1e5, 1e-3
     system = assemble(
         [L.Mass("ball", m, gravity=9.81, position=h),
-         ContactLaw("floor", ("a",), Normal(k), np.zeros(1))],
+         contact_law("floor", ("a",), Normal(k), np.zeros(1))],
         {"y": ["ball.a", "floor.b"], "gnd": ["floor.a"]},
     )  # fmt: skip
     result = transient(system, 0.1, 1e-9)
-    closes = [e.time for e in result.events if e.what == "a closes"]
-    opens = [e.time for e in result.events if e.what == "a opens"]
+    closes = [e.time for e in result.events if e.what == "x0-gap0 above zero"]
+    opens = [e.time for e in result.events if e.what == "x0-gap0 below zero"]
     speed, w = np.sqrt(2 * 9.81 * h), np.sqrt(k / m)
     touch = 2 / w * (np.pi / 2 + np.arctan(9.81 / (w * speed)))
     assert closes[0] == pytest.approx(np.sqrt(2 * h / 9.81), rel=1e-9)
