@@ -20,7 +20,6 @@ from kc2spice.fem.piezo.mesh import KickMesh, kick_mesh
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear import Port
 
-USUAL = "PZT-5H"  # whose limits a ceramic is assumed to have that states none of its own
 UPWARDS = np.array([0.0, 0.0, 1.0])
 _FINE = 8  # of a quadrature that meets the corners of a pressure anywhere in a cell
 
@@ -86,13 +85,7 @@ def layer_materials(
 ) -> tuple[tuple[Material, ...], np.ndarray]:
     """Materials, and the number of that of each level from the bottom up, of so many layers each
     (none in a cap)."""
-    plain, usual = kick.material.build(), material(USUAL)
-    plain = replace(
-        plain,
-        breakdown_field=breakdown,
-        tensile_strength=plain.tensile_strength or usual.tensile_strength,
-        depoling_field=plain.depoling_field or usual.depoling_field,
-    )
+    plain = replace(kick.ceramic, breakdown_field=breakdown)
     own, active = plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)), np.flatnonzero(spans)
     owner = np.zeros(len(spans), int)
     signed = np.where(np.arange(len(active)) % 2, spans[active], -spans[active])

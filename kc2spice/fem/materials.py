@@ -4,7 +4,7 @@ Interface::
 
     material("PZT-5A")                       # from the library, -> Material
     material({"density": 8530, "youngs_modulus": "100 GPa", "poisson_ratio": 0.35})
-    names()                                  # what the library holds
+    material({"like": "PZT-5A", "quality": 90})
     pzt.poled((0, 0, -1))                    # tensors in the axes of the body
     pzt.C, pzt.e, pzt.eps_S                  # (6, 6) Pa, (3, 6) C/m^2, (3, 3) F/m
 
@@ -46,20 +46,19 @@ Symmetry: TypeAlias = Annotated[
     BeforeValidator(lambda said: _GROUPS.get(said, said) if isinstance(said, str) else said),
 ]
 
-# Free components of a symmetry class, each with where else in the tensor it stands.
-_ELASTIC = {
-    "cubic": "11=22=33 12=13=23 44=55=66",
-    "hexagonal": "11=22 12 13=23 33 44=55 66",
-    "trigonal": "11=22 12 13=23 14=-24=56 33 44=55 66",
-    "orthotropic": "11 12 13 22 23 33 44 55 66",
-}
-_COUPLING = {
-    "cubic": "14=25=36",
-    "hexagonal": "31=32 33 15=24",
-    "trigonal": "11=-12=-26 14=-25",
-    "orthotropic": "31 32 33 15 24",
+# Free components of stiffness and of coupling in a symmetry class, each with where else it stands.
+_FREE = {
+    "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
+    "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
+    "trigonal": ("11=22 12 13=23 14=-24=56 33 44=55 66", "11=-12=-26 14=-25"),
+    "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
+# Ways to state one thing; who states one of them takes no other from the material that it is like.
+_WAYS = (
+    (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
+    (("stress_coupling",), ("strain_coupling",)),
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,6 +106,17 @@ class Material:
         return bool(np.any(self.e))
 
     @property
+    def isotropic_about_z(self) -> bool:
+        """Whether nothing changes by 2 % when it is turned by 30 or 45 degrees."""
+        for angle in (np.pi / 6, np.pi / 4):
+            c, s = np.cos(angle), np.sin(angle)
+            turned = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+            pairs = [(self.C, turned.C), (self.e, turned.e), (self.eps_S, turned.eps_S)]
+            if any(not np.allclose(a, b, rtol=0, atol=0.02 * np.abs(a).max()) for a, b in pairs):
+                return False
+        return True
+
+    @property
     def eps_T(self) -> np.ndarray:
         """(3, 3) permittivity at constant stress [F/m]."""
         return self.eps_S + self.e @ np.linalg.solve(self.C, self.e.T)
@@ -133,14 +143,7 @@ class Material:
 
         Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
         (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
-
-        Raises
-        ------
-        UsageError : ``R`` is not a rotation.
         """
-        R = np.asarray(R, float)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9):
-            raise UsageError("not a rotation", where=self.name, got=R.tolist())
         M = bond(R)
         return replace(
             self,
@@ -154,19 +157,8 @@ class Material:
         """The material with its z axis (poling of a ceramic) along ``direction`` in body axes.
 
         The rotation is the smallest one; for -z it is half a turn about x.
-
-        Raises
-        ------
-        UsageError : ``direction`` has no length.
         """
         n = np.asarray(direction, float)
-        if n.shape != (3,) or not np.all(np.isfinite(n)) or not np.linalg.norm(n) > 0:
-            raise UsageError(
-                "no poling direction",
-                where=self.name,
-                got=list(direction),
-                expected="three numbers, not all of them zero",
-            )
         return self.rotated(_smallest_rotation(n / np.linalg.norm(n)))
 
 
@@ -215,13 +207,6 @@ _Tensor: TypeAlias = dict[str, float] | list[list[float]]
 _Modulus: TypeAlias = float | list[float]
 
 
-# Keys of a table that a material has as they are.
-_SAME = (
-    "density", "conductor", "quality", "loss_tangent", "tensile_strength", "depoling_field",
-    "breakdown_field",
-)  # fmt: skip
-
-
 class MaterialTable(Section):
     """What a scene or the library says of a material; :meth:`build` makes the tensors.
 
@@ -230,9 +215,11 @@ class MaterialTable(Section):
     ``compliance`` ``s11``…; each as components under a ``symmetry`` or as a full 6 by 6 list.
     Piezoelectricity: ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
     ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3, at constant ``stress``
-    or ``strain``, which a piezoelectric material must say.
+    or ``strain``, which a piezoelectric material must say. What is ``like`` a material of the
+    library has its constants but for those that are given.
     """
 
+    like: str | None = Field(None, description="of the library: what else it has is of that one")
     density: Density = Field(gt=0)
     symmetry: Symmetry | None = Field(None, description="of components; or a point group: 6mm, 32")
     youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = Field(
@@ -277,6 +264,22 @@ class MaterialTable(Section):
     source: str = Field("", description="of all numbers")
     sources: dict[str, str] = Field(default_factory=dict, description="of single keys")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _like(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or "like" not in data:
+            return data
+        base = dict(_tables().get(data["like"], {}))
+        if not base:
+            raise ValueError(f"like: no such material: {data['like']}; {', '.join(_tables())}")
+        for ways in _WAYS:
+            for way in ways if any(set(way) & set(data) for way in ways) else ():
+                if not set(way) & set(data):
+                    base = {key: value for key, value in base.items() if key not in way}
+        both = {key for key in set(base) & set(data) if isinstance(base[key], dict)}
+        inner = {key: base[key] | data[key] for key in both if isinstance(data[key], Mapping)}
+        return base | dict(data) | inner
+
     @model_validator(mode="after")
     def _one_form(self) -> MaterialTable:
         elastic = [self.youngs_modulus, self.stiffness, self.compliance]
@@ -297,7 +300,7 @@ class MaterialTable(Section):
             raise ValueError(f"sources names no such key: {', '.join(sorted(unknown))}")
         return self
 
-    def build(self, name: str, where: str | None = None) -> Material:
+    def build(self, name: str) -> Material:
         """Tensors in stress-charge form.
 
         Raises
@@ -305,144 +308,121 @@ class MaterialTable(Section):
         UsageError : components missing or unknown, units that cannot be right, or a matrix that
             is not positive definite.
         """
-        where = where or f"material {name}"
-        C = self._stiffness(where)
-        e = self._coupling(C, where)
-        eps = EPSILON_0 * self._permittivity(f"{where}: permittivity")
+        C, e = self._stiffness(), np.zeros((3, 6))
+        if self.stress_coupling is not None:
+            e = self._tensor("stress_coupling", "e")
+        elif self.strain_coupling is not None:
+            e = self._tensor("strain_coupling", "d") @ C
+        eps = EPSILON_0 * self._permittivity()
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
-        _require_definite(eps, f"{where}: permittivity at constant strain", hint)
-        given = {k for k in type(self).model_fields if getattr(self, k) is not None}
-        given -= {"source", "sources", "symmetry", "permittivity_at", "conductor"}
-        sources = {key: self.sources.get(key, self.source) for key in sorted(given)}
-        same = {key: getattr(self, key) for key in _SAME}
-        return Material(name, C=C, e=e, eps_S=eps, sources=sources, **same)
+        _require_definite(eps, "permittivity at constant strain", hint)
+        same = {key for key in type(self).model_fields if key in Material.__dataclass_fields__}
+        stated = {key for key in type(self).model_fields if getattr(self, key) is not None}
+        stated -= {"like", "source", "sources", "symmetry", "permittivity_at", "conductor"}
+        sources = {key: self.sources.get(key, self.source) for key in sorted(stated)}
+        given = {key: getattr(self, key) for key in same} | {"sources": sources}
+        return Material(name=name, C=C, e=e, eps_S=eps, **given)
 
-    def _stiffness(self, where: str) -> np.ndarray:
+    def _stiffness(self) -> np.ndarray:
         if self.stiffness is not None:
-            C = _tensor(self.stiffness, "c", self.symmetry, f"{where}: stiffness")
+            C = self._tensor("stiffness", "c")
         else:
-            key = f"{where}: youngs_modulus and poisson_ratio"
-            if self.compliance is not None:
-                key = f"{where}: compliance"
-                s = _tensor(self.compliance, "s", self.symmetry, key)
-            else:
-                s = self._engineering(where)
-            _require_definite(s, key)
+            s = self._engineering() if self.compliance is None else self._tensor("compliance", "s")
+            _require_definite(s, "youngs_modulus" if self.compliance is None else "compliance")
             C = np.linalg.inv(s)
-        _require_definite(C, f"{where}: stiffness")
+        _require_definite(C, "stiffness")
         largest = float(np.diag(C).max())
         if not 1e3 <= largest <= 2e12:  # GPa written as Pa, pm^2/N as m^2/N
             raise UsageError(
                 "stiffness out of any material's range",
-                where=where,
                 got=f"{largest:g} Pa",
                 expected="1e3 to 2e12 Pa",
                 hint='numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12',
             )
         return (C + C.T) / 2
 
-    def _engineering(self, where: str) -> np.ndarray:
+    def _engineering(self) -> np.ndarray:
         """Compliance of Young's moduli and Poisson's ratios ``nu_ij = -S_jj/S_ii``."""
         given, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
+        ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
         if isinstance(given, float) and isinstance(nu, float) and G is None:
             shear = given / (2 * (1 + nu)) if nu > -1 else np.nan
             E, n, g = [given] * 3, [nu] * 3, [shear] * 3
+        elif (
+            isinstance(given, list)
+            and len(given) == 3
+            and isinstance(nu, dict)
+            and isinstance(G, dict)
+            and (set(nu), set(G)) == (set(ratios), set(planes))
+        ):
+            E, n, g = given, [nu[name] for name in ratios], [G[name] for name in planes]
         else:
-            n = _named(nu, ("nu_xy", "nu_xz", "nu_yz"), f"{where}: poisson_ratio")
-            g = _named(G, ("g_yz", "g_xz", "g_xy"), f"{where}: shear_modulus")
-            if not isinstance(given, list) or len(given) != 3:
-                raise UsageError(
-                    "orthotropic moduli", where=where, got=given, expected="three Young's moduli"
-                )
-            E = given
+            expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
+            expected += f"shear_modulus {' '.join(planes)}"
+            raise UsageError("orthotropic moduli", got=(given, nu, G), expected=expected)
         if min(E) <= 0 or not min(g) > 0:
-            raise UsageError("moduli must be positive", where=where, got=[*E, *g])
+            raise UsageError("moduli must be positive", got=[*E, *g])
         s = np.diag(1 / np.array([*E, *g]))
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
         return np.triu(s) + np.triu(s, 1).T
 
-    def _coupling(self, C: np.ndarray, where: str) -> np.ndarray:
-        if self.strain_coupling is not None:
-            key = f"{where}: strain_coupling"
-            return _tensor(self.strain_coupling, "d", self.symmetry, key) @ C
-        if self.stress_coupling is None:
-            return np.zeros((3, 6))
-        return _tensor(self.stress_coupling, "e", self.symmetry, f"{where}: stress_coupling")
-
-    def _permittivity(self, where: str) -> np.ndarray:
-        if self.permittivity is None:
+    def _permittivity(self) -> np.ndarray:
+        values, names = self.permittivity, ("eps11", "eps22", "eps33")
+        if values is None:
             return np.eye(3)
-        if isinstance(self.permittivity, list):
-            return _full(self.permittivity, (3, 3), where)
-        values = self.permittivity
-        if "eps11" not in values or set(values) - {"eps11", "eps22", "eps33"}:
+        if isinstance(values, list):
+            return _full(values, (3, 3), "permittivity")
+        if "eps11" not in values or set(values) - set(names):
             raise UsageError(
                 "permittivity components",
-                where=where,
                 got=", ".join(values),
                 expected="eps11, and eps22 or eps33 where they differ from it",
             )
-        return np.diag([values.get(key, values["eps11"]) for key in ("eps11", "eps22", "eps33")])
+        return np.diag([values.get(name, values["eps11"]) for name in names])
+
+    def _tensor(self, key: str, letter: str) -> np.ndarray:
+        """Stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6), from lists or
+        from the components that the symmetry leaves free."""
+        values, elastic = getattr(self, key), letter in "cs"
+        shape = (6, 6) if elastic else (3, 6)
+        if isinstance(values, list):
+            return _full(values, shape, key)
+        if self.symmetry not in _FREE:
+            expected = f"symmetry = {', '.join(_FREE)}, or a full matrix"
+            problem = "components need a symmetry"
+            raise UsageError(problem, where=key, got=self.symmetry, expected=expected)
+        first, second, last = (f"{letter}{place}" for place in ("11", "12", "66"))
+        if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
+            factor = 0.5 if letter == "c" else 2.0
+            values = {last: factor * (values[first] - values[second]), **values}
+        free = _FREE[self.symmetry][0 if elastic else 1]
+        groups = [group.split("=") for group in free.split()]
+        wanted = {letter + group[0] for group in groups}
+        if set(values) != wanted:
+            problem, expected = "wrong components for this symmetry", ", ".join(sorted(wanted))
+            raise UsageError(problem, where=key, got=", ".join(sorted(values)), expected=expected)
+        matrix = np.zeros(shape)
+        for group in groups:
+            for place in group:
+                row, column = int(place[-2]) - 1, int(place[-1]) - 1
+                matrix[row, column] = values[letter + group[0]] * (-1 if place[0] == "-" else 1)
+        if self.symmetry == "trigonal" and letter in "sd":  # engineering shear: s56 = 2 s14
+            matrix[4 if elastic else 1, 5] *= 2  # and d26 = -2 d11
+        return np.triu(matrix) + np.triu(matrix, 1).T if elastic else matrix
 
 
-def _named(values: Any, names: tuple[str, ...], where: str) -> list[float]:
-    if not isinstance(values, dict) or set(values) != set(names):
-        raise UsageError("orthotropic material", where=where, got=values, expected=", ".join(names))
-    return [values[name] for name in names]
-
-
-def _full(rows: list[list[float]], shape: tuple[int, int], where: str) -> np.ndarray:
-    try:
-        matrix = np.array(rows, float)
-    except ValueError:
-        matrix = np.empty(0)
-    if matrix.shape != shape:
-        raise UsageError("wrong shape", where=where, got=rows, expected=f"{shape[0]} x {shape[1]}")
+def _full(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
+    if [len(row) for row in rows] != [shape[1]] * shape[0]:
+        raise UsageError("wrong shape", where=key, got=rows, expected=f"{shape[0]} x {shape[1]}")
+    matrix = np.array(rows)
     if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
-        raise UsageError("not symmetric", where=where, got=rows)
+        raise UsageError("not symmetric", where=key, got=rows)
     return matrix
 
 
-def _tensor(values: Any, letter: str, symmetry: str | None, where: str) -> np.ndarray:
-    """Stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6), from lists or
-    from the components that the symmetry leaves free."""
-    elastic = letter in "cs"
-    tables, shape = (_ELASTIC, (6, 6)) if elastic else (_COUPLING, (3, 6))
-    if isinstance(values, list):
-        return _full(values, shape, where)
-    if symmetry not in tables:
-        raise UsageError(
-            "components need a symmetry",
-            where=where,
-            got=symmetry,
-            expected=f"symmetry = {', '.join(tables)}, or a full matrix",
-        )
-    first, second, last = (f"{letter}{place}" for place in ("11", "12", "66"))
-    if elastic and symmetry in _DERIVED_66 and {first, second} <= set(values):
-        factor = 0.5 if letter == "c" else 2.0
-        values = {last: factor * (values[first] - values[second]), **values}
-    groups = [group.split("=") for group in tables[symmetry].split()]
-    wanted = {letter + group[0] for group in groups}
-    if set(values) != wanted:
-        raise UsageError(
-            "wrong components for this symmetry",
-            where=where,
-            got=", ".join(sorted(values)),
-            expected=", ".join(sorted(wanted)),
-        )
-    matrix = np.zeros(shape)
-    for group in groups:
-        for place in group:
-            row, column = int(place[-2]) - 1, int(place[-1]) - 1
-            matrix[row, column] = values[letter + group[0]] * (-1 if place[0] == "-" else 1)
-    if symmetry == "trigonal" and letter in "sd":  # engineering shear: s56 = 2 s14, d26 = -2 d11
-        matrix[4 if elastic else 1, 5] *= 2
-    return np.triu(matrix) + np.triu(matrix, 1).T if elastic else matrix
-
-
-def _require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -> None:
+def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
     """Positive definite after scaling the diagonal to one, so that units do not matter."""
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())
@@ -450,26 +430,23 @@ def _require_definite(matrix: np.ndarray, where: str, hint: str | None = None) -
         scale = 1 / np.sqrt(diagonal)
         smallest = float(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0])
     if not smallest > 1e-9:
-        raise UsageError(
+        problem, got = (
             "no such material: not positive definite",
-            where=where,
-            got=f"smallest eigenvalue {smallest:g}",
-            expected="greater than 0",
-            hint=hint,
+            f"smallest eigenvalue {smallest:g}",
         )
+        raise UsageError(problem, where=key, got=got, expected="greater than 0", hint=hint)
 
 
 @cache
-def _library() -> dict[str, Material]:
-    tables = tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
-    return {
-        name: validated(MaterialTable, table, name).build(name) for name, table in tables.items()
-    }
+def _tables() -> dict[str, dict[str, Any]]:
+    return tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
 
 
-def names() -> tuple[str, ...]:
-    """Materials of the library."""
-    return tuple(_library())
+@cache
+def _named(name: str) -> Material:
+    """Of the library, in lower case."""
+    (found,) = (key for key in _tables() if key.lower() == name)
+    return MaterialTable.model_validate(_tables()[found]).build(found)
 
 
 def material(given: str | Mapping[str, Any] | Material, where: str = "material") -> Material:
@@ -482,14 +459,18 @@ def material(given: str | Mapping[str, Any] | Material, where: str = "material")
     if isinstance(given, Material):
         return given
     if isinstance(given, Mapping):
-        return validated(MaterialTable, given, where).build(where.rsplit(".", 1)[-1], where)
-    by_name = {name.lower(): value for name, value in _library().items()}
-    if not isinstance(given, str) or given.lower() not in by_name:
+        table = validated(MaterialTable, given, where)
+        try:
+            return table.build(where.rsplit(".", 1)[-1])
+        except UsageError as error:
+            error.where = where if error.where is None else f"{where}: {error.where}"
+            raise
+    if given.lower() not in {name.lower() for name in _tables()}:
         raise UsageError(
             "no such material",
             where=where,
             got=given,
-            expected=", ".join(names()),
+            expected=", ".join(_tables()),
             hint="or a table with density, youngs_modulus, poisson_ratio, …",
         )
-    return by_name[given.lower()]
+    return _named(given.lower())

@@ -215,6 +215,8 @@ class BodyKeys(FieldKeys):
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+        if not all(any(direction) for direction in self.poling.values()):
+            raise ValueError("poling without a direction")
         if len(self.electrodes) == 1:
             raise ValueError("a single electrode has no voltage: name the one it is counted from")
         if not self.electrodes and not self.ports:

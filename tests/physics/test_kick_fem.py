@@ -11,12 +11,15 @@ from scipy.sparse.linalg import eigsh, spsolve
 
 from kc2spice.bodies.piezo_stack import stack_device, stack_setup
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.piezo.keys import Ceramic, Chip
+from kc2spice.core.quantities import validated
+from kc2spice.fem.materials import material
+from kc2spice.fem.piezo.keys import Chip
 from kc2spice.fem.piezo.mesh import kick_mesh, level_spans
 from kc2spice.fem.solid import assemble
 from laboratory.usual.system import quarter
 
 # Rings wide enough for quadratic cells: strong grading would fold them.
+PAPER = material("THP51")
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 VARIANTS = [{}, {"refine": 2}, {"order": 2}]
 TOGETHER = [{"layers_per_element": 5}, {"layers_per_element": 3, "refine": 2}]
@@ -63,21 +66,20 @@ def test_constant_strain_and_field_are_reproduced_exactly(change):
     solid = replace(solid, mesh=type(solid.mesh)(bent, solid.mesh.t))
     full, place = assemble(solid), solid.basis().doflocs.T
     K_uu, K_uphi, K_phi = full.K_uu, full.K_up, full.K_pp
-    material = Ceramic().build()
 
     rng = np.random.default_rng(1)
     gradient, slope = rng.normal(size=(3, 3)) * 1e-3, rng.normal(size=3) * 1e6
     u, phi = (place @ gradient.T).ravel(), place @ slope
     force, charge = K_uu @ u + K_uphi @ phi, K_uphi.T @ u - K_phi @ phi
 
-    volume = (K_phi @ place[:, 0] @ place[:, 0]) / material.eps_S[0, 0]
+    volume = (K_phi @ place[:, 0] @ place[:, 0]) / PAPER.eps_S[0, 0]
     strain = np.array(
         [*np.diag(gradient), gradient[1, 2] + gradient[2, 1], gradient[0, 2] + gradient[2, 0],
          gradient[0, 1] + gradient[1, 0]]
     )  # fmt: skip
-    e = -material.e  # the layer on the cathode is poled along -z
-    stress = material.C @ strain + e.T @ slope  # the field is minus the slope
-    displacement = e @ strain - material.eps_S @ slope
+    e = -PAPER.e  # the layer on the cathode is poled along -z
+    stress = PAPER.C @ strain + e.T @ slope  # the field is minus the slope
+    displacement = e @ strain - PAPER.eps_S @ slope
     assert u @ force == pytest.approx(volume * strain @ stress, rel=1e-11)
     assert phi @ charge == pytest.approx(volume * slope @ displacement, rel=1e-11)
 
@@ -168,8 +170,7 @@ def test_slender_stack_rings_at_the_bar_frequency():
     )  # fmt: skip
     system = quarter(kick)
     omega = np.sqrt(eigsh(system.K_uu, 1, M=system.M, sigma=0.0)[0][0])
-    stiffness = Ceramic().build().C
-    speed = np.sqrt(1 / np.linalg.inv(stiffness)[2, 2] / 7700)
+    speed = np.sqrt(1 / np.linalg.inv(PAPER.C)[2, 2] / 7700)
     # Rayleigh's correction nu^2 pi^2 (r/h)^2 / 8 is 2e-3 here.
     assert omega / (2 * np.pi) == pytest.approx(speed / (4 * 2e-3), rel=4e-3)
 
@@ -187,4 +188,4 @@ def test_quadratic_and_refined_meshes_approach_one_resonance():
 
 def test_impossible_material_is_refused():
     with pytest.raises(UsageError, match="positive definite"):
-        Ceramic(permittivity=(100.0, 100.0)).build()
+        validated(Chip, {"material": {"permittivity": {"eps11": 100, "eps33": 100}}}, "stack")

@@ -1,79 +1,28 @@
-"""Keys of the layered chip: material, mesh, damping, geometry (paper 2.1, 2.2.2, A.2)."""
+"""Keys of the layered chip: mesh, damping, geometry (paper 2.1, 2.2.2, A.2)."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from dataclasses import replace
+from typing import Any, Literal
 
-import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import (
     Count,
-    Density,
     Frequency,
     Length,
     Mounting,
-    Polarisation,
-    Pressure,
-    Ratio,
     Section,
     Stiffness,
-    si,
 )
-from kc2spice.core.units import EPSILON_0
 from kc2spice.fem.keys import Damping
-from kc2spice.fem.materials import Material, MaterialTable, material
+from kc2spice.fem.materials import Material, material
 
 SECTORS = 4  # quarters of the chip that move alike, of which one is modelled
 PATCH = "patch"  # its port under a pressure
-
-
-_NAMES = (
-    ("stiffness", ("c11", "c12", "c13", "c33", "c44", "c66")),
-    ("coupling", ("e31", "e33", "e15")),
-    ("permittivity", ("eps11", "eps33")),
-)
-
-
-class Ceramic(Section):
-    """Piezoelectric ceramic in Voigt order xx yy zz yz xz xy, poled along +z (paper A.2)."""
-
-    density: Density = Field(7700.0, gt=0, description="of the ceramic")
-    stiffness: tuple[Pressure, Pressure, Pressure, Pressure, Pressure, Pressure] = Field(
-        (158.9e9, 113.0e9, 117.1e9, 144.2e9, 14.08e9, 22.94e9),
-        description="C11 C12 C13 C33 C44 C66",
-    )
-    coupling: tuple[Polarisation, Polarisation, Polarisation] = Field(
-        (-3.914, 27.50, 13.38), description="e31 e33 e15"
-    )
-    permittivity: tuple[Ratio, Ratio] = Field(
-        (3370.0, 3300.0), description="relative, 11 and 33, at constant permittivity_at"
-    )
-    permittivity_at: Literal["stress", "strain"] = Field("stress", description="which is constant")
-    tensile_strength: Pressure | None = Field(
-        None, gt=0, description="largest principal stress; that of PZT-5H is assumed if absent"
-    )
-    depoling_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="largest field against poling; that of PZT-5H is assumed if absent"
-    )
-
-    def build(self) -> Material:
-        """The ceramic, poled along z; its permittivity is that at constant strain.
-
-        Raises
-        ------
-        UsageError : stiffness or permittivity is not positive definite, so no such material exists.
-        """
-        tables = {key: dict(zip(names, getattr(self, key), strict=True)) for key, names in _NAMES}
-        table = MaterialTable(
-            symmetry="hexagonal",
-            stress_coupling=tables.pop("coupling"),
-            **tables,
-            **self.model_dump(exclude=set(tables) | {"coupling"}),
-        )
-        return table.build("ceramic", "kick.material")
+PAPER = "THP51"  # the ceramic of the paper's chip
 
 
 class ChipMesh(Section):
@@ -103,32 +52,6 @@ class ChipDamping(Damping):
         return self.rayleigh(0.0)[1]
 
 
-def _from_library(given: object) -> object:
-    """A ceramic by its name in the library of materials, as the twelve constants of class 6mm."""
-    if not isinstance(given, str):
-        return given
-    try:
-        named = material(given)
-    except UsageError as error:
-        raise ValueError(str(error)) from None
-    C, e, eps = named.C, named.e, named.eps_S / EPSILON_0
-    c = C[0, 0], C[0, 1], C[0, 2], C[2, 2], C[3, 3], C[5, 5]
-    keys = {
-        "density": named.density,
-        "stiffness": tuple(map(float, c)),
-        "coupling": (float(e[2, 0]), float(e[2, 2]), float(e[0, 4])),
-        "permittivity": (float(eps[0, 0]), float(eps[2, 2])),
-        "permittivity_at": "strain",
-        "tensile_strength": named.tensile_strength,
-        "depoling_field": named.depoling_field,
-    }
-    found = Ceramic(**keys).build()
-    same = ((found.C, C), (found.e, e), (found.eps_S, named.eps_S))
-    if not named.piezoelectric or any(not np.allclose(a, b, rtol=1e-9) for a, b in same):
-        raise ValueError(f"{given} is no ceramic poled along z (class 6mm)")
-    return keys
-
-
 class Cap(Section):
     """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
 
@@ -155,7 +78,9 @@ class Chip(Section):
     layer_thickness: Length | None = Field(None, gt=0, description="instead of height")
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
-    material: Annotated[Ceramic, BeforeValidator(_from_library)] = Ceramic()
+    material: str | dict[str, Any] = Field(
+        PAPER, description="ceramic poled along z: name, or table of what differs from THP51"
+    )
     poling: Literal["z", "x"] = Field("z", description="z makes the stack longer, x shears it")
     mesh: ChipMesh = ChipMesh()
     damping: ChipDamping = ChipDamping()
@@ -177,7 +102,27 @@ class Chip(Section):
             object.__setattr__(self, "height", height)
         if self.poling == "x" and self.mounting in ("roller", "free"):
             raise ValueError('a stack that shears needs a mounting that holds it: "glued"')
+        try:
+            _ = self.ceramic
+        except UsageError as error:
+            raise ValueError(str(error)) from None
         return self
+
+    @property
+    def ceramic(self) -> Material:
+        """What its layers are made of, poled along z.
+
+        Raises
+        ------
+        UsageError : no such material, or none that is isotropic about z.
+        """
+        given = self.material
+        if not isinstance(given, str):
+            given = {"like": PAPER, **given}
+        found = material(given)
+        if found.conductor or not found.isotropic_about_z:
+            raise UsageError(f"{found.name} is no ceramic poled along z (class 6mm)")
+        return replace(found, name="ceramic")
 
     @property
     def half(self) -> tuple[float, float]:
