@@ -218,6 +218,31 @@ def test_switches_that_xyce_does_not_have_are_refused():
         assert values in translate(deck, "ltspice").files["one.cir"]
 
 
+def xyce(cards_, **facts):
+    """``(text, results)`` of a deck in Xyce's words."""
+    spoken = translate(Deck(name="one", text=f"* title\n{cards_}\n.end\n", **facts), "xyce")
+    return spoken.files["one.cir"], spoken.vectors
+
+
+def test_xyce_is_told_what_it_does_otherwise():
+    """Each of these was seen in runs of Xyce 7.10 against ngspice."""
+    touch = ".subckt touch a b\nC1 a b 1u IC=0\n.ends\nX1 n 0 touch\nR1 n 0 1\n.tran 1u 1m"
+    started, resting = xyce(f"{touch} 0 1u uic")[0], xyce(touch)[0]
+    assert "IC=0" in started  # which it obeys without uic, too
+    assert "IC=0" not in resting
+    assert (".nodeset V(n)=0" in started, ".nodeset V(n)=0" in resting) == (False, True)
+    for given, written in (("1e-3", "1e-05"), ("1e-5", "1e-06")):
+        assert f"reltol={written}\n" in xyce(f".options reltol={given}\n.tran 1u 1m")[0]
+        assert f"reltol={given}\n" in xyce(f".options reltol={given}\n.op")[0]
+    for controlled, ceiling in ((True, "1e-06"), (False, "0.0002")):
+        assert f" 0 {ceiling}\n" in xyce(".tran 1u 1m 0 0.0002", controlled=controlled)[0]
+    *_, points, start, stop = xyce(".ac dec 7 10 900")[0].splitlines()[1].split()
+    last = float(start) * 10 ** (math.floor(int(points) * math.log10(float(stop) / 10)) / 7)
+    assert 900 <= last < 900 * 10 ** (1 / 7)
+    _, results = xyce(".op", vectors={"d": ("v(a)-v(b)-@b.x1.c[i]", 2.0)})
+    assert results["d"] == ("V(a)-V(b)-I(x1:c)", 2.0)
+
+
 def test_unknown_dialects_are_refused(loop):
     with pytest.raises(UsageError, match="unknown dialect") as caught:
         translate(loop, "hspice")

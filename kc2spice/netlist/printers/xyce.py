@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from kc2spice.netlist.cards import number
+from kc2spice.netlist.cards import number, tidy
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.expression import Number, Tree, literal, simplified
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
@@ -111,4 +111,4 @@ def _tight(word: str) -> str:
     if name.lower() != "reltol":
         return word
     given = literal(value, where="reltol")
-    return f"{name}={number(TIGHT if given is None else min(given / 10, TIGHT))}"
+    return f"{name}={tidy(TIGHT if given is None else min(given / 10, TIGHT))}"
