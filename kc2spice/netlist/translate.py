@@ -36,9 +36,8 @@ def translate(deck: Deck, dialect: str) -> Deck:
         raise UsageError(
             "unknown dialect", where="--dialect", got=dialect, expected=", ".join(DIALECTS)
         )
-    kind = PRINTERS[dialect]
-    printer = kind(_setup(deck))
-    main = retold(deck.trees[deck.main], f"* Run it with:  {kind.command} {deck.main}")
+    printer = PRINTERS[dialect](_setup(deck))
+    main = retold(deck.trees[deck.main], f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.trees, deck.main: main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
     vectors = {

@@ -23,7 +23,6 @@ from kc2spice.netlist.circuit import (
 from kc2spice.netlist.deck import ANALYSES
 from kc2spice.netlist.expression import Binary, Call, Choice, Number, Trace, Tree, Unary, vector
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import OPTION_CARDS
 from kc2spice.netlist.scope import INCLUDES
 
 _SAME = frozenset({".end", ".ic", ".nodeset", *ANALYSES, *INCLUDES})
@@ -89,17 +88,16 @@ class Dialect(Printer, ABC):
             raise self.refusal(item.text, f"the command {item.keyword}")
         if not isinstance(item, Directive):
             return super().card(item)
-        if item.keyword == ".print":  # ngspice's own; what .save names is what a dialect prints
-            return ""
-        if item.keyword in OPTION_CARDS:
-            return self.options(item.words)
-        if item.keyword == ".save":
-            return self.save([self.vector(word) for word in item.words])
-        if item.keyword == ".tran":
-            return self.transient(item)
-        if item.keyword not in _SAME:
-            raise self.refusal(item.text, f"the command {item.keyword}")
-        return self.directive(item)
+        match item.keyword:
+            case ".print":  # ngspice's own; what .save names is what a dialect prints
+                return ""
+            case ".options" | ".option" | ".opt":
+                return self.options(item.words)
+            case ".save":
+                return self.save([self.vector(word) for word in item.words])
+            case keyword if keyword in _SAME:
+                return self.directive(item)
+        raise self.refusal(item.text, f"the command {item.keyword}")
 
     def refusal(self, got: str, what: str) -> UsageError:
         """The error for a construct that this dialect has no words for."""
@@ -125,15 +123,10 @@ class Dialect(Printer, ABC):
 
     def options(self, words: Sequence[str]) -> str:
         """The simulator settings that exist here; what is dropped becomes a comment."""
-        known = [word.partition("=")[0].lower() in self.known_options for word in words]
-        kept = [word for word, here in zip(words, known, strict=True) if here]
-        dropped = [word for word, here in zip(words, known, strict=True) if not here]
+        kept = [w for w in words if w.partition("=")[0].lower() in self.known_options]
         lines = [f"{self.option_prefix} {' '.join(kept)}"] if kept else []
-        return "\n".join([*lines, *(f"* {self.title} has no option {word}" for word in dropped)])
-
-    def transient(self, card: Directive) -> str:
-        """The card of a transient analysis."""
-        return card.text
+        dropped = (f"* {self.title} has no option {w}" for w in words if w not in kept)
+        return "\n".join([*lines, *dropped])
 
     def save(self, vectors: list[str]) -> str:
         """The card that asks for results."""
@@ -164,7 +157,6 @@ class Dialect(Printer, ABC):
     # -- expressions ------------------------------------------------------------------------
 
     def name(self, text: str) -> str:
-        """A parameter or keyword."""
         known = {"e": _EULER, "temper": self.temperature}
         if text.lower() == "hertz":
             raise self.refusal(text, f"the word {text}")
@@ -173,8 +165,16 @@ class Dialect(Printer, ABC):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Functions by what they mean: ``pwl`` is ``table``, ``log`` is the natural one."""
         if function == "pwl":
-            head, *pairs = [self.write(a) for a in arguments]
-            self._check_table(arguments[1:])
+            values = arguments[1:]
+            flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
+            if len(values) % 2 or not flat:  # pwl goes on with its outer slopes, table does not
+                raise UsageError(
+                    f"{self.title} ends every table flat",
+                    where=self.where,
+                    got="a pwl() whose outer segments slope",
+                    expected="two equal values at both ends",
+                )
+            head, *pairs = map(self.write, arguments)
             rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]
             return f"table({head},{','.join(rows)})"
         if function == "pow" and len(arguments) == 2:
@@ -187,17 +187,6 @@ class Dialect(Printer, ABC):
                 expected=", ".join(sorted(self.functions | {"pow", "pwl"})),
             )
         return super().call(spelled, arguments)
-
-    def _check_table(self, values: tuple[Tree, ...]) -> None:
-        """``pwl`` goes on with its outer slopes, ``table`` stays flat: the ends must be flat."""
-        flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
-        if len(values) % 2 or not flat:
-            raise UsageError(
-                f"{self.title} ends every table flat",
-                where=self.where,
-                got="a pwl() whose outer segments slope",
-                expected="two equal values at both ends",
-            )
 
     def choice(self, test: Tree, yes: Tree, no: Tree) -> str:
         """Both simulators have ``if(test, yes, no)``."""
@@ -248,16 +237,13 @@ def _truth(tree: Tree) -> Tree:
 def _merged(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
     """All cards of each of the commands ``joined`` as one where the first of them stands, with the
     comments of all: the deck's title may be among them."""
-    merged: list[Item] = []
-    first: dict[str, int] = {}
-    for item in items:
-        if not (isinstance(item, Directive) and item.keyword in joined):
-            merged.append(item)
-            continue
-        at = first.setdefault(item.keyword, len(merged))
-        if at == len(merged):
-            merged.append(item)
-        one = merged[at]
-        if isinstance(one, Directive) and one is not item:
-            merged[at] = replace(one, words=one.words + item.words, notes=one.notes + item.notes)
-    return merged
+    merged: dict[str | int, Item] = {}
+    for number, item in enumerate(items):
+        if isinstance(item, Directive) and item.keyword in joined:
+            one = merged.get(item.keyword, Directive(item.keyword, where=item.where))
+            assert isinstance(one, Directive)
+            words, notes = one.words + item.words, one.notes + item.notes
+            merged[item.keyword] = replace(one, words=words, notes=notes)
+        else:
+            merged[number] = item
+    return list(merged.values())

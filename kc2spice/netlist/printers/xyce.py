@@ -44,14 +44,23 @@ class Xyce(Dialect):
         return super().element(part)
 
     def directive(self, card: Directive) -> str:
-        """A logarithmic range goes on to the first point at or beyond its end, as Xyce stops short
-        of an end that is not one of its points."""
+        """Analyses, as Xyce takes them otherwise.
+
+        A logarithmic range goes on to the first point at or beyond its end: Xyce stops short of an
+        end that is not one of its points. Where a controller closes a loop steps have a ceiling:
+        error control alone loses 5e-4 of a launch. Contacts begin from where they rest, not from a
+        bounce.
+        """
+        if card.keyword == ".tran":
+            nodes = () if self.setup.uic else self.setup.starting
+            guesses = " ".join(f"V({node})=0" for node in nodes)
+            return (f".nodeset {guesses}\n" if guesses else "") + self._limited(card)
         if card.keyword != ".ac" or not card.words:
-            return super().directive(card)
+            return card.text
         given = [literal(word, where=card.where) for word in card.words[1:]]
         per = {"dec": 10.0, "oct": 2.0}.get(card.words[0].lower())
         if per is None or len(given) != 3 or None in given:
-            return super().directive(card)
+            return card.text
         count, start, stop = (float(value or 0.0) for value in given)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
         beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose it
@@ -60,14 +69,6 @@ class Xyce(Dialect):
     def options(self, words: Sequence[str]) -> str:
         """Its error control is looser than ngspice's at one ``reltol``."""
         return super().options(words if self.setup.analysis != ".tran" else [*map(_tight, words)])
-
-    def transient(self, card: Directive) -> str:
-        """A ceiling of the step where a controller closes a loop: Xyce's error control alone loses
-        5e-4 of a launch. Contacts begin from where they rest, not from a bounce."""
-        if not self.setup.uic and self.setup.starting:
-            guesses = " ".join(f"V({node})=0" for node in self.setup.starting)
-            return f".nodeset {guesses}\n{self._limited(card)}"
-        return self._limited(card)
 
     def _limited(self, card: Directive) -> str:
         if not self.setup.controlled:
