@@ -13,7 +13,7 @@ from kc2spice.core.foreign import read_bounded, text_of
 from kc2spice.netlist.cards import comment, number, tidy
 from kc2spice.netlist.circuit import Circuit, Subcircuit
 from kc2spice.netlist.expression import terms
-from kc2spice.netlist.read import LARGEST, beside, read, statements
+from kc2spice.netlist.read import LARGEST, OPTION_CARDS, beside, read, statements
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op"))
@@ -184,13 +184,10 @@ class Deck:
 
     def option(self, key: str) -> str | None:
         """The value of an option, None where the deck says nothing."""
-        found = [option.value for option in self.options if option.key == key]
-        if found or self.text is None:
-            return found[-1] if found else None
-        cards = (s for s in statements(self.text, self.main) if s.keyword.startswith(".opt"))
+        cards = (s for s in statements(self._main, self.main) if s.keyword in OPTION_CARDS)
         pairs = (word.partition("=") for s in cards for word in s.words[1:])
-        own = [value for name, _, value in pairs if name.lower() == key and value]
-        return own[-1] if own else None
+        found = [value for name, _, value in pairs if name.lower() == key and value]
+        return found[-1] if found else None
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """The same deck with these results besides its own."""

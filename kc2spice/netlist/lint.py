@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
-from functools import partial
+from collections.abc import Collection, Iterable, Iterator
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Card, Circuit, Element, Function, Parameters
@@ -74,31 +73,26 @@ def _scope_problems(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterat
     yield from _defined_twice(scope)
     for card in scope.commands:
         for text in card.values.values() if isinstance(card, Parameters) else ():
-            yield from _expression(card, partial(parse, text, where=card.where), scope)
+            yield from _expression(card, text, scope)
     for part in scope.elements:
         yield from _instance(part, scope) if part.kind == "x" else _references(part, scope)
         for text in _constants(part):
-            yield from _expression(part, partial(parse, text, where=part.where), scope)
+            yield from _expression(part, text, scope)
         if part.quantity:
-            yield from _expression(part, partial(_law, part), scope, behaviour=True)
+            yield from _expression(part, "", scope)
     yield from _dangling(scope, signals)
 
 
-def _law(part: Element) -> Tree:
-    return part.law
-
-
-def _expression(
-    card: Card, read: Callable[[], Tree], scope: Scope, *, behaviour: bool = False
-) -> Iterator[UsageError]:
-    """What is wrong with an expression of ``card``."""
+def _expression(card: Card, text: str, scope: Scope) -> Iterator[UsageError]:
+    """What is wrong with an expression of ``card``, its law where there is no ``text``."""
+    law = isinstance(card, Element) and not text
     try:
-        tree = read()
+        tree = card.law if isinstance(card, Element) and law else parse(text, where=card.where)
     except UsageError as error:
         yield error
         return
     yield from _unknown_names(card, tree, scope)
-    if isinstance(card, Element) and behaviour:
+    if isinstance(card, Element) and law:
         yield from _unknown_functions(card, tree, scope)
 
 
@@ -122,7 +116,8 @@ def _defined_twice(scope: Scope) -> Iterator[UsageError]:
             defined = {f"parameter {name.lower()}": text for name, text in card.values.items()}
         for what, value in defined.items():
             first, place = seen.setdefault(what, (value, card))
-            if _file(place) != _file(card) and first != value:
+            files = {each.where.rpartition(":")[0] for each in (place, card)}
+            if len(files) > 1 and first != value:
                 yield _problem(
                     card,
                     f"two files define the {what}",
@@ -130,10 +125,6 @@ def _defined_twice(scope: Scope) -> Iterator[UsageError]:
                     f"one definition; the first is in {place.where}",
                     "rename one, or put it into its .subckt",
                 )
-
-
-def _file(card: Card) -> str:
-    return card.where.rpartition(":")[0]
 
 
 def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
@@ -226,7 +217,9 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
         for position, node in enumerate(part.ends):
             if uses[node] > 1 or node in GROUND or node in watched or node.startswith("nc"):
                 continue
-            pin = _pin(part, position, scope)
+            called = scope.find(part.model) if part.kind == "x" else None
+            known = called is not None and position < len(called.pins)
+            pin = called.pins[position] if called and known else str(position + 1)
             if (part.model.lower(), pin) not in signals:
                 yield _problem(
                     part,
@@ -235,13 +228,6 @@ def _dangling(scope: Scope, signals: frozenset[tuple[str, str]]) -> Iterator[Usa
                     _nearest(node, [n for n in uses if n != node]),
                     f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
                 )
-
-
-def _pin(part: Element, position: int, scope: Scope) -> str:
-    called = scope.find(part.model) if part.kind == "x" else None
-    if called is not None and position < len(called.pins):
-        return called.pins[position]
-    return str(position + 1)
 
 
 def _nearest(name: str, known: Collection[str]) -> str | None:

@@ -106,29 +106,26 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    own = library == library_of(part)
-    for param in part.params if own else ():
+    for param in part.params if library == library_of(part) else ():
         if param.name.lower() == name.lower():
             _require_within(param, library, value)
-    mine = [each for where, each in cards(part) if where == library and name in each.defaults]
-    items = tuple(
-        _with_default(each, name, value) if any(each is other for other in mine) else each
-        for each in part.circuit.items
-    )
-    return printed(part, replace(part.circuit, items=items)) if mine else part
+    new = {
+        id(each): _with_default(each, name, value)
+        for where, each in cards(part)
+        if where == library and name in each.defaults
+    }
+    items = tuple(new.get(id(each), each) for each in part.circuit.items)
+    return printed(part, replace(part.circuit, items=items)) if new else part
 
 
-def _with_default(circuit: Item, name: str, value: float) -> Item:
+def _with_default(circuit: Circuit, name: str, value: float) -> Item:
     """A subcircuit with another default, in its card and in its head."""
-    assert isinstance(circuit, Circuit)
-    head = f"* @param {name}="
+    told, given = f"* @param {name}=", number(value)
     notes = tuple(
-        f"{head}{number(value)} {line.partition(' unit=')[1].strip()}{line.partition(' unit=')[2]}"
-        if line.startswith(head)
-        else line
+        f"{told}{given} unit={line.partition(' unit=')[2]}" if line.startswith(told) else line
         for line in circuit.notes
     )
-    return replace(circuit, defaults={**circuit.defaults, name: number(value)}, notes=notes)
+    return replace(circuit, defaults={**circuit.defaults, name: given}, notes=notes)
 
 
 def _require_within(param: Param, library: str, value: float) -> None:
